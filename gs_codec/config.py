@@ -445,6 +445,11 @@ class Config:
     lod: bool = option(
         False, "With profiles l, m, s: add coarser levels of detail, a third more bytes.", kind=bool
     )
+    strict: bool = option(
+        False,
+        "Fail if rendered views lose more than twice the loss that the profile aims at.",
+        kind=bool,
+    )
     spz_version: Literal[3, 4] = option(
         3, "With format spz: 4 is smaller, 3 is read by more programs.", kind=int, low=3, high=4
     )
@@ -464,6 +469,10 @@ class Config:
             known = ", ".join(ADAPTIVE_PROFILES)
             raise InvalidInput(
                 f"lod: profile '{self.profile}', format '{self.format}', expected {known} as .egs"
+            )
+        if self.strict and not (self.has_steps and not self.depths):
+            raise InvalidInput(
+                f"strict: profile '{self.profile}' as '{self.format}' does not aim at a loss"
             )
         for name in PAPER_OPTIONS:
             value = getattr(self, name)

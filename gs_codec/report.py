@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,6 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gs_codec.config import RateTarget
+
+#: Mean squared error against photographs that is assumed where there are none: 30 dB.
+NOMINAL_ERROR = 1e-3
 
 #: Called with a stage's name, steps done, and steps in all.
 Progress = Callable[[str, int, int], None]
@@ -101,6 +105,49 @@ class RateReport:
 
 
 @dataclass(frozen=True)
+class RenderedLoss:
+    """What the views of a coded scene lose, measured in windows that did not choose its steps.
+
+    Attributes
+    ----------
+    psnr : float
+        PSNR of the coded scene against the original, dB.
+    loss : float
+        PSNR against photographs that a scene of 30 dB loses by that, dB.
+    worst : float
+        The same of the 95th percentile of the windows.
+    windows : int
+        Number of windows.
+    views : str
+        ``given``: parts of held-out cameras, or of views between given ones; ``likely``: of places
+        where cameras may have been.
+    away : float, optional
+        With given cameras: the loss in likely views, which other cameras may have.
+    aimed : float, optional
+        The loss that the step sizes aim at; None for a fixed size or fixed bits.
+    encodings : int
+        Number of times the scene was encoded to get there.
+    remedy : str, optional
+        What was done because the first result was worse than aimed at.
+    """
+
+    psnr: float
+    loss: float
+    worst: float
+    windows: int
+    views: str
+    away: float | None = None
+    aimed: float | None = None
+    encodings: int = 1
+    remedy: str | None = None
+
+
+def psnr_loss(error: float) -> float:
+    """PSNR that views of 30 dB lose by an added mean squared error, dB."""
+    return 10 * math.log10(1 + error / NOMINAL_ERROR)
+
+
+@dataclass(frozen=True)
 class ActionReport:
     """What an action did.
 
@@ -153,6 +200,8 @@ class EncodeReport:
         What a format other than `.egs` cannot hold, in words.
     rate : RateReport, optional
         How the target was met, if one was given.
+    rendered : RenderedLoss, optional
+        What rendered views lose; None if that was not measured, as with profile ``lossless``.
     prepared : dict, optional
         What preparation did, if there was any: `PrepareReport.as_dict`, with the steps of coding.
     input_bytes : int
@@ -175,6 +224,7 @@ class EncodeReport:
     coarseness: float = 1.0
     lost: tuple[str, ...] = ()
     rate: RateReport | None = None
+    rendered: RenderedLoss | None = None
     prepared: dict[str, Any] | None = None
     input_bytes: int = 0
     ratio: float = 0.0

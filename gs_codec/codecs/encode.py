@@ -7,6 +7,7 @@ from dataclasses import replace
 from gs_codec.codecs.adaptive import encode as adaptive
 from gs_codec.codecs.adaptive.encode import ShapedScene, encode_adaptive
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
+from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.entropygs.encode import encode_channels
 from gs_codec.codecs.interchange import (
     RoundedScene,
@@ -21,6 +22,9 @@ from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
+
+#: Consecutive pieces of a file, and what was done.
+Encoded = tuple[list[bytes | memoryview], EncodeReport]
 
 
 def encode_scene(
@@ -74,19 +78,36 @@ def encode_parts(
         check_encoding(scene.count, config)
         with times.stage("check"):
             scene, changed = clean_scene(scene, config)
-        if config.format != EGS:
-            parts, report = encode_interchange(scene, config, steps, times)
-        elif config.profile in ADAPTIVE_PROFILES and device != "cpu" and scene.count:
-            from gs_codec.codecs.cuda.encode import encode_on_device
+        parts, report = encode_clean(scene, config, times, progress, steps, device)
+    return parts, replace(report, **changed)
 
-            parts, report = encode_on_device(scene, config, device, times, progress)
-        elif config.profile in ADAPTIVE_PROFILES:
-            parts, report = encode_adaptive(scene, config, steps, times, progress)
-        elif config.profile == LOSSLESS:
-            parts, report = encode_lossless(scene, config, times, progress)
-        else:
-            parts, report = encode_channels(scene, config, times, progress)
-    return parts, replace(report, **changed, coarseness=config.coarseness)
+
+def encode_clean(
+    scene: Scene,
+    config: Config,
+    times: StageTimes,
+    progress: Progress | None = None,
+    steps: StepSizes | None = None,
+    device: str = "cpu",
+    watched: Watched | None = None,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene cleaned by `clean_scene`; see `encode_parts`.
+
+    Profiles ``l``, ``m`` and ``s`` of an `.egs` keep decoded values of those in `watched`.
+    """
+    if config.format != EGS:
+        parts, report = encode_interchange(scene, config, steps, times)
+    elif config.profile in ADAPTIVE_PROFILES and device != "cpu" and scene.count:
+        from gs_codec.codecs.cuda.encode import encode_on_device
+
+        parts, report = encode_on_device(scene, config, device, times, progress)
+    elif config.profile in ADAPTIVE_PROFILES:
+        parts, report = encode_adaptive(scene, config, steps, times, progress, watched)
+    elif config.profile == LOSSLESS:
+        parts, report = encode_lossless(scene, config, times, progress)
+    else:
+        parts, report = encode_channels(scene, config, times, progress)
+    return parts, replace(report, coarseness=config.coarseness)
 
 
 def shape_scene(
@@ -95,11 +116,15 @@ def shape_scene(
     steps: StepSizes,
     times: StageTimes,
     progress: Progress | None = None,
+    watched: Watched | None = None,
 ) -> ShapedScene | RoundedScene:
-    """Round everything but the colours of a cleaned scene, with finished step sizes."""
+    """Round everything but the colours of a cleaned scene, with finished step sizes.
+
+    See `encode_clean` for `watched`.
+    """
     if config.format != EGS:
         return round_scene(scene, config, steps, times)
-    return adaptive.shape_scene(scene, config, steps, times, progress)
+    return adaptive.shape_scene(scene, config, steps, times, progress, watched)
 
 
 def encode_shaped(

@@ -18,7 +18,8 @@ from gs_codec.config import Config
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.sources import Gaussians, Span
 from gs_codec.distributed.workers import Workers, do_all
-from gs_codec.guidance import calibrate
+from gs_codec.guidance.calibrate import calibrated_by
+from gs_codec.guidance.windows import choose_windows, find_shown, sample_stride
 from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import GROUPS, Scene, join_scenes
@@ -76,14 +77,14 @@ def look(workers: Workers, job: Job, calibrates: bool = True) -> Looked:
     if calibrates:
         do_all(workers, job.folder, "sample", partial(_sample, job), number)
         sample = join_scenes([job.load_scene(f"sample-{k}") for k in range(number)])
-        windows = calibrate.choose_windows(sample, job.gaussians.count)
+        windows = choose_windows(sample, job.gaussians.count).choosing
     do_all(workers, job.folder, "scan", partial(_look, job, windows), number)
     names = ("dropped", "zeros", "bounds")
     seen = [job.folder.load(f"scan-{k}", *names) for k in range(number)]
     config = job.config
     if windows:
         shown = _shown(job, number, len(windows))
-        config = calibrate.calibrated_by(sample, windows, shown, config)
+        config = calibrated_by(sample, windows, shown, config)
     bounds = np.stack([each["bounds"] for each in seen])
     return Looked(
         config,
@@ -116,7 +117,7 @@ def _numbers(span: Span, stride: int, dropped: NDArray[np.int64]) -> NDArray[np.
 
 
 def _sample(job: Job, number: int) -> None:
-    stride = calibrate.sample_stride(job.gaussians.count)
+    stride = sample_stride(job.gaussians.count)
     index = _numbers(job.spans[number], stride, np.empty(0, np.int64))
     job.save_scene(f"sample-{number}", job.gaussians.pick(job.spans[number], index))
 
@@ -129,7 +130,7 @@ def _look(job: Job, windows: Sequence[Camera], number: int) -> None:
         gone = job.spans[number].first + np.flatnonzero(~finite_gaussians(scene))
     low = clean.positions.min(axis=1, initial=np.inf)
     high = clean.positions.max(axis=1, initial=-np.inf)
-    found = calibrate.find_shown(scene, windows)
+    found = find_shown(scene, windows)
     job.save_scene(
         f"scan-{number}",
         scene.take(np.concatenate([np.empty(0, np.int64), *found])),

@@ -7,12 +7,21 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from gs_codec.codecs.encode import encode_parts, encode_shaped, shape_scene
+from gs_codec.codecs.decode import decode_as
+from gs_codec.codecs.encode import (
+    Encoded,
+    encode_clean,
+    encode_parts,
+    encode_shaped,
+    shape_scene,
+)
+from gs_codec.codecs.memory import check_encoding
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
     EGS,
     EXACT_FORMATS,
+    LOSSLESS,
     ROUNDED_FORMATS,
     Config,
     RateTarget,
@@ -24,6 +33,7 @@ from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
+    from gs_codec.codecs.adaptive.watched import Watched
     from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
     from gs_codec.preparation.steps import Plan
 
@@ -47,13 +57,51 @@ def encode_by_plan(
     target = None if rate is None else as_rate_target(rate)
     if target is not None:
         _check_target(scene, config, target, plan)
-        if config.format not in (EGS, *ROUNDED_FORMATS):
-            from gs_codec.guidance.fixed_rate import meet_target
+    elif plan is None or not plan.steps.wanted:
+        return encode_planned(scene, config, plan, progress)
+    data, report = _prepared_or_to_target(scene, ply_bytes, config, plan, target, progress)
+    return data, _measured(scene, config, plan, target, data, report)
 
-            def encode(plan: Plan | None) -> tuple[bytes, EncodeReport]:
-                return encode_by_plan(scene, ply_bytes, config, plan, None, progress)
 
-            return meet_target(encode, scene, ply_bytes, config, target, plan, progress)
+def _measured(
+    scene: Scene,
+    config: Config,
+    plan: Plan | None,
+    target: RateTarget | None,
+    data: bytes,
+    report: EncodeReport,
+) -> EncodeReport:
+    """A report with what views lose against the scene before preparation."""
+    from gs_codec.guidance.check import Check
+    from gs_codec.guidance.checked import tell
+
+    times = StageTimes()
+    with times.stage("measure"), using_threads(config.threads):
+        clean, _ = clean_scene(scene, config)
+        loss = Check.by_plan(clean, plan).measure(decode_as(config, data))
+    if loss is not None:
+        aimed = None if target is None else target.psnr_drop
+        loss = replace(loss, aimed=aimed)
+        tell(loss, config)
+    taken = times.seconds["measure"] + report.seconds.get("measure", 0.0)
+    return replace(report, rendered=loss, seconds=report.seconds | {"measure": taken})
+
+
+def _prepared_or_to_target(
+    scene: Scene,
+    ply_bytes: int,
+    config: Config,
+    plan: Plan | None,
+    target: RateTarget | None,
+    progress: Progress | None,
+) -> tuple[bytes, EncodeReport]:
+    if target is not None and config.format not in (EGS, *ROUNDED_FORMATS):
+        from gs_codec.guidance.fixed_rate import meet_target
+
+        def encode(plan: Plan | None) -> tuple[bytes, EncodeReport]:
+            return encode_by_plan(scene, ply_bytes, config, plan, None, progress)
+
+        return meet_target(encode, scene, ply_bytes, config, target, plan, progress)
     if plan is None or not plan.steps.wanted:
         return _encode(scene, scene, ply_bytes, config, plan, target, progress)
     times, original = StageTimes(), scene
@@ -119,27 +167,52 @@ def encode_planned(
     fixed = config.profile not in ADAPTIVE_PROFILES or config.format in EXACT_FORMATS
     if plan is None or fixed or not scene.count:
         return _camera_free(scene, config, progress)
-    from gs_codec.guidance.guide import guide
     from gs_codec.preparation.pipeline import guiding_views
 
     references = guiding_views(scene, plan, references, progress)
     if references is None:
         return _camera_free(scene, config, progress)
-    times = StageTimes()
     with using_threads(config.threads):
-        with times.stage("check"):
-            clean, changed = clean_scene(scene, config)
-        if not clean.count:
-            return _camera_free(scene, config, progress)
-        with times.stage("views"):
-            guidance = guide(clean, references, progress)
+        guided = _guided(scene, config, plan, references, progress)
+    return _camera_free(scene, config, progress) if guided is None else guided
+
+
+def _guided(
+    scene: Scene,
+    config: Config,
+    plan: Plan,
+    references: ReferenceViews,
+    progress: Progress | None,
+) -> tuple[bytes, EncodeReport] | None:
+    """Encode a scene, guided by these views; None if they do not fit it."""
+    from gs_codec.guidance.check import Check
+    from gs_codec.guidance.checked import encode_checked
+    from gs_codec.guidance.guide import guide
+
+    times = StageTimes()
+    with times.stage("check"):
+        clean, changed = clean_scene(scene, config)
+    if not clean.count:
+        return None
+    with times.stage("views"):
+        guidance = guide(clean, references, progress)
+    with times.stage("measure"):
+        check = Check.by_plan(clean, plan)
+
+    def encode(config: Config, watched: Watched | None) -> Encoded:
         profile = config.adaptive_profile()
-        shaped = shape_scene(clean, config, guidance.steps(profile), times, progress)
+        steps = guidance.steps(profile)
+        shaped = shape_scene(clean, config, steps, times, progress, watched)
         with times.stage("recolour"):
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))
-        del guidance  # It holds large arrays: a weight for each Gaussian in each view.
-        parts, report = encode_shaped(shaped, times, progress)
-    return b"".join(parts), replace(report, **changed, coarseness=config.coarseness)
+        return encode_shaped(shaped, times, progress)
+
+    estimated = references.origin == "estimated"
+    encoded = encode_checked(encode, config, config, check, times, estimated=estimated)
+    if encoded is None:
+        return None
+    parts, report = encoded
+    return b"".join(parts), replace(report, **changed, seconds=times.seconds)
 
 
 def _camera_free(
@@ -154,18 +227,40 @@ def encode_camera_free(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to the consecutive pieces of a file, as coarsely as it needs.
 
-    A CUDA `device` may have a part in it.
+    A CUDA `device` may have a part in it; the result is then not measured.
 
     Raises
     ------
     InvalidInput, MissingTool, ToolFailed
-        As `encode_scene`.
+        As `encode_scene`; or if views lose too much and the configuration is strict.
     """
-    times = StageTimes()
-    if config.has_steps and scene.count:
-        from gs_codec.guidance.calibrate import calibrated
+    if config.profile == LOSSLESS or not scene.count:
+        return encode_parts(scene, config, progress)
+    from gs_codec.guidance.calibrate import calibrated
+    from gs_codec.guidance.check import Check
+    from gs_codec.guidance.checked import encode_checked
+    from gs_codec.guidance.windows import choose_windows, sample_of
 
-        with times.stage("calibrate"), using_threads(config.threads, scene.count):
-            config = calibrated(scene, config, progress)
-    parts, report = encode_parts(scene, config, progress, device=device)
-    return parts, replace(report, seconds=times.seconds | report.seconds)
+    times = StageTimes()
+    with using_threads(config.threads, scene.count):
+        check_encoding(scene.count, config)
+        chosen = config
+        with times.stage("calibrate"):
+            windows = choose_windows(sample_of(scene), scene.count)
+            if config.has_steps:
+                chosen = calibrated(scene, config, progress, windows)
+        if device != "cpu":
+            parts, report = encode_parts(scene, chosen, progress, device=device)
+            return parts, replace(report, seconds=times.seconds | report.seconds)
+        with times.stage("check"):
+            clean, changed = clean_scene(scene, config)
+        with times.stage("measure"):
+            check = Check.of(clean, windows.checking)
+
+        def encode(config: Config, watched: Watched | None) -> Encoded:
+            return encode_clean(clean, config, times, progress, watched=watched)
+
+        encoded = encode_checked(encode, config, chosen, check, times)
+        assert encoded is not None
+        parts, report = encoded
+    return parts, replace(report, **changed, seconds=times.seconds)

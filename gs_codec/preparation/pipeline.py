@@ -197,6 +197,14 @@ def guiding_views(
     return ReferenceViews(cameras, (), False, plan.background, scene, known.origin)
 
 
+def checking_cameras(scene: Scene, plan: Plan) -> list[Camera]:
+    """Of given cameras those that do not guide the encoder, or views between those that do."""
+    known = _split(scene, replace(plan, steps=Steps()), None)
+    if known.test != known.rest:
+        return known.test
+    return cameras_between(known.rest) or known.rest
+
+
 def _enough(known: _Split, most: int) -> list[Camera]:
     """Of given cameras at most this many; if there are fewer, views between them as well.
 

@@ -19,7 +19,7 @@ from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.images import seek_image
 from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
-from gs_codec.report import Progress, step_counter
+from gs_codec.report import NOMINAL_ERROR, Progress, step_counter
 from gs_codec.runtime.mapped import other_files
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
@@ -30,9 +30,6 @@ Result = TypeVar("Result")
 #: Where cameras come from: given, estimated from what the scene tells, or anywhere around it, if it
 #: does not tell.
 Origin = Literal["given", "estimated", "anywhere"]
-
-#: MSE against photographs that is assumed where there are none: 30 dB.
-_NOMINAL_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -102,12 +99,12 @@ class ReferenceViews:
         If the images are the scene's own renders, the scene is assumed to have 30 dB against
         photographs, and both errors to add up.
         """
-        own = 0.0 if self.photographs else _NOMINAL_ERROR
+        own = 0.0 if self.photographs else NOMINAL_ERROR
         return 10 * float(np.mean(np.log10((own + errors) / (own + before))))
 
     def error_for(self, drop: float, before: float) -> float:
         """The mean squared error that loses `drop` dB in each view: the inverse of `drop`."""
-        own = 0.0 if self.photographs else _NOMINAL_ERROR
+        own = 0.0 if self.photographs else NOMINAL_ERROR
         return (own + before) * 10 ** (drop / 10) - own
 
 

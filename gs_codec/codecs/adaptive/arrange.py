@@ -28,6 +28,7 @@ from gs_codec.codecs.adaptive.step_sizes import (
     finest_step,
     make_rule,
 )
+from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.linear import combine
 from gs_codec.coding.morton import canonical_order, in_stream_order
@@ -58,7 +59,8 @@ class Arranged:
     """A scene to code, its lattices, and arrays in stream order.
 
     ``order (N,)`` is the index in the scene, ``codes (N,)`` are those of `grid_codes`, ascending,
-    and ``classes (2, N)`` are shape classes and colour classes.
+    and ``classes (2, N)`` are shape classes and colour classes. Decoded values of the Gaussians in
+    `watched` are to be kept.
     """
 
     source: Scene
@@ -66,6 +68,7 @@ class Arranged:
     lattice: Lattice
     codes: NDArray[np.int64]
     classes: NDArray[np.uint8]
+    watched: Watched | None = None
 
 
 def arrange_scene(
@@ -74,11 +77,12 @@ def arrange_scene(
     asked: StepSizes | None,
     block: int | None = None,
     may_have_far: bool = True,
+    watched: Watched | None = None,
 ) -> Arranged:
     """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
 
     With `block`, each so many Gaussians stay together, and are only sorted among themselves.
-    Without `may_have_far`, the grid of positions spans all of them.
+    Without `may_have_far`, the grid of positions spans all of them. See `Arranged` for `watched`.
 
     Raises
     ------
@@ -103,9 +107,11 @@ def arrange_scene(
     keep = current().keep
     classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
     codes, narrow = keep(codes[order]), order.astype(np.uint32)
+    if watched is not None:
+        watched.settle(order)
     if asked is None:
         scene, narrow = in_stream_order(scene, narrow)
-    return Arranged(scene, narrow, lattice, codes, classes)
+    return Arranged(scene, narrow, lattice, codes, classes, watched)
 
 
 def sample_stride(count: int) -> int:

@@ -11,6 +11,7 @@ from gs_codec.codecs.adaptive.arrange import Arranged
 from gs_codec.codecs.adaptive.colour import code_colours, round_diffusing
 from gs_codec.codecs.adaptive.lattice import (
     LARGEST,
+    TOO_LARGE,
     PositionGrid,
     centres,
     far_among,
@@ -29,7 +30,7 @@ from gs_codec.coding.count_tree import encode_tree
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.nearest import find_all_nearest
-from gs_codec.coding.ycocg import take_colours, to_ycocg
+from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
 from gs_codec.config import SH_STREAMS
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.kernels import kernel
@@ -95,13 +96,13 @@ class ShapedBlock:
             turned_quaternions(to_float(self.shape.turns), self.shape.poles),
         )
 
-    def coded_places(self) -> tuple[bytes, bytes, bytes]:
-        """Coded positions: the tree, low bits, and centres of far Gaussians."""
-        return self.tree, self.low_bits, write_far(self.far)
-
     def extent(self, grid: PositionGrid) -> NDArray[np.float32]:
         """Where its decoded Gaussians are."""
         return block_extent(*self.decoded(grid))
+
+    def coded_places(self) -> tuple[bytes, bytes, bytes]:
+        """Coded positions: the tree, low bits, and centres of far Gaussians."""
+        return self.tree, self.low_bits, write_far(self.far)
 
 
 @dataclass(frozen=True)
@@ -164,18 +165,54 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
     nearest = find_all_nearest(shaped.grid_positions)
     colours, clamped = to_fixed(to_ycocg(source.f_dc[:, members]), LARGEST)
     clamped += shaped.clamped
-    levels, contexts, _ = code_colours(nearest, colours, units["sh-dc"], shaped.shifts)
+    levels, contexts, values = code_colours(nearest, colours, units["sh-dc"], shaped.shifts)
     listed = [shaped.coded, PassData.of(levels, contexts)]
     coefficients = len(source.f_rest) // 3
+    by_colour: NDArray[np.int32] = np.empty((3, coefficients, len(members)), np.int32)
     if coefficients:
-        bands = zip(SH_STREAMS, sh_bands(coefficients), strict=False)
-        finest = [units[stream] for stream, band in bands for _ in band]
         planes = source.f_rest.reshape(3, coefficients, -1)
-        ac, beyond = take_colours(planes, members, np.array(finest), shaped.shifts, LARGEST)
+        finest = _ac_units(arranged)
+        ac, beyond = take_colours(planes, members, finest, shaped.shifts, LARGEST)
         clamped += beyond
-        levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
-        by_colour = levels.reshape(3, coefficients, -1)
+        rounded = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
+        by_colour = rounded.reshape(3, coefficients, -1)
         coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
-    extent = shaped.extent(arranged.lattice.grid)
-    return Block(*shaped.coded_places(), extent, listed, clamped)
+    decoded = shaped.decoded(arranged.lattice.grid)
+    if arranged.watched is not None:
+        _keep_decoded(arranged, shaped, decoded, values, by_colour)
+    return Block(*shaped.coded_places(), block_extent(*decoded), listed, clamped)
+
+
+def _ac_units(arranged: Arranged) -> NDArray[np.int64]:
+    """Unit of each SH-AC ``(K,)``."""
+    bands = zip(SH_STREAMS, sh_bands(len(arranged.source.f_rest) // 3), strict=False)
+    return np.array([arranged.lattice.units[stream] for stream, band in bands for _ in band])
+
+
+def _keep_decoded(
+    arranged: Arranged,
+    shaped: ShapedBlock,
+    decoded: tuple[NDArray[np.float32], ...],
+    colours: NDArray[np.int64],
+    levels: NDArray[np.int32],
+) -> None:
+    """Keep what a decoder makes of the watched Gaussians of a block."""
+    watched, (start, stop) = arranged.watched, (shaped.start, shaped.stop)
+    assert watched is not None
+    at = watched.within(start, stop)
+    positions, log_scale, rot = (values[:, at] for values in decoded)
+    f_rest = np.empty((3, levels.shape[1], len(at)), np.float32)
+    if f_rest.size:
+        some = np.ascontiguousarray(levels[:, :, at])
+        fill_colours(some, _ac_units(arranged), shaped.shifts[at], TOO_LARGE, f_rest)
+    watched.keep(
+        start,
+        stop,
+        positions=positions,
+        log_scale=log_scale,
+        rot=rot,
+        opacity=to_float(shaped.shape.opacity[at])[None].astype(np.float32),
+        f_dc=from_ycocg(to_float(colours[:, at])),
+        f_rest=f_rest.reshape(-1, len(at)),
+    )

@@ -15,6 +15,7 @@ from gs_codec.codecs.adaptive.lattice import to_float
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET, RAW_WIDTHS
+from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encode_passes
 from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.linear import dot
@@ -82,9 +83,13 @@ def encode_adaptive(
     steps: StepSizes | None,
     times: StageTimes,
     progress: Progress | None = None,
+    watched: Watched | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
-    header, arranged = _arrange(scene, config, steps, times)
+    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None.
+
+    Decoded values of those in `watched` are kept.
+    """
+    header, arranged = _arrange(scene, config, steps, times, watched)
     return _code(
         header, arranged, _blocks(header, arranged, steps is None, times, progress), times, progress
     )
@@ -134,9 +139,13 @@ def shape_scene(
     steps: StepSizes | None,
     times: StageTimes,
     progress: Progress | None = None,
+    watched: Watched | None = None,
 ) -> ShapedScene:
-    """Round everything but the colours of a cleaned scene; camera-free if `steps` are None."""
-    header, arranged = _arrange(scene, config, steps, times)
+    """Round everything but the colours of a cleaned scene; camera-free if `steps` are None.
+
+    Decoded values of those in `watched` are kept once it is encoded.
+    """
+    header, arranged = _arrange(scene, config, steps, times, watched)
     advance = step_counter(progress, "quantise", header.block_count)
     with times.stage("quantise"):
         blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header), advance=advance)
@@ -159,10 +168,14 @@ def encode_shaped(
 
 
 def _arrange(
-    scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
+    scene: Scene,
+    config: Config,
+    steps: StepSizes | None,
+    times: StageTimes,
+    watched: Watched | None,
 ) -> tuple[Header, Arranged]:
     with times.stage("order"):
-        arranged = arrange_scene(scene, config, steps)
+        arranged = arrange_scene(scene, config, steps, watched=watched)
         header = Header.of(scene, config).with_far(arranged.lattice.grid.has_far)
         return header, arranged
 

@@ -1,0 +1,154 @@
+"""What a coded scene loses, measured in windows that did not choose its step sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.watched import Watched
+from gs_codec.guidance.calibrate import ABOVE_MEAN, QUANTILE
+from gs_codec.guidance.windows import (
+    ENOUGH,
+    MOST_LEFT,
+    MOST_SHOWN,
+    Part,
+    choose_windows,
+    draw_parts,
+    find_shown,
+    parts_of,
+    sample_of,
+    windows_of,
+)
+from gs_codec.rendering.camera import Camera
+from gs_codec.report import NOMINAL_ERROR, RenderedLoss, psnr_loss
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.steps import Plan
+
+#: Of 20 windows, about one loses more than what is reported as the worst: what a few show is mostly
+#: the inside of Gaussians, where cameras never were.
+_WORST = 0.95
+
+#: Smaller mean squared errors count as this: 120 dB.
+_LEAST = 1e-12
+
+
+class _Seen(NamedTuple):
+    """Windows on a scene, the Gaussians that each shows ``(n,)``, and its image ``(H, W, 3)``."""
+
+    windows: list[Camera]
+    shown: list[NDArray[np.int64]]
+    images: list[NDArray[np.float32]]
+
+    def errors(self, coded: Scene, shown: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
+        """Mean squared error of each window, which shows these Gaussians of a coded scene."""
+        drawn = _draw(coded, self.windows, shown)
+        pairs = zip(self.images, drawn, strict=True)
+        return np.array([np.mean((a - b) ** 2, dtype=np.float64) for a, (b, _) in pairs])
+
+
+def _draw(
+    scene: Scene, windows: Sequence[Camera], shown: Sequence[NDArray[np.int64]]
+) -> list[tuple[NDArray[np.float32], float]]:
+    parts: list[Part] = parts_of(windows, [len(own) for own in shown])
+    with np.errstate(all="ignore"):
+        return draw_parts(scene.take(np.concatenate([np.empty(0, np.int64), *shown])), parts)
+
+
+def _look(scene: Scene, windows: Sequence[Camera]) -> _Seen | None:
+    """Those of some windows that show enough of a scene; None if these are too few."""
+    found = zip(windows, find_shown(scene, windows), strict=True)
+    usable = [(window, own) for window, own in found if 0 < len(own) <= MOST_SHOWN]
+    if not usable:
+        return None
+    drawn = _draw(scene, *zip(*usable, strict=True))
+    rows = [
+        (window, own, image)
+        for (window, own), (image, left) in zip(usable, drawn, strict=True)
+        if left <= MOST_LEFT
+    ]
+    return _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
+
+
+@dataclass(frozen=True)
+class Check:
+    """A scene in windows on likely places, and in those of given cameras if there are any.
+
+    Given cameras measure the loss; likely places then tell whether the cameras fit the scene.
+    """
+
+    scene: Scene
+    likely: _Seen | None
+    given: _Seen | None
+
+    @classmethod
+    def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
+        """Look at a scene without NaN or infinity."""
+        plain = replace(scene, extra={})
+        return cls(plain, _look(plain, likely), _look(plain, given))
+
+    @classmethod
+    def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:
+        """As `of`, in windows chosen by a scene, and by the cameras that a plan is given."""
+        sample, given = sample_of(scene), []
+        if plan is not None and not plan.estimates:
+            from gs_codec.preparation.pipeline import checking_cameras
+
+            cameras = checking_cameras(scene, plan)
+            given = windows_of(cameras, sample, scene.count)
+        return cls.of(scene, choose_windows(sample, scene.count).checking, given)
+
+    @property
+    def _all(self) -> list[_Seen]:
+        return [seen for seen in (self.likely, self.given) if seen is not None]
+
+    def watch(self) -> Watched | None:
+        """The Gaussians that the windows show, for an encoder to keep."""
+        shown = [own for seen in self._all for own in seen.shown]
+        return Watched(self.scene, np.unique(np.concatenate(shown))) if shown else None
+
+    def measure_watched(self, watched: Watched) -> RenderedLoss | None:
+        """What is lost by the values that an encoder kept of those from `watch`."""
+        coded = watched.decoded()
+        return self._loss(
+            [
+                seen.errors(coded, [np.searchsorted(watched.index, own) for own in seen.shown])
+                for seen in self._all
+            ]
+        )
+
+    def measure(self, coded: Scene) -> RenderedLoss | None:
+        """What is lost in a coded scene, in any order; None if the scene shows too little."""
+        plain = replace(coded, extra={})
+        return self._loss(
+            [seen.errors(plain, find_shown(plain, seen.windows)) for seen in self._all]
+        )
+
+    def _loss(self, errors: list[NDArray[np.float64]]) -> RenderedLoss | None:
+        if not errors:
+            return None
+        away = None
+        if self.likely is not None:
+            of_likely = float(np.quantile(errors[0], QUANTILE)) / ABOVE_MEAN
+            if self.given is not None:
+                away = psnr_loss(of_likely)
+        error = of_likely if self.given is None else float(errors[-1].mean())
+        error, worst = max(error, _LEAST), float(np.quantile(errors[-1], _WORST))
+        return RenderedLoss(
+            psnr=-10 * float(np.log10(error)),
+            loss=psnr_loss(error),
+            worst=max(psnr_loss(worst), psnr_loss(error)),
+            windows=len(errors[-1]),
+            views="likely" if self.given is None else "given",
+            away=away,
+        )
+
+
+def error_of(loss: RenderedLoss) -> float:
+    """The mean squared error of views that lose so much."""
+    return NOMINAL_ERROR * (10 ** (loss.loss / 10) - 1)

@@ -1,0 +1,236 @@
+"""Small windows of views: where a scene is looked at, as it is and rounded or coded.
+
+They have 32 pixels a side and show about 500 Gaussians each, so that a large scene takes no longer
+than a small one. Some choose how coarse a scene may be, others, from other places, check what it
+then loses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.clean import clean_scene
+from gs_codec.config import Config
+from gs_codec.rendering.auto_cameras import look_at
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.evidence import Evidence, gather_evidence
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.project import NEAR
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene
+
+#: Smaller scenes keep the steps of their profile: to choose them would take longer than all else.
+_LEAST = 5000
+
+#: Windows that choose step sizes, and windows that check the result.
+_CHOOSING, _CHECKING = 96, 64
+
+#: Side of a window in pixels, and about how many Gaussians it shows.
+_SIDE, _SHOWN = 32, 500
+
+#: Windows that show more Gaussians are left out: they would take too long.
+MOST_SHOWN = 5000
+
+#: Fewer windows say too little.
+ENOUGH = 16
+
+#: Windows with a higher mean transmittance are of holes, and left out.
+MOST_LEFT = 0.3
+
+#: Places are chosen by about this many Gaussians.
+_SAMPLE = 20_000
+
+#: Gaussians that are looked at at once.
+_CHUNK = 1 << 18
+
+
+class Windows(NamedTuple):
+    """Windows from where cameras may have been: some that choose step sizes, others that check."""
+
+    choosing: list[Camera]
+    checking: list[Camera]
+
+
+class Part(NamedTuple):
+    """A window, and which Gaussians of all windows' are its own."""
+
+    window: Camera
+    start: int
+    stop: int
+
+
+def sample_stride(count: int) -> int:
+    """One Gaussian of each so many, of `count`, is in the sample by which windows are chosen."""
+    return max(1, count // _SAMPLE)
+
+
+def sample_of(scene: Scene) -> Scene:
+    """The sample of a scene by which windows are chosen."""
+    some = np.arange(0, scene.count, sample_stride(scene.count))
+    return replace(scene, extra={}).take(some)
+
+
+def cleaned(sample: Scene) -> Scene:
+    """A sample without what is not finite."""
+    return clean_scene(sample, Config(nonfinite="drop"))[0]
+
+
+def choose_windows(sample: Scene, count: int) -> Windows:
+    """Windows on a scene of `count` Gaussians, by its `sample_of`; none if it shows nothing."""
+    with np.errstate(all="ignore"):
+        seen = gather_evidence(cleaned(sample), quick=True)
+        if seen is None:
+            return Windows([], [])
+        rng, taken = np.random.default_rng(0), set[int]()
+        all_places = range(len(seen.places))
+        number = _CHOOSING if count >= _LEAST else 0
+        choosing = [_look(seen, all_places, count, rng, taken) for _ in range(number)]
+        others = [place for place in all_places if place not in taken] or all_places
+        checking = [_look(seen, others, count, rng, taken) for _ in range(_CHECKING)]
+        return Windows(choosing, checking)
+
+
+def _look(
+    seen: Evidence, places: Sequence[int], count: int, rng: np.random.Generator, taken: set[int]
+) -> Camera:
+    """A random part of a view from one of some places towards a Gaussian; it is then taken."""
+    points = seen.thumb.positions
+    place = places[int(rng.integers(len(places)))]
+    taken.add(place)
+    target = points[:, rng.integers(points.shape[1])].astype(np.float64)
+    return _crop(look_at(seen.places[place], target, seen), points, count, rng)
+
+
+def windows_of(
+    cameras: Sequence[Camera], sample: Scene, count: int, number: int = _CHECKING
+) -> list[Camera]:
+    """Random parts of views of given cameras on a scene of `count` Gaussians."""
+    rng = np.random.default_rng(0)
+    points = cleaned(sample).positions
+    chosen = [cameras[int(rng.integers(len(cameras)))] for _ in range(number)]
+    return [_crop(view, points, count, rng, edges=True) for view in chosen]
+
+
+def _crop(
+    view: Camera,
+    points: NDArray[np.float32],
+    count: int,
+    rng: np.random.Generator,
+    edges: bool = False,
+) -> Camera:
+    """A random square part of a view, with about `_SHOWN` of `count` Gaussians in it.
+
+    With `edges`, pixels there are in as many of the parts as others.
+    """
+    shown = count * float(_inside(points, np.zeros_like(points[0]), view).mean())
+    area = _SHOWN / max(shown, 1) * view.width * view.height
+    side = min(math.sqrt(area), view.width, view.height)
+    room = np.array([view.width - side, view.height - side])
+    left, top = rng.uniform(0, room)
+    if edges:
+        left, top = np.clip(rng.uniform(-side / 2, room + side / 2), 0, room)
+    scale = _SIDE / side
+    return replace(
+        view,
+        width=_SIDE,
+        height=_SIDE,
+        fx=scale * view.fx,
+        fy=scale * view.fy,
+        cx=scale * (view.cx - left),
+        cy=scale * (view.cy - top),
+        lens=None,
+    )
+
+
+def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64]]:
+    """Indices of the Gaussians that each window shows: one too many, if there are too many."""
+    if not windows:
+        return []
+    reaches = _reaches(scene)
+    chunks = list(pairwise([*range(0, scene.count, _CHUNK), scene.count]))
+
+    def find(window: Camera) -> NDArray[np.int64]:
+        found = [
+            first
+            + np.flatnonzero(_inside(scene.positions[:, first:end], reaches[first:end], window))
+            for first, end in chunks
+        ]
+        return np.concatenate([np.empty(0, np.int64), *found])[: MOST_SHOWN + 1]
+
+    return run_all(find, windows)
+
+
+def parts_of(windows: Sequence[Camera], sizes: Sequence[int]) -> list[Part]:
+    """The parts of windows that show so many Gaussians each, one after another."""
+    ends = np.cumsum(sizes).tolist()
+    spans = zip([0, *ends], ends, strict=False)
+    return [Part(window, *span) for window, span in zip(windows, spans, strict=True)]
+
+
+@kernel
+def _mark(x, y, z, reaches, rotation, position, slopes, inside):
+    """Set ``inside (N,)`` where a Gaussian reaches into a window; all in float32, for speed."""
+    (right_x, right_y, right_z), (down_x, down_y, down_z), (ahead_x, ahead_y, ahead_z) = rotation
+    left, right, top, bottom, near = slopes
+    for i in range(len(x)):
+        dx, dy, dz = x[i] - position[0], y[i] - position[1], z[i] - position[2]
+        across = right_x * dx + right_y * dy + right_z * dz
+        down = down_x * dx + down_y * dy + down_z * dz
+        depth = ahead_x * dx + ahead_y * dy + ahead_z * dz
+        reach = reaches[i]
+        # Without branches, it takes half a nanosecond.
+        inside[i] = (
+            (depth > near)
+            & (across > left * depth - reach)
+            & (across < right * depth + reach)
+            & (down > top * depth - reach)
+            & (down < bottom * depth + reach)
+        )
+
+
+def _inside(
+    positions: NDArray[np.float32], reaches: NDArray[np.float32], window: Camera
+) -> NDArray[np.bool_]:
+    """Which Gaussians reach into a window ``(N,)``."""
+    slopes = (
+        -window.cx / window.fx, (window.width - window.cx) / window.fx,
+        -window.cy / window.fy, (window.height - window.cy) / window.fy, NEAR,
+    )  # fmt: skip
+    rotation = tuple(tuple(np.float32(v) for v in row) for row in window.rotation)
+    position = tuple(np.float32(v) for v in window.position)
+    inside = np.empty(positions.shape[1], np.bool_)
+    _mark(*positions, reaches, rotation, position, tuple(np.float32(s) for s in slopes), inside)
+    return inside
+
+
+def _reaches(scene: Scene) -> NDArray[np.float32]:
+    """How far each Gaussian is seen from its centre ``(N,)``: three times its longest axis."""
+    reaches = empty((scene.count,), np.float32)
+
+    def work(start: int) -> None:
+        part = slice(start, start + _CHUNK)
+        with np.errstate(all="ignore"):
+            reaches[part] = 3 * np.exp(scene.log_scale[:, part].max(axis=0))
+
+    run_all(work, range(0, scene.count, _CHUNK))
+    return reaches
+
+
+def draw_parts(scene: Scene, parts: Sequence[Part]) -> list[tuple[NDArray[np.float32], float]]:
+    """Colour ``(H, W, 3)``, at most 1 (so if NaN), and the mean transmittance of each window."""
+
+    def draw(part: Part) -> tuple[NDArray[np.float32], float]:
+        frame = make_frame(scene.between(part.start, part.stop), part.window)
+        colour, (left, _, _) = frame.draw_rows((0.0, 0.0, 0.0))
+        return np.fmin(colour, 1), float(np.mean(np.abs(left)))
+
+    return run_all(draw, parts)

@@ -361,6 +361,9 @@ class Config:
     lod : bool
         With ``l``, ``m``, ``s``: add coarser levels of a quarter, a sixteenth ... of the Gaussians,
         for views from afar and first views; about a third more bytes. Default False.
+    strict : bool
+        With ``l``, ``m``, ``s``: fail if rendered views lose more than twice the loss that the
+        profile aims at. Default False: a warning.
     spz_version : {3, 4}
         With format ``spz``: 4 is smaller, 3 is read by more programs. Default 3.
 

@@ -110,7 +110,7 @@ def test_threads_and_other_columns_do_not_matter(still_life):
     ],
     ids=lambda config: f"{config.format} {config.profile}",
 )
-def test_what_has_no_step_sizes_is_not_looked_at(still_life, config):
+def test_what_has_no_step_sizes_is_not_calibrated(still_life, config):
     assert "calibrate" not in encode_camera_free(still_life, config)[1].seconds
 
 

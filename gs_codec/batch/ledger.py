@@ -43,6 +43,8 @@ class Record:
         Number of Gaussians or values that were changed, by reason.
     prepared : dict, optional
         What preparation did; see `EncodeReport`.
+    rendered : dict, optional
+        What rendered views lose; see `RenderedLoss`.
     warnings : list of str
     error : dict of str to str, optional
         ``kind`` and ``text`` of the error.
@@ -63,6 +65,7 @@ class Record:
     seconds: dict[str, float] = field(default_factory=dict)
     changed: dict[str, int] = field(default_factory=dict)
     prepared: dict[str, Any] | None = None
+    rendered: dict[str, Any] | None = None
     warnings: list[str] = field(default_factory=list)
     error: dict[str, str] | None = None
 

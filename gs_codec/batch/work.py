@@ -9,7 +9,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,6 +104,7 @@ def _encode(
         seconds=times.seconds,
         changed={name: number for name, number in changed.items() if number},
         prepared=getattr(report, "prepared", None),
+        rendered=None if report.rendered is None else asdict(report.rendered),
     )
 
 

@@ -30,7 +30,14 @@ from gs_codec.cli.asked import (
     target_of,
 )
 from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
-from gs_codec.cli.output import print_json, print_status, print_text, progress_lines, smaller
+from gs_codec.cli.output import (
+    loss_text,
+    print_json,
+    print_status,
+    print_text,
+    progress_lines,
+    smaller,
+)
 from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
@@ -171,7 +178,8 @@ class _Lines:
             self.said(f"{place}error: {record.error['text']}")
             return
         sizes = smaller(record.input_bytes, record.output_bytes, record.ratio)
-        self.said(f"{place}{task.name}: {record.gaussians:,} Gaussians, {sizes}")
+        lost = (record.rendered and f"; views lose {loss_text(record.rendered['loss'])}") or ""
+        self.said(f"{place}{task.name}: {record.gaussians:,} Gaussians, {sizes}{lost}")
 
     def said(self, text: str) -> None:
         """See `Watcher.said`."""

@@ -14,6 +14,7 @@ from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
+    print_rendered,
     print_status,
     print_text,
     progress_bar,
@@ -84,6 +85,8 @@ def command(
                 f"{target}: {done.count:,} Gaussians, SH degree {done.sh_degree}, "
                 f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
             )
+            if done.rendered is not None:
+                print_rendered(done.rendered)
 
 
 def _say_what_changed(done: ConvertReport) -> None:

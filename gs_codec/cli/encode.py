@@ -15,6 +15,7 @@ from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
     print_prepared,
+    print_rendered,
     print_status,
     print_text,
     progress_bar,
@@ -22,7 +23,7 @@ from gs_codec.cli.output import (
     smaller,
 )
 from gs_codec.cli.streams import check_no_pipes, piped
-from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan
@@ -96,7 +97,7 @@ def _tell(source: Path, target: Path, config: Config, asked: Asked, done: Encode
             | {"file_bytes": done.file_bytes}
         )
     else:
-        _print_report(target, done)
+        _print_report(target, done, config)
 
 
 def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
@@ -109,7 +110,7 @@ def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
         print_status(f"values beyond 400, moved to 400: {report.rectified:,}")
 
 
-def _print_report(target: Path, report: EncodeReport) -> None:
+def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
     sizes = smaller(report.input_bytes, report.file_bytes, report.ratio)
     print_text(
         f"{target}: {report.count:,} Gaussians, {sizes}, "
@@ -118,6 +119,8 @@ def _print_report(target: Path, report: EncodeReport) -> None:
     )
     if levels := report.section_bytes.get("level"):
         print_text(f"coarser levels of detail: {size_text(levels)} of it")
+    if config.profile != LOSSLESS:
+        print_rendered(report.rendered)
     if report.prepared is not None:
         print_prepared(report.prepared)
     if report.rate is not None:

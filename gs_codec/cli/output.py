@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any, TextIO
 
 from gs_codec.errors import printable
-from gs_codec.report import Progress
+from gs_codec.report import Progress, RenderedLoss
 
 #: How often progress is said where stderr is no terminal.
 SECONDS_A_LINE = 10
@@ -91,6 +91,27 @@ def print_prepared(prepared: dict[str, Any]) -> None:
             print_text(f"pruned by {reason}: {number:,} of {prepared['gaussians'][0]:,}")
     columns, *rows = ablation_table(prepared)
     print_table(columns, rows)
+
+
+def print_rendered(loss: RenderedLoss | None) -> None:
+    """What rendered views lose, on stdout."""
+    if loss is None:
+        print_text("rendered views: not measured")
+        return
+    text = (
+        f"rendered views: {loss.psnr:.1f} dB to the original, "
+        f"a loss of {loss_text(loss.loss)} at 30 dB; worst window {loss_text(loss.worst)}"
+    )
+    if loss.away is not None:
+        text += f"; away from the cameras {loss_text(loss.away)}"
+    print_text(text)
+    if loss.remedy is not None:
+        print_text(f"{loss.remedy}, because rendered views lost too much at first")
+
+
+def loss_text(loss: float) -> str:
+    """A loss of rendered views with its unit."""
+    return f"about {loss:.2f} dB" if loss >= 0.01 else "less than 0.01 dB"
 
 
 @contextmanager

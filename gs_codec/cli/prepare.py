@@ -9,7 +9,13 @@ import typer
 
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes
 from gs_codec.cli.options import WRITTEN_SHOWN
-from gs_codec.cli.output import SCENES_PIPED, print_json, print_prepared, progress_bar
+from gs_codec.cli.output import (
+    SCENES_PIPED,
+    print_json,
+    print_prepared,
+    print_rendered,
+    progress_bar,
+)
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -45,3 +51,4 @@ def command(
         print_json({"input": str(source), "output": str(target), **done.as_dict()})
     else:
         print_prepared(done.as_dict())
+        print_rendered(done.rendered)

@@ -22,7 +22,7 @@ from gs_codec.files.suffixes import IN_PARTS
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
 from gs_codec.levels.encoding import check_levels
-from gs_codec.report import ActionReport, Progress, StageTimes
+from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
@@ -61,6 +61,8 @@ class ConvertReport:
         Compression ratio against the floats.
     seconds : dict of str to float
         Wall time of each stage.
+    rendered : RenderedLoss, optional
+        What rendered views lose; None in formats that hold floats.
     """
 
     count: int
@@ -74,6 +76,7 @@ class ConvertReport:
     file_bytes: int
     ratio: float
     seconds: dict[str, float]
+    rendered: RenderedLoss | None = None
 
 
 def convert_file(
@@ -167,7 +170,7 @@ def convert_file(
             else:
                 scene = turn_scene(scene, before if wanted == "keep" else wanted.upper())
         with times.stage("write"):
-            lost = write_scene(target, scene, config)
+            lost, rendered = write_scene(target, scene, config)
     after = own or system_of(scene)
     size = os.path.getsize(target)
     if suffix in (UNBUNDLED, STREAMED):
@@ -185,6 +188,7 @@ def convert_file(
         size,
         scene.float_bytes / size,
         times.seconds,
+        rendered,
     )
 
 

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
+from gs_codec.coding.clean import clean_scene
 from gs_codec.config import STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
@@ -32,7 +34,7 @@ from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.levels.encoding import add_levels
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.report import Progress
+from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located, opened
@@ -41,15 +43,23 @@ from gs_codec.scene import Scene, float_bytes
 log = logging.getLogger(__name__)
 
 
-def write_scene(
-    path: str | Path, scene: Scene, config: Config, overwrite: bool = True
-) -> tuple[str, ...]:
-    """Write a scene in a format of `PLAIN`, encoded in one of `FORMATS`, or as streamed SOG.
+class Written(NamedTuple):
+    """What a file of a scene does not have.
 
-    Returns
-    -------
-    tuple of str
+    Attributes
+    ----------
+    lost : tuple of str
         What the format cannot hold, in words; also logged as warnings.
+    rendered : RenderedLoss or None
+        What rendered views lose; None in formats of `PLAIN`, which hold floats.
+    """
+
+    lost: tuple[str, ...]
+    rendered: RenderedLoss | None = None
+
+
+def write_scene(path: str | Path, scene: Scene, config: Config, overwrite: bool = True) -> Written:
+    """Write a scene in a format of `PLAIN`, encoded in one of `FORMATS`, or as streamed SOG.
 
     Raises
     ------
@@ -59,19 +69,30 @@ def write_scene(
     suffix = suffix_of(path)
     check_writable(path, overwrite)
     if suffix in PLAIN:
-        lost = _WRITERS[suffix](path, scene)
+        written = Written(_WRITERS[suffix](path, scene))
     elif suffix == STREAMED:
         with located(path):
-            files, lost = stream_levels(scene, config_for(path, config, (STREAMED,)))
+            config = config_for(path, config, (STREAMED,))
+            files, lost = stream_levels(scene, config)
         write_files(Path(path).parent, files)
+        written = Written(lost, _measured(path, scene, config))
     else:
         with located(path):
             config = config_for(path, config)
             parts, report = add_levels(*encode_camera_free(scene, config), config)
         write_parts(path, parts)
-        lost = report.lost
-    tell_lost(path, lost)
-    return lost
+        written = Written(report.lost, report.rendered)
+    tell_lost(path, written.lost)
+    return written
+
+
+def _measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
+    """What rendered views of a written file lose."""
+    from gs_codec.guidance.check import Check
+
+    clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
+    with open_scene(path) as file:
+        return Check.by_plan(clean, None).measure(turn_axes(file.scene()))
 
 
 _WRITERS: Mapping[str, Callable[[str | Path, Scene], tuple[str, ...]]] = {

@@ -149,6 +149,6 @@ class Check:
         )
 
 
-def error_of(loss: RenderedLoss) -> float:
-    """The mean squared error of views that lose so much."""
-    return NOMINAL_ERROR * (10 ** (loss.loss / 10) - 1)
+def error_of(loss: float) -> float:
+    """The mean squared error of views that lose so much, dB: the inverse of `psnr_loss`."""
+    return NOMINAL_ERROR * (10 ** (loss / 10) - 1)

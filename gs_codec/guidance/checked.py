@@ -5,17 +5,21 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import Encoded
-from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.config import EGS, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.calibrate import finer, wanted_error
 from gs_codec.guidance.check import Check, error_of
 from gs_codec.report import RenderedLoss, StageTimes, psnr_loss
 from gs_codec.runtime.arrays import current
 from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.reference_views import Origin
 
 log = logging.getLogger(__name__)
 
@@ -29,9 +33,10 @@ _ALLOWED, _ALLOWED_ESTIMATED = 2.0, 1.25
 #: Finer steps that leave more than this share of the error are not worth their bits.
 _HELPS = 0.8
 
-#: Loss in likely views from which on given cameras are those of another scene or system, dB. Right
-#: ones have 0.1 to 1.8, wrong ones 3.7 to 15.
-_MISFIT = 2.5
+#: Given cameras are those of another scene, scale or system if likely views, or their own held-out
+#: ones, lose so many times the error aimed at. Right ones lose up to 42 times as much in likely
+#: views, wrong ones 118 times and more (fox, bonsai, village and nine generated captures).
+_MISFIT = 70.0
 
 #: Encodes with a configuration; keeps decoded values of the Gaussians that are given.
 Encode = Callable[[Config, Watched | None], Encoded]
@@ -43,7 +48,8 @@ def encode_checked(
     chosen: Config,
     check: Check,
     times: StageTimes,
-    estimated: bool = False,
+    origin: Origin | None = None,
+    keeps: bool = True,
 ) -> Encoded | None:
     """Encode a scene with what views lose in the report.
 
@@ -54,13 +60,15 @@ def encode_checked(
         As asked for, and with the coarseness that suits the scene.
     check : Check
     times : StageTimes
-    estimated : bool
-        Whether estimated cameras guide the steps.
+    origin : str, optional
+        Where the cameras come from that guide the steps.
+    keeps : bool
+        Whether `encode` can keep decoded values.
 
     Returns
     -------
     parts, report
-        None if the given cameras do not fit the scene.
+        None if the cameras do not fit the scene.
 
     Raises
     ------
@@ -68,25 +76,26 @@ def encode_checked(
         If views lose too much, and the configuration is strict.
     """
     aim = wanted_error(config) if config.has_steps and not config.depths else None
-    allowed = _ALLOWED_ESTIMATED if estimated else _ALLOWED
+    allowed = _ALLOWED_ESTIMATED if origin == "estimated" else _ALLOWED
     best: tuple[Encoded, RenderedLoss] | None = None
     for encodings in range(1, _MOST_ENCODINGS + 1):
-        watched = check.watch() if config.profile in ADAPTIVE_PROFILES else None
+        watched = check.watch() if keeps else None
         encoded = encode(chosen, watched)
         with times.stage("measure"):
             loss = _measure(encoded, config, check, watched)
         if loss is None:
             return encoded
-        if loss.away is not None and loss.away > _MISFIT:
-            misfit = f"cameras do not fit the scene: other views lose {loss.away:.1f} dB"
+        most = max(loss.loss, loss.away or 0.0)
+        if origin is not None and aim is not None and error_of(most) > _MISFIT * aim:
+            misfit = f"cameras do not fit the scene: guided by them, views lose {most:.1f} dB"
             if config.strict:
                 raise InvalidInput(misfit)
             log.warning("%s; encoded without them", misfit)
             return None
-        error = error_of(loss)
+        error = error_of(loss.loss)
         loss = replace(loss, aimed=None if aim is None else psnr_loss(aim), encodings=encodings)
         if best is not None:
-            if error > _HELPS * error_of(best[1]):
+            if error > _HELPS * error_of(best[1].loss):
                 break
             remedy = f"steps {chosen.coarseness / config.coarseness:.2f}x those of the profile"
             loss = replace(loss, remedy=remedy)
@@ -106,7 +115,7 @@ def encode_checked(
 def _measure(
     encoded: Encoded, config: Config, check: Check, watched: Watched | None
 ) -> RenderedLoss | None:
-    if config.format == EGS and watched is not None:
+    if watched is not None:
         return check.measure_watched(watched)
     if current().limit is not None:
         return None  # The decoded scene would have to fit into memory.

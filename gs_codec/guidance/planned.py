@@ -207,8 +207,8 @@ def _guided(
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))
         return encode_shaped(shaped, times, progress)
 
-    estimated = references.origin == "estimated"
-    encoded = encode_checked(encode, config, config, check, times, estimated=estimated)
+    keeps = config.format == EGS
+    encoded = encode_checked(encode, config, config, check, times, references.origin, keeps)
     if encoded is None:
         return None
     parts, report = encoded
@@ -227,7 +227,7 @@ def encode_camera_free(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to the consecutive pieces of a file, as coarsely as it needs.
 
-    A CUDA `device` may have a part in it; the result is then not measured.
+    A CUDA `device` may have a part in it.
 
     Raises
     ------
@@ -245,22 +245,20 @@ def encode_camera_free(
     with using_threads(config.threads, scene.count):
         check_encoding(scene.count, config)
         chosen = config
-        with times.stage("calibrate"):
+        with times.stage("calibrate" if config.has_steps else "measure"):
             windows = choose_windows(sample_of(scene), scene.count)
             if config.has_steps:
                 chosen = calibrated(scene, config, progress, windows)
-        if device != "cpu":
-            parts, report = encode_parts(scene, chosen, progress, device=device)
-            return parts, replace(report, seconds=times.seconds | report.seconds)
         with times.stage("check"):
             clean, changed = clean_scene(scene, config)
         with times.stage("measure"):
             check = Check.of(clean, windows.checking)
 
         def encode(config: Config, watched: Watched | None) -> Encoded:
-            return encode_clean(clean, config, times, progress, watched=watched)
+            return encode_clean(clean, config, times, progress, device=device, watched=watched)
 
-        encoded = encode_checked(encode, config, chosen, check, times)
+        keeps = config.profile in ADAPTIVE_PROFILES and config.format == EGS and device == "cpu"
+        encoded = encode_checked(encode, config, chosen, check, times, keeps=keeps)
         assert encoded is not None
         parts, report = encoded
     return parts, replace(report, **changed, seconds=times.seconds)

@@ -6,7 +6,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.config import PROFILES, Config
 from gs_codec.metrics.images import Quality
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
-from gs_codec.report import EncodeReport
+from gs_codec.report import EncodeReport, RenderedLoss
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import Scene
 
@@ -67,11 +67,14 @@ class PrepareReport:
         The first is the input.
     views : ViewSplit
         The views that guided the steps and that measured quality.
+    rendered : RenderedLoss, optional
+        What windows of other views lose by preparation and coding together.
     """
 
     labels: NDArray[np.uint8]
     steps: tuple[StepReport, ...]
     views: ViewSplit
+    rendered: RenderedLoss | None = None
 
     @property
     def removed(self) -> dict[str, int]:
@@ -88,7 +91,7 @@ class PrepareReport:
             "held_out": len(self.views.held_out.cameras),
             "photographs": self.views.held_out.photographs,
             "steps": [dict(vars(step), quality=step.quality.as_dict()) for step in self.steps],
-        }
+        } | ({} if self.rendered is None else {"rendered": asdict(self.rendered)})
 
     def coded(
         self, scene: Scene, config: Config, data: bytes, report: EncodeReport

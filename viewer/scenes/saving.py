@@ -42,7 +42,7 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
     """
     if scene.path == Path():
         check_target([], path)
-        lost = write_scene(path, from_cloud(scene.cloud, "keep"), _CONFIG)
+        lost, _ = write_scene(path, from_cloud(scene.cloud, "keep"), _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]
     if modified(scene.path) != scene.modified:
         raise gs_codec.GsCodecError(f"{scene.path}: changed after it was opened")

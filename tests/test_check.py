@@ -1,0 +1,239 @@
+"""What an encoding measures of itself, and does about it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, made_up_guide, random_scene, with_far, with_threads
+from typer.testing import CliRunner
+
+import gs_codec
+from gs_codec.cli.main import app
+from gs_codec.codecs.adaptive.watched import Watched
+from gs_codec.codecs.decode import decode_as
+from gs_codec.codecs.encode import encode_clean
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.ply import write_ply
+from gs_codec.guidance import checked, planned
+from gs_codec.guidance.calibrate import finer, wanted_error
+from gs_codec.guidance.check import Check, error_of
+from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
+from gs_codec.guidance.windows import choose_windows, sample_of, windows_of
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.inria import as_camera
+from gs_codec.rendering.renderer import render
+from gs_codec.report import StageTimes, psnr_loss
+from gs_codec.scene import GROUPS
+from samples.generate import generate, orbit_cameras
+
+
+@pytest.fixture(scope="module")
+def still_life():
+    return generate(6000, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    return [
+        replace(as_camera(camera), split="test" if i % 4 == 1 else "train")
+        for i, camera in enumerate(orbit_cameras(16, 90, 60))
+    ]
+
+
+def check_of(scene):
+    return Check.of(scene, choose_windows(sample_of(scene), scene.count).checking)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("guided", [False, True], ids=["free", "guided"])
+@pytest.mark.parametrize("far", [0, 7])
+def test_watched_values_are_those_that_a_decoder_returns(degree, guided, far):
+    scene = with_far(random_scene(3000, degree, seed=5), far)
+    config = Config("m", block_size=1024)
+    index = np.flatnonzero(np.random.default_rng(6).random(3000) < 0.2)
+    index = np.union1d(index, np.arange(2990, 3000))  # where far ones are
+    watched = Watched(scene, index)
+    steps = made_up_guide(seed=7)(scene, config) if guided else None
+    parts, _ = encode_clean(scene, config, StageTimes(), steps=steps, watched=watched)
+    decoded, found = decode_as(config, b"".join(parts)), watched.decoded()
+    names = [f"{group} {row}" for group in GROUPS for row in range(len(getattr(found, group)))]
+    rows = [[*np.concatenate([getattr(s, g) for g in GROUPS]).T.tolist()] for s in (found, decoded)]
+    assert len(rows[0]) == len(index) and len(rows[0][0]) == len(names)
+    assert set(map(tuple, rows[0])) <= set(map(tuple, rows[1]))
+    # In the order of the index: next to where they were.
+    near = np.abs(found.positions - scene.positions[:, index]).max(axis=0)
+    assert np.median(near) < 0.01 * np.ptp(random_scene(3000, degree, seed=5).positions)
+    if far:
+        np.testing.assert_array_equal(
+            found.positions, np.where(near == 0, scene.positions[:, index], found.positions)
+        )
+
+
+def true_loss(scene, coded, views):
+    images = [
+        [render(each, view, device="cpu").colour for each in (scene, coded)] for view in views
+    ]
+    return psnr_loss(float(np.mean([np.mean((a - b) ** 2) for a, b in images])))
+
+
+def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
+    parts, report = encode_camera_free(still_life, Config("s"))
+    loss = report.rendered
+    assert loss.views == "likely" and loss.away is None and loss.encodings == 1
+    assert loss.aimed == pytest.approx(psnr_loss(wanted_error(Config("s"))))
+    true = true_loss(still_life, decode_as(Config(), b"".join(parts)), cameras)
+    assert true / 1.6 < loss.loss < 1.6 * true
+    assert loss.loss <= loss.worst and loss.psnr == pytest.approx(-10 * np.log10(error_of(loss.loss)))
+
+
+def test_both_ways_to_measure_agree(still_life):
+    check, config = check_of(still_life), Config("s")
+    watched = check.watch()
+    parts, _ = encode_clean(still_life, config, StageTimes(), watched=watched)
+    kept, decoded = (
+        check.measure_watched(watched),
+        check.measure(decode_as(config, b"".join(parts))),
+    )
+    # Other Gaussians reach into a window once they are rounded.
+    assert kept.loss == pytest.approx(decoded.loss, rel=0.02)
+    assert kept.windows == decoded.windows
+
+
+def test_windows_that_check_are_from_other_places(still_life):
+    windows = choose_windows(sample_of(still_life), still_life.count)
+    assert len(windows.choosing) == 96 and len(windows.checking) == 64
+    places = [{tuple(view.position.tolist()) for view in each} for each in windows]
+    assert not places[0] & places[1]
+
+
+def test_windows_of_given_cameras_lie_in_their_views(still_life, cameras):
+    for window in windows_of(cameras[:1], sample_of(still_life), still_life.count):
+        scale = window.fx / cameras[0].fx
+        left, top = cameras[0].cx - window.cx / scale, cameras[0].cy - window.cy / scale
+        assert -1e-9 <= left <= 90 - 32 / scale + 1e-9
+        assert -1e-9 <= top <= 60 - 32 / scale + 1e-9
+
+
+def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
+    monkeypatch.setattr(
+        "gs_codec.guidance.calibrate.calibrated", lambda _, c, *__: replace(c, coarseness=9.0)
+    )
+    _, report = encode_camera_free(still_life, Config())
+    loss = report.rendered
+    assert loss.encodings > 1 and report.coarseness < 4
+    assert loss.remedy == f"steps {report.coarseness:.2f}x those of the profile"
+    assert loss.loss <= 2 * loss.aimed
+    assert not caplog.records
+
+
+def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, caplog):
+    def clipped(scene, config, times, *_, **__):
+        """As a format does that cannot hold such colours."""
+        return encode_clean(replace(scene, f_dc=np.minimum(scene.f_dc, 0)), config, times)
+
+    monkeypatch.setattr(planned, "encode_clean", clipped)
+    monkeypatch.setattr(checked.Check, "watch", lambda _: None)
+    _, report = encode_camera_free(still_life, Config())
+    assert report.rendered.loss > 2 * report.rendered.aimed and report.rendered.remedy is None
+    [record] = caplog.records
+    assert record.getMessage() == (
+        f"rendered views lose {report.rendered.loss:.2f} dB, aimed at 0.05 dB"
+    )
+    with pytest.raises(InvalidInput, match="rendered views lose"):
+        encode_camera_free(still_life, Config(strict=True))
+
+
+def test_given_cameras_measure_in_held_out_views(still_life, cameras):
+    data, report = encode_by_plan(still_life, 1, Config("s"), Plan(cameras=cameras))
+    loss = report.rendered
+    held_out = [camera for camera in cameras if camera.split == "test"]
+    true = true_loss(still_life, decode_as(Config(), data), held_out)
+    assert loss.views == "given" and true / 1.5 < loss.loss < 1.5 * true
+    assert 0 < loss.away < 2.5
+
+
+def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
+    flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
+    data, report = encode_by_plan(still_life, 1, Config(), Plan(cameras=flipped))
+    assert data == b"".join(encode_camera_free(still_life, Config())[0])
+    assert report.rendered.views == "likely"
+    [record] = [r for r in caplog.records if r.levelno == logging.WARNING]
+    assert "cameras do not fit the scene: guided by them, views lose" in record.getMessage()
+    with pytest.raises(InvalidInput, match="cameras do not fit the scene"):
+        encode_by_plan(still_life, 1, Config(strict=True), Plan(cameras=flipped))
+
+
+def test_preparation_is_measured_against_the_scene_before_it(still_life, cameras):
+    plan = Plan(Steps(prune=40), cameras)
+    _, report = encode_by_plan(still_life, 1, Config("l"), plan)
+    _, whole = encode_by_plan(still_life, 1, Config("l"), Plan(cameras=cameras))
+    assert report.rendered.loss > 2 * whole.rendered.loss
+    assert report.rendered.aimed is None
+
+
+def test_a_loss_asked_for_is_what_is_aimed_at(still_life, cameras):
+    target = {"psnr_drop": 0.2}
+    _, report = encode_by_plan(still_life, 1, Config(), Plan(cameras=cameras), target)
+    assert report.rendered.aimed == 0.2 and report.rendered.loss < 0.4
+    _, report = encode_by_plan(still_life, 1, Config(), None, {"bits": 60})
+    assert report.rendered.aimed is None and report.rendered.loss > 0.05
+
+
+@pytest.mark.parametrize("config", [Config("lossless"), Config("paper-m"), Config(format="splat")])
+def test_strict_needs_a_loss_to_aim_at(config):
+    with pytest.raises(InvalidInput, match="strict: profile"):
+        replace(config, strict=True)
+
+
+@pytest.mark.parametrize("name", edge_scenes())
+def test_scenes_at_the_limits(name):
+    scene = edge_scenes()[name]
+    _, report = encode_camera_free(scene, Config(nonfinite="drop"))
+    assert report.rendered is None or np.isfinite(report.rendered.loss)
+
+
+def test_what_views_do_not_show_is_not_measured(still_life):
+    clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
+    assert encode_camera_free(clear, Config())[1].rendered is None
+
+
+def test_threads_do_not_matter(still_life):
+    found = [with_threads(n, encode_camera_free, still_life, Config())[1].rendered for n in (1, 3)]
+    assert found[0] == found[1]
+
+
+def test_finer_steps_keep_to_the_range():
+    assert finer(Config(coarseness=1 / 64), 0.1).coarseness == 1 / 64
+    assert finer(Config(), 2.0**-1.76).coarseness == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("suffix", ["egs", "spz", "sog", "compressed.ply", "splat", "glb"])
+def test_every_format_says_what_views_lose(suffix, tmp_path, still_life):
+    write_ply(tmp_path / "scene.ply", still_life)
+    report = gs_codec.encode_file(tmp_path / "scene.ply", tmp_path / f"out.{suffix}")
+    done = gs_codec.convert_file(tmp_path / "scene.ply", tmp_path / f"again.{suffix}")
+    assert report.rendered.loss == done.rendered.loss
+    assert (report.rendered.aimed is None) == (suffix not in ("egs", "spz", "sog"))
+    assert gs_codec.convert_file(tmp_path / "scene.ply", tmp_path / "again.ply").rendered is None
+
+
+def test_commands_say_it(tmp_path, still_life):
+    write_ply(tmp_path / "scene.ply", still_life)
+    run = CliRunner().invoke
+    line = r"rendered views: \d\d\.\d dB to the original, a loss of about 0\.\d\d dB at 30 dB; "
+    encoded = run(app, ["encode", str(tmp_path / "scene.ply"), str(tmp_path / "a.egs")])
+    assert encoded.exit_code == 0, encoded.output
+    assert __import__("re").search(line, encoded.output)
+    converted = run(
+        app, ["convert", str(tmp_path / "scene.ply"), str(tmp_path / "a.spz"), "--json"]
+    )
+    assert json.loads(converted.stdout)["rendered"]["aimed"] == pytest.approx(0.0501, abs=1e-4)
+    batch = run(app, ["batch", str(tmp_path / "scene.ply"), str(tmp_path / "out")])
+    assert batch.exit_code == 0, batch.output
+    [record] = map(json.loads, (tmp_path / "out" / "report.jsonl").read_text().splitlines())
+    assert record["rendered"]["windows"] > 15

@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from gs_codec.rendering.camera import Camera
-from samples.captures.indoors import flat, table_room, window_bench
-from samples.captures.outdoors import garden, village
+from samples.captures.indoors import corridor, flat, table_room, window_bench
+from samples.captures.objects import papered_wall, turntable
+from samples.captures.outdoors import garden, pasture, village
 from samples.captures.place import Place
 from samples.shapes import Point
 from samples.textures import Array
@@ -36,6 +37,12 @@ class Rig:
         Length of a metre in the scene.
     up : Point or None
         Where about up points in the scene; None for anywhere.
+    roll : float
+        How much cameras roll, about radians.
+    floaters : float
+        Share of the Gaussians that float before the cameras.
+    far : float
+        Distance from the origin of one Gaussian that training lost; 0 without it.
     """
 
     place: Callable[[], Place]
@@ -44,6 +51,9 @@ class Rig:
     field: float
     unit: float
     up: Point | None
+    roll: float = 0.03
+    floaters: float = 0.025
+    far: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ def cameras_of(rig: Rig, rng: np.random.Generator, width: int | None = None) -> 
     w, h = rig.size
     focal = 0.5 * w / np.tan(np.radians(rig.field) / 2)
     cameras = []
-    for i, rotation in enumerate(_rotations(centres, targets, rng)):
+    for i, rotation in enumerate(_rotations(centres, targets, rig.roll, rng)):
         split: Literal["train", "test"] = "test" if i % _TEST_EVERY == 4 else "train"
         view = (w, h, focal, focal, w / 2, h / 2, rotation, centres[i], split)
         camera = Camera(f"{i:05d}.png", *view)
@@ -78,13 +88,13 @@ def cameras_of(rig: Rig, rng: np.random.Generator, width: int | None = None) -> 
     return cameras
 
 
-def _rotations(centres: Array, targets: Array, rng: np.random.Generator) -> Array:
-    """World to camera ``(V, 3, 3)``, upright but for a slight roll."""
+def _rotations(centres: Array, targets: Array, roll: float, rng: np.random.Generator) -> Array:
+    """World to camera ``(V, 3, 3)``, upright but for the roll."""
     forward = targets - centres
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     steep = np.abs(forward[:, 2:]) > 0.97
     up = np.where(steep, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
-    right = np.cross(forward, up + 0.03 * rng.standard_normal(up.shape))
+    right = np.cross(forward, up + roll * rng.standard_normal(up.shape))
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
@@ -163,11 +173,71 @@ def _aerial(rng: np.random.Generator) -> tuple[Array, Array]:
     return centres + 1.2 * spread[0], targets + 1.5 * spread[1]
 
 
-#: Styles of capture by their names.
+def _wall(rng: np.random.Generator) -> tuple[Array, Array]:
+    """A phone that goes to, higher fro, and lower to again, before a head on a wall."""
+    counts = (22, 13, 15)
+    sweeps = [(-72, 60), (48, -40), (-55, 62)]
+    z = rng.standard_normal((3, sum(counts)))
+    ends = zip(sweeps, counts, strict=True)
+    angle = np.radians(np.concatenate([np.linspace(*sweep, n) for sweep, n in ends])) + 0.04 * z[0]
+    r = 1.05 + 0.08 * z[1]
+    height = np.repeat([0.12, 0.75, -0.6], counts) + 0.06 * z[2]
+    centres = np.stack([r * np.sin(angle), -0.1 - r * np.cos(angle), height], axis=1)
+    return centres, [0, -0.15, 0.0] + 0.09 * rng.standard_normal(centres.shape)
+
+
+def _corridor(rng: np.random.Generator) -> tuple[Array, Array]:
+    """A walk of 14 m that looks ahead."""
+    count = 64
+    x = np.linspace(1.0, 15.0, count)
+    centres = np.stack([x, 0.25 * np.sin(0.9 * x), np.full(count, 1.5)], axis=1)
+    centres += 0.04 * rng.standard_normal(centres.shape)
+    return centres, centres + [4, 0, -0.25] + [0, 0.9, 0.4] * rng.standard_normal(centres.shape)
+
+
+def _strip(rng: np.random.Generator) -> tuple[Array, Array]:
+    """A drone that looks down on the way out and ahead on the way back: 18 photographs."""
+    out = np.linspace(-64, 64, 9)
+    centres = np.concatenate(
+        [
+            np.stack([x, np.full(9, y), np.full(9, z)], axis=1)
+            for x, y, z in ((out, -14.0, 66.0), (-out, 16.0, 56.0))
+        ]
+    )
+    centres += 3.0 * rng.standard_normal(centres.shape)
+    ahead = np.repeat([[4.0, 0, 0], [-38.0, -12, 0]], 9, axis=0)
+    return centres, centres * [1, 1, 0] + ahead + 5.0 * rng.standard_normal(centres.shape)
+
+
+def _turntable(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Two rings of even angles, as a turntable makes them."""
+    angle = np.tile(2 * np.pi * np.arange(24) / 24, 2) + np.repeat([0.0, np.pi / 24], 24)
+    r, height = np.repeat([1.05, 0.9], 24), np.repeat([0.3, 0.7], 24)
+    centres = np.stack([r * np.cos(angle), r * np.sin(angle), height], axis=1)
+    return centres, np.array([0, 0, 0.2]) + 0.004 * rng.standard_normal(centres.shape)
+
+
+def _sky(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Half a ring around the sculpture, level enough to see far mountains and the sky."""
+    z = rng.standard_normal((3, 48))
+    angle = np.radians(np.linspace(-120, 100, 48)) + 0.03 * z[0]
+    r = 3.2 + 0.3 * z[1]
+    centres = np.stack([r * np.sin(angle), -r * np.cos(angle), 1.4 + 0.15 * z[2]], axis=1)
+    return centres, [0, 0, 1.25] + 0.2 * rng.standard_normal(centres.shape)
+
+
+#: Styles of capture by their names; a style's place in this order is part of its seeds.
 RIGS = {
     "orbit": Rig(table_room, _orbit, (240, 160), 62.0, 30.0, (0.0, -1.0, 0.0)),
     "arc": Rig(garden, _arc, (180, 240), 55.0, 1.4, None),
     "room": Rig(flat, _room, (240, 160), 78.0, 5.0, (0.0, 1.0, 0.0)),
     "forward": Rig(window_bench, _forward, (232, 174), 58.0, 0.7, (0.0, -1.0, 0.0)),
     "aerial": Rig(village, _aerial, (240, 180), 60.0, 0.1, (0.0, 0.0, 1.0)),
+    "wall": Rig(papered_wall, _wall, (150, 266), 43.0, 4.0, (0.0, -1.0, 0.0), roll=0.12),
+    "corridor": Rig(corridor, _corridor, (240, 160), 75.0, 0.9, (0.1, -1.0, 0.3)),
+    "strip": Rig(village, _strip, (240, 180), 63.0, 0.06, (-0.1, -0.25, -1.0), roll=1.0),
+    "turntable": Rig(turntable, _turntable, (200, 200), 40.0, 6.0, (0.0, 0.0, 1.0), roll=0.0),
+    "sky": Rig(pasture, _sky, (240, 160), 65.0, 1.2, (0.0, -1.0, 0.0)),
 }
+RIGS["floaters"] = replace(RIGS["orbit"], floaters=0.1)
+RIGS["far"] = replace(RIGS["arc"], far=1e6)

@@ -109,22 +109,25 @@ def test_wall_is_seen_from_three_heights_and_looked_at_from_one_side() -> None:
     x, y, z = _centres(cameras).T
     assert y.max() < -0.2
     assert np.ptp(np.degrees(np.arctan2(x, -y))) > 110
-    assert z.min() < -0.4 < 0.5 < z.max()
+    assert [np.sum(np.abs(z - height) < 0.3) for height in (0.1, -0.6, 1.05)] == [28, 16, 6]
     towards = _axes(cameras)
-    assert towards[:, 1].min() > 0.2
-    assert towards[:, 2].min() < -0.4 < 0.4 < towards[:, 2].max()
+    assert towards[:, 1].min() > 0.1
+    assert towards[:, 2].min() < -0.6 < 0.3 < towards[:, 2].max()
 
 
-def test_corridor_is_walked_looking_ahead() -> None:
+def test_corridor_is_walked_looking_ahead_and_at_its_end_back() -> None:
     cameras = _cameras("corridor")
-    assert _axes(cameras)[:, 0].min() > 0.7
+    ahead = _axes(cameras)[:, 0]
+    assert ahead[:58].min() > 0.7
+    assert ahead[58:].max() < -0.7
     assert np.ptp(_centres(cameras), axis=0)[0] > 10 * np.ptp(_centres(cameras), axis=0)[1:].max()
 
 
 def test_strip_has_few_photographs_of_any_heading_that_look_down() -> None:
     cameras = _cameras("strip")
     assert len(cameras) == 18
-    assert -_axes(cameras)[:, 2].max() > 0.6
+    assert -_axes(cameras)[:6, 2].max() > 0.35
+    assert -_axes(cameras)[6:, 2].max() > 0.9
     rights = np.array([camera.rotation[0] for camera in cameras])
     assert np.linalg.norm(rights.mean(axis=0)) < 0.7
     up = frame_of(RIGS["strip"], np.random.default_rng(4)).turn[:, 2]
@@ -157,6 +160,16 @@ def test_floaters_are_of_the_share_that_the_style_says() -> None:
         apart = np.linalg.norm(made.scene.positions.T[:, None] - centres, axis=2).min(axis=1)
         shares.append((apart < 0.5 * np.median(apart)).mean())
     assert shares[1] > shares[0] + 0.04
+
+
+def test_exposure_changes_from_the_first_photograph_to_the_last() -> None:
+    rig, rng = RIGS["wall"], np.random.default_rng([1, list(RIGS).index("wall")])
+    cameras = cameras_of(rig, rng, width=24)
+    photographer = Photographer(rig.place())
+    plain = [photographer.photograph(camera, rng)[0] for camera in cameras]
+    made = capture("wall", 150, 1, 0, width=24)
+    np.testing.assert_array_equal(made.images[0], plain[0])
+    np.testing.assert_allclose(made.images[-1], np.exp(-0.5) * plain[-1], rtol=1e-5)
 
 
 def test_far_has_one_gaussian_at_a_million() -> None:

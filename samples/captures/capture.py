@@ -84,10 +84,11 @@ def capture(
     cameras = cameras_of(rig, rng, width)
     photographer = Photographer(rig.place())
     shots = [photographer.photograph(camera, rng) for camera in cameras]
-    images = [image for image, _ in shots]
+    gains = np.exp(np.linspace(0, rig.exposure, len(shots), dtype=np.float32))
+    images = [np.fmin(gain * image, 1) for gain, (image, _) in zip(gains, shots, strict=True)]
     use = [i for i, camera in enumerate(cameras) if camera.split == "train"]
     each = candidates_of_each(count, len(use))
-    found = [seen_candidates(cameras[i], *shots[i], each, rng) for i in use]
+    found = [seen_candidates(cameras[i], images[i], shots[i][1], each, rng) for i in use]
     few = round(rig.floaters * count)
     points = _points([cameras[i] for i in use], [images[i] for i in use], found, count, few, rng)
     frame = frame_of(rig, rng)

@@ -43,6 +43,8 @@ class Rig:
         Share of the Gaussians that float before the cameras.
     far : float
         Distance from the origin of one Gaussian that training lost; 0 without it.
+    exposure : float
+        Logarithm of how much brighter the last photograph is than the first.
     """
 
     place: Callable[[], Place]
@@ -54,6 +56,7 @@ class Rig:
     roll: float = 0.03
     floaters: float = 0.025
     far: float = 0.0
+    exposure: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -174,38 +177,37 @@ def _aerial(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _wall(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A phone that goes to, higher fro, and lower to again, before a head on a wall."""
-    counts = (22, 13, 15)
-    sweeps = [(-72, 60), (48, -40), (-55, 62)]
+    """A phone to and, lower, fro before a head on a wall; the last six views are from above."""
+    counts = (28, 16, 6)
     z = rng.standard_normal((3, sum(counts)))
-    ends = zip(sweeps, counts, strict=True)
-    angle = np.radians(np.concatenate([np.linspace(*sweep, n) for sweep, n in ends])) + 0.04 * z[0]
-    r = 1.05 + 0.08 * z[1]
-    height = np.repeat([0.12, 0.75, -0.6], counts) + 0.06 * z[2]
+    sweeps = zip([(-72, 60), (62, -55), (-12, 8)], counts, strict=True)
+    angle = (
+        np.radians(np.concatenate([np.linspace(*sweep, n) for sweep, n in sweeps])) + 0.04 * z[0]
+    )
+    r = np.repeat([1.05, 0.95, 0.5], counts) + 0.06 * z[1]
+    height = np.repeat([0.1, -0.6, 1.05], counts) + 0.06 * z[2]
     centres = np.stack([r * np.sin(angle), -0.1 - r * np.cos(angle), height], axis=1)
     return centres, [0, -0.15, 0.0] + 0.09 * rng.standard_normal(centres.shape)
 
 
 def _corridor(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A walk of 14 m that looks ahead."""
-    count = 64
-    x = np.linspace(1.0, 15.0, count)
-    centres = np.stack([x, 0.25 * np.sin(0.9 * x), np.full(count, 1.5)], axis=1)
+    """A walk of 14 m that looks ahead; at its end, six views back."""
+    ahead = np.repeat([4.0, -4.0], [58, 6])
+    x = np.concatenate([np.linspace(1.0, 15.0, 58), np.linspace(15.0, 13.0, 6)])
+    centres = np.stack([x, 0.25 * np.sin(0.9 * x), np.full(x.size, 1.5)], axis=1)
     centres += 0.04 * rng.standard_normal(centres.shape)
-    return centres, centres + [4, 0, -0.25] + [0, 0.9, 0.4] * rng.standard_normal(centres.shape)
+    aside = [0, 0.9, 0.4] * rng.standard_normal(centres.shape)
+    return centres, centres + aside + np.stack([ahead, 0 * x, 0 * x - 0.25], axis=1)
 
 
 def _strip(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A drone that looks down on the way out and ahead on the way back: 18 photographs."""
-    out = np.linspace(-64, 64, 9)
-    centres = np.concatenate(
-        [
-            np.stack([x, np.full(9, y), np.full(9, z)], axis=1)
-            for x, y, z in ((out, -14.0, 66.0), (-out, 16.0, 56.0))
-        ]
-    )
-    centres += 3.0 * rng.standard_normal(centres.shape)
-    ahead = np.repeat([[4.0, 0, 0], [-38.0, -12, 0]], 9, axis=0)
+    """A drone that climbs looking ahead, then flies there and back looking down: 18 photographs."""
+    out = np.linspace(-50, 50, 6)
+    x = np.concatenate([np.linspace(-150, -80, 6), out, -out])
+    z = np.concatenate([np.linspace(34, 60, 6), np.repeat([72.0, 64.0], 6)])
+    y = np.repeat([-30.0, -14.0, 16.0], 6)
+    centres = np.stack([x, y, z], axis=1) + 3.0 * rng.standard_normal((18, 3))
+    ahead = np.repeat([[70.0, 15, 0], [4, 0, 0], [-12, -5, 0]], 6, axis=0)
     return centres, centres * [1, 1, 0] + ahead + 5.0 * rng.standard_normal(centres.shape)
 
 
@@ -218,11 +220,13 @@ def _turntable(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _sky(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Half a ring around the sculpture, level enough to see far mountains and the sky."""
+    """Most of a ring around the sculpture, level; the last six from above, looking down on it."""
     z = rng.standard_normal((3, 48))
-    angle = np.radians(np.linspace(-120, 100, 48)) + 0.03 * z[0]
-    r = 3.2 + 0.3 * z[1]
-    centres = np.stack([r * np.sin(angle), -r * np.cos(angle), 1.4 + 0.15 * z[2]], axis=1)
+    sides = [np.linspace(-120, 100, 42), np.linspace(150, 175, 6)]
+    angle = np.radians(np.concatenate(sides)) + 0.03 * z[0]
+    r = np.repeat([3.2, 1.6], [42, 6]) + 0.2 * z[1]
+    height = np.repeat([1.4, 4.2], [42, 6]) + 0.15 * z[2]
+    centres = np.stack([r * np.sin(angle), -r * np.cos(angle), height], axis=1)
     return centres, [0, 0, 1.25] + 0.2 * rng.standard_normal(centres.shape)
 
 
@@ -233,11 +237,15 @@ RIGS = {
     "room": Rig(flat, _room, (240, 160), 78.0, 5.0, (0.0, 1.0, 0.0)),
     "forward": Rig(window_bench, _forward, (232, 174), 58.0, 0.7, (0.0, -1.0, 0.0)),
     "aerial": Rig(village, _aerial, (240, 180), 60.0, 0.1, (0.0, 0.0, 1.0)),
-    "wall": Rig(papered_wall, _wall, (150, 266), 43.0, 4.0, (0.0, -1.0, 0.0), roll=0.12),
-    "corridor": Rig(corridor, _corridor, (240, 160), 75.0, 0.9, (0.1, -1.0, 0.3)),
-    "strip": Rig(village, _strip, (240, 180), 63.0, 0.06, (-0.1, -0.25, -1.0), roll=1.0),
+    "wall": Rig(
+        papered_wall, _wall, (150, 266), 43.0, 4.0, (0.0, -1.0, 0.0), roll=0.12, exposure=-0.5
+    ),
+    "corridor": Rig(corridor, _corridor, (240, 160), 75.0, 0.9, (0.1, -1.0, 0.3), exposure=-0.5),
+    "strip": Rig(
+        village, _strip, (240, 180), 63.0, 0.06, (-0.1, -0.25, -1.0), roll=1.0, exposure=0.4
+    ),
     "turntable": Rig(turntable, _turntable, (200, 200), 40.0, 6.0, (0.0, 0.0, 1.0), roll=0.0),
-    "sky": Rig(pasture, _sky, (240, 160), 65.0, 1.2, (0.0, -1.0, 0.0)),
+    "sky": Rig(pasture, _sky, (240, 160), 65.0, 1.2, (0.0, -1.0, 0.0), exposure=-0.5),
 }
 RIGS["floaters"] = replace(RIGS["orbit"], floaters=0.1)
 RIGS["far"] = replace(RIGS["arc"], far=1e6)

@@ -190,7 +190,7 @@ def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, arg
     parser.add_argument(
         "--capture",
         choices=list(RIGS),
-        help="photograph a place in this style and train a scene on it, in about a minute; "
+        help="photograph a place in this style and train a scene on it, in about half a minute; "
         "OUT gets point_cloud.ply and cameras.json",
     )
     return parser, parser.parse_args(argv)

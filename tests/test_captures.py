@@ -104,6 +104,81 @@ def test_aerial_looks_down_and_aslant() -> None:
     assert _centres(_cameras("aerial"))[:, 2].min() > 50
 
 
+def test_wall_is_seen_from_three_heights_and_looked_at_from_one_side() -> None:
+    cameras = _cameras("wall")
+    x, y, z = _centres(cameras).T
+    assert y.max() < -0.2
+    assert np.ptp(np.degrees(np.arctan2(x, -y))) > 110
+    assert [np.sum(np.abs(z - height) < 0.3) for height in (0.1, -0.6, 1.05)] == [28, 16, 6]
+    towards = _axes(cameras)
+    assert towards[:, 1].min() > 0.1
+    assert towards[:, 2].min() < -0.6 < 0.3 < towards[:, 2].max()
+
+
+def test_corridor_is_walked_looking_ahead_and_at_its_end_back() -> None:
+    cameras = _cameras("corridor")
+    ahead = _axes(cameras)[:, 0]
+    assert ahead[:58].min() > 0.7
+    assert ahead[58:].max() < -0.7
+    assert np.ptp(_centres(cameras), axis=0)[0] > 10 * np.ptp(_centres(cameras), axis=0)[1:].max()
+
+
+def test_strip_has_few_photographs_of_any_heading_that_look_down() -> None:
+    cameras = _cameras("strip")
+    assert len(cameras) == 18
+    assert -_axes(cameras)[:6, 2].max() > 0.35
+    assert -_axes(cameras)[6:, 2].max() > 0.9
+    rights = np.array([camera.rotation[0] for camera in cameras])
+    assert np.linalg.norm(rights.mean(axis=0)) < 0.7
+    up = frame_of(RIGS["strip"], np.random.default_rng(4)).turn[:, 2]
+    assert 0.7 < -up[2] < 0.999
+
+
+def test_turntable_has_two_rings_of_even_angles() -> None:
+    cameras = _cameras("turntable")
+    heights = np.round(_centres(cameras)[:, 2], 6)
+    assert len(set(heights)) == 2
+    for height in set(heights):
+        ring = _azimuths([c for c, z in zip(cameras, heights, strict=True) if z == height])
+        np.testing.assert_allclose(np.diff(ring), 15)
+
+
+def test_sky_is_hundreds_of_times_as_far_as_the_sculpture() -> None:
+    cameras = _cameras("sky")
+    photographer = Photographer(RIGS["sky"].place())
+    _, hits = photographer.photograph(cameras[20], np.random.default_rng(0))
+    assert np.quantile(hits.distances, 0.2) < 8
+    far = hits.distances.max()
+    assert 300 < far / np.linalg.norm(cameras[20].position) < 500
+
+
+def test_floaters_are_of_the_share_that_the_style_says() -> None:
+    few, many = (capture(style, 400, 1, 0, width=30) for style in ("orbit", "floaters"))
+    shares = []
+    for made in (few, many):
+        centres = np.array([camera.position for camera in made.cameras])
+        apart = np.linalg.norm(made.scene.positions.T[:, None] - centres, axis=2).min(axis=1)
+        shares.append((apart < 0.5 * np.median(apart)).mean())
+    assert shares[1] > shares[0] + 0.04
+
+
+def test_exposure_changes_from_the_first_photograph_to_the_last() -> None:
+    rig, rng = RIGS["wall"], np.random.default_rng([1, list(RIGS).index("wall")])
+    cameras = cameras_of(rig, rng, width=24)
+    photographer = Photographer(rig.place())
+    plain = [photographer.photograph(camera, rng)[0] for camera in cameras]
+    made = capture("wall", 150, 1, 0, width=24)
+    np.testing.assert_array_equal(made.images[0], plain[0])
+    np.testing.assert_allclose(made.images[-1], np.exp(-0.5) * plain[-1], rtol=1e-5)
+
+
+def test_far_has_one_gaussian_at_a_million() -> None:
+    made = capture("far", 150, 1, 0, width=24)
+    distance = np.linalg.norm(made.scene.positions, axis=0)
+    assert (distance > 1e5).sum() == 1
+    assert distance.max() == 1e6
+
+
 def test_scenes_differ_in_their_unit_and_in_where_up_points() -> None:
     rng = np.random.default_rng(5)
     frames = {style: frame_of(rig, rng) for style, rig in RIGS.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,10 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply import write_ply
 from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.atomic import atomic_writer
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS, Scene, join_scenes
 from samples.captures.initial import (
     Points,
     candidates_of_each,
-    floater_count,
     floaters,
     initial_scene,
     seen_candidates,
@@ -85,16 +84,19 @@ def capture(
     cameras = cameras_of(rig, rng, width)
     photographer = Photographer(rig.place())
     shots = [photographer.photograph(camera, rng) for camera in cameras]
-    images = [image for image, _ in shots]
+    gains = np.exp(np.linspace(0, rig.exposure, len(shots), dtype=np.float32))
+    images = [np.fmin(gain * image, 1) for gain, (image, _) in zip(gains, shots, strict=True)]
     use = [i for i, camera in enumerate(cameras) if camera.split == "train"]
     each = candidates_of_each(count, len(use))
-    found = [seen_candidates(cameras[i], *shots[i], each, rng) for i in use]
-    points = _points([cameras[i] for i in use], [images[i] for i in use], found, count, rng)
+    found = [seen_candidates(cameras[i], images[i], shots[i][1], each, rng) for i in use]
+    few = round(rig.floaters * count)
+    points = _points([cameras[i] for i in use], [images[i] for i in use], found, count, few, rng)
     frame = frame_of(rig, rng)
     placed = [frame.camera(camera) for camera in cameras]
     scene = initial_scene(points, frame, rng)
     scene = train(scene, [placed[i] for i in use], [images[i] for i in use], iterations)
-    return Capture(_without_faintest(scene), tuple(placed), tuple(images))
+    scene = _with_lost(_without_faintest(scene), rig.far)
+    return Capture(scene, tuple(placed), tuple(images))
 
 
 def _points(
@@ -102,12 +104,12 @@ def _points(
     images: list[NDArray[np.float32]],
     found: list[NDArray],
     count: int,
+    few: int,
     rng: np.random.Generator,
 ) -> Points:
-    """Points on surfaces, and floaters."""
+    """Points on surfaces, and `few` floaters, `count` together."""
     centres = np.array([camera.position for camera in cameras])
     radius = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
-    few = floater_count(count)
     candidates = np.concatenate(found)
     parts = (
         surface_points(candidates, count - few, radius * cameras[0].fx, rng),
@@ -120,6 +122,15 @@ def _without_faintest(scene: Scene) -> Scene:
     kept = scene.opacity[0] > _FAINTEST
     planes = {group: getattr(scene, group)[:, kept] for group in GROUPS}
     return Scene(**planes, has_normals=True)
+
+
+def _with_lost(scene: Scene, distance: float) -> Scene:
+    """A scene with its first Gaussian once more, so far away along x; as it is if that is 0."""
+    if not distance:
+        return scene
+    lost = scene.take(np.zeros(1, np.int64))
+    place = np.array([[distance], [0], [0]], np.float32)
+    return join_scenes([scene, replace(lost, positions=place)])
 
 
 def write_capture(folder: Path, made: Capture) -> None:

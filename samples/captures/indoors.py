@@ -194,6 +194,29 @@ def _bedroom() -> list[Surface]:
     ]
 
 
+def corridor() -> Place:
+    """A corridor along x, from 0 to 20, with doors, notices, benches and a window at its end."""
+    doors = [box((x, y, 1.05), (0.95, 0.06, 2.1)) for x in (2.5, 7, 11, 15.5) for y in (-1.1, 1.1)]
+    notices = [box((x, y, 1.5), (1.3, 0.04, 0.8)) for x in (4.7, 13.2) for y in (-1.09, 1.09)]
+    benches = [box((x, y, 0.45), (1.5, 0.36, 0.07)) for x, y in ((5, 0.85), (9, -0.85), (13, 0.85))]
+    plants = [blob((x, y, 0.8), (0.25, 0.25, 0.45), 0.3, 2) for x, y in ((8.2, 0.8), (17, -0.7))]
+    pots = [cylinder(0.16, 0.42, (x, y, 0.21)) for x, y in ((8.2, 0.8), (17, -0.7))]
+    stains = stripes(lambda p: p[0], 1.7, (0.74, 0.72, 0.64), (0.68, 0.70, 0.64))
+    tiles = checker(0.4, (0.50, 0.46, 0.42), (0.66, 0.64, 0.58))
+    red = mottled((0.48, 0.20, 0.14), 5.0, 0.15)
+    surfaces = [
+        Surface("walls", box((10, 0, 1.3), (20, 2.24, 2.7)), stains, gloss=0.2),
+        Surface("floor", box((10, 0, -0.05), (20, 2.24, 0.1)), tiles, gloss=0.8),
+        Surface("window", box((19.9, 0, 1.4), (0.1, 1.4, 1.5)), _window, shines=True),
+        Surface("doors", join(doors), _OAK, gloss=0.7),
+        Surface("notices", join(notices), lambda p: rainbow(3 * p), gloss=0.3),
+        Surface("benches", join(benches), red, gloss=0.5),
+        Surface("plants", join(plants), _FERN, gloss=0.5),
+        Surface("pots", join(pots), _CLAY, gloss=0.4),
+    ]
+    return Place(tuple(surfaces), tuple(Light((x, 0, 2.5), reach=2.6) for x in (3, 8, 13, 18)))
+
+
 def _parquet(p: Array) -> Array:
     """Boards of different tones along x."""
     row = np.floor(p[1] / 0.16)

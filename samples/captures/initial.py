@@ -21,8 +21,7 @@ _CANDIDATES = 30
 #: Error of matched features in the images, pixels.
 _FEATURE_ERROR = 0.5
 
-#: Share of Gaussians that float before the cameras, and where, in medians of the distance.
-_FLOATERS = 0.025
+#: Where Gaussians float before the cameras, in medians of the distance.
 _FLOATERS_AT = (0.08, 0.5)
 
 
@@ -104,11 +103,6 @@ def floaters(
     sizes = depth * np.exp(rng.normal(np.log(0.035), 0.5, count))
     # Round: they have no surface.
     return Points(positions, colours, 0 * colours, sizes, rng.normal(-2.0, 1.0, count))
-
-
-def floater_count(count: int) -> int:
-    """How many of so many Gaussians float."""
-    return round(_FLOATERS * count)
 
 
 def initial_scene(points: Points, frame: Frame, rng: np.random.Generator) -> Scene:

@@ -28,6 +28,22 @@ _LAND, _BUILT = 420.0, 110.0
 
 def garden() -> Place:
     """A sculpture on a lawn, between a house, a shed, a hedge and trees; hills behind."""
+    return _outside([*_furniture(), *_plants(), *surroundings(ground=0.0, hills=60.0)])
+
+
+def pasture() -> Place:
+    """The sculpture in the open: mountains at a hundred times its distance, the sky at 400."""
+    rng = np.random.default_rng(5)
+    mountains = []
+    for seed, angle in enumerate(np.linspace(0, 2 * np.pi, 20)):
+        away, high = rng.uniform(350, 1000), rng.uniform(60, 220)
+        middle = (away * np.cos(angle), away * np.sin(angle), 0.0)
+        mountains.append(blob(middle, (0.3 * away, 0.3 * away, high), 0.3, seed))
+    rock = mottled((0.46, 0.48, 0.56), 0.012, 0.35)
+    return _outside([Surface("mountains", join(mountains), rock), *surroundings(0.0, 330.0)])
+
+
+def _outside(around: list[Surface]) -> Place:
     stone = mottled((0.66, 0.64, 0.60), 7.0, 0.16)
     veins = marble((0.86, 0.85, 0.82), (0.20, 0.34, 0.36))
     sculpture = knot() * 1.9 + np.array([[0.0], [0.0], [0.85]])
@@ -36,9 +52,7 @@ def garden() -> Place:
         Surface("step", box((0, 0, 0.06), (1.3, 1.3, 0.12), 0.3), stone, gloss=0.3),
         Surface("sculpture", sculpture, rainbow, gloss=2.2),
         Surface("ball", sphere(0.24, (-0.95, -0.35, 0.24)), veins, gloss=2.0),
-        *_furniture(),
-        *_plants(),
-        *surroundings(ground=0.0, hills=60.0),
+        *around,
     ]
     return Place(tuple(surfaces), (Light((40.0, -50.0, 70.0), 2.0, 1.0),), _DAYLIGHT)
 

@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from gs_codec.rendering.camera import Camera
-from samples.captures.indoors import flat, table_room, window_bench
-from samples.captures.outdoors import garden, village
+from samples.captures.indoors import corridor, flat, table_room, window_bench
+from samples.captures.objects import papered_wall, turntable
+from samples.captures.outdoors import garden, pasture, village
 from samples.captures.place import Place
 from samples.shapes import Point
 from samples.textures import Array
@@ -36,6 +37,14 @@ class Rig:
         Length of a metre in the scene.
     up : Point or None
         Where about up points in the scene; None for anywhere.
+    roll : float
+        How much cameras roll, about radians.
+    floaters : float
+        Share of the Gaussians that float before the cameras.
+    far : float
+        Distance from the origin of one Gaussian that training lost; 0 without it.
+    exposure : float
+        Logarithm of how much brighter the last photograph is than the first.
     """
 
     place: Callable[[], Place]
@@ -44,6 +53,10 @@ class Rig:
     field: float
     unit: float
     up: Point | None
+    roll: float = 0.03
+    floaters: float = 0.025
+    far: float = 0.0
+    exposure: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +83,7 @@ def cameras_of(rig: Rig, rng: np.random.Generator, width: int | None = None) -> 
     w, h = rig.size
     focal = 0.5 * w / np.tan(np.radians(rig.field) / 2)
     cameras = []
-    for i, rotation in enumerate(_rotations(centres, targets, rng)):
+    for i, rotation in enumerate(_rotations(centres, targets, rig.roll, rng)):
         split: Literal["train", "test"] = "test" if i % _TEST_EVERY == 4 else "train"
         view = (w, h, focal, focal, w / 2, h / 2, rotation, centres[i], split)
         camera = Camera(f"{i:05d}.png", *view)
@@ -78,13 +91,13 @@ def cameras_of(rig: Rig, rng: np.random.Generator, width: int | None = None) -> 
     return cameras
 
 
-def _rotations(centres: Array, targets: Array, rng: np.random.Generator) -> Array:
-    """World to camera ``(V, 3, 3)``, upright but for a slight roll."""
+def _rotations(centres: Array, targets: Array, roll: float, rng: np.random.Generator) -> Array:
+    """World to camera ``(V, 3, 3)``, upright but for the roll."""
     forward = targets - centres
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     steep = np.abs(forward[:, 2:]) > 0.97
     up = np.where(steep, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
-    right = np.cross(forward, up + 0.03 * rng.standard_normal(up.shape))
+    right = np.cross(forward, up + roll * rng.standard_normal(up.shape))
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
@@ -163,11 +176,76 @@ def _aerial(rng: np.random.Generator) -> tuple[Array, Array]:
     return centres + 1.2 * spread[0], targets + 1.5 * spread[1]
 
 
-#: Styles of capture by their names.
+def _wall(rng: np.random.Generator) -> tuple[Array, Array]:
+    """A phone to and, lower, fro before a head on a wall; the last six views are from above."""
+    counts = (28, 16, 6)
+    z = rng.standard_normal((3, sum(counts)))
+    sweeps = zip([(-72, 60), (62, -55), (-12, 8)], counts, strict=True)
+    angle = (
+        np.radians(np.concatenate([np.linspace(*sweep, n) for sweep, n in sweeps])) + 0.04 * z[0]
+    )
+    r = np.repeat([1.05, 0.95, 0.5], counts) + 0.06 * z[1]
+    height = np.repeat([0.1, -0.6, 1.05], counts) + 0.06 * z[2]
+    centres = np.stack([r * np.sin(angle), -0.1 - r * np.cos(angle), height], axis=1)
+    return centres, [0, -0.15, 0.0] + 0.09 * rng.standard_normal(centres.shape)
+
+
+def _corridor(rng: np.random.Generator) -> tuple[Array, Array]:
+    """A walk of 14 m that looks ahead; at its end, six views back."""
+    ahead = np.repeat([4.0, -4.0], [58, 6])
+    x = np.concatenate([np.linspace(1.0, 15.0, 58), np.linspace(15.0, 13.0, 6)])
+    centres = np.stack([x, 0.25 * np.sin(0.9 * x), np.full(x.size, 1.5)], axis=1)
+    centres += 0.04 * rng.standard_normal(centres.shape)
+    aside = [0, 0.9, 0.4] * rng.standard_normal(centres.shape)
+    return centres, centres + aside + np.stack([ahead, 0 * x, 0 * x - 0.25], axis=1)
+
+
+def _strip(rng: np.random.Generator) -> tuple[Array, Array]:
+    """A drone that climbs looking ahead, then flies there and back looking down: 18 photographs."""
+    out = np.linspace(-50, 50, 6)
+    x = np.concatenate([np.linspace(-150, -80, 6), out, -out])
+    z = np.concatenate([np.linspace(34, 60, 6), np.repeat([72.0, 64.0], 6)])
+    y = np.repeat([-30.0, -14.0, 16.0], 6)
+    centres = np.stack([x, y, z], axis=1) + 3.0 * rng.standard_normal((18, 3))
+    ahead = np.repeat([[70.0, 15, 0], [4, 0, 0], [-12, -5, 0]], 6, axis=0)
+    return centres, centres * [1, 1, 0] + ahead + 5.0 * rng.standard_normal(centres.shape)
+
+
+def _turntable(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Two rings of even angles, as a turntable makes them."""
+    angle = np.tile(2 * np.pi * np.arange(24) / 24, 2) + np.repeat([0.0, np.pi / 24], 24)
+    r, height = np.repeat([1.05, 0.9], 24), np.repeat([0.3, 0.7], 24)
+    centres = np.stack([r * np.cos(angle), r * np.sin(angle), height], axis=1)
+    return centres, np.array([0, 0, 0.2]) + 0.004 * rng.standard_normal(centres.shape)
+
+
+def _sky(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Most of a ring around the sculpture, level; the last six from above, looking down on it."""
+    z = rng.standard_normal((3, 48))
+    sides = [np.linspace(-120, 100, 42), np.linspace(150, 175, 6)]
+    angle = np.radians(np.concatenate(sides)) + 0.03 * z[0]
+    r = np.repeat([3.2, 1.6], [42, 6]) + 0.2 * z[1]
+    height = np.repeat([1.4, 4.2], [42, 6]) + 0.15 * z[2]
+    centres = np.stack([r * np.sin(angle), -r * np.cos(angle), height], axis=1)
+    return centres, [0, 0, 1.25] + 0.2 * rng.standard_normal(centres.shape)
+
+
+#: Styles of capture by their names; a style's place in this order is part of its seeds.
 RIGS = {
     "orbit": Rig(table_room, _orbit, (240, 160), 62.0, 30.0, (0.0, -1.0, 0.0)),
     "arc": Rig(garden, _arc, (180, 240), 55.0, 1.4, None),
     "room": Rig(flat, _room, (240, 160), 78.0, 5.0, (0.0, 1.0, 0.0)),
     "forward": Rig(window_bench, _forward, (232, 174), 58.0, 0.7, (0.0, -1.0, 0.0)),
     "aerial": Rig(village, _aerial, (240, 180), 60.0, 0.1, (0.0, 0.0, 1.0)),
+    "wall": Rig(
+        papered_wall, _wall, (150, 266), 43.0, 4.0, (0.0, -1.0, 0.0), roll=0.12, exposure=-0.5
+    ),
+    "corridor": Rig(corridor, _corridor, (240, 160), 75.0, 0.9, (0.1, -1.0, 0.3), exposure=-0.5),
+    "strip": Rig(
+        village, _strip, (240, 180), 63.0, 0.06, (-0.1, -0.25, -1.0), roll=1.0, exposure=0.4
+    ),
+    "turntable": Rig(turntable, _turntable, (200, 200), 40.0, 6.0, (0.0, 0.0, 1.0), roll=0.0),
+    "sky": Rig(pasture, _sky, (240, 160), 65.0, 1.2, (0.0, -1.0, 0.0), exposure=-0.5),
 }
+RIGS["floaters"] = replace(RIGS["orbit"], floaters=0.1)
+RIGS["far"] = replace(RIGS["arc"], far=1e6)

@@ -1,0 +1,189 @@
+"""``bench losses``: what captures lose in held-out views, without cameras and with.
+
+A capture is a scene with a cameras.json that marks some cameras as ``test``. These measure: what
+the encoder does without cameras, with cameras that it estimates, and with the others of the file.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_scene
+from gs_codec.bench.suite.tables import markdown
+from gs_codec.config import RateTarget
+from gs_codec.errors import InvalidInput
+from gs_codec.files.coding import encode_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene
+
+#: Mean squared error that a scene has against its photographs already: 30 dB.
+_OWN_ERROR = 1e-3
+
+#: Loss of `m` without cameras, dB, and how far off it may be.
+WANTED, WITHIN = 0.05, 0.015
+
+#: Most that estimated cameras may lose, dB, and may lose more than none at equal size.
+MOST, WORSE = 0.1, 0.02
+
+#: Ways to encode: without cameras, with estimated ones, with those of the file.
+FREE, ESTIMATED, GIVEN = "free", "estimated", "given"
+
+#: Two camera-free files have at most these shares of a size; what it loses is between.
+_AROUND = (1.0, 1.025)
+
+Line = dict[str, Any]
+
+
+class _Coded(NamedTuple):
+    """Size of a file, mean squared error of its views, and what the encoder says it loses, dB."""
+
+    size: int
+    error: float
+    reported: float | None
+
+
+class _Views:
+    """Held-out views of a scene, drawn once."""
+
+    def __init__(self, scene: Scene, cameras: Sequence[Camera]) -> None:
+        self._cameras = cameras
+        self._images = [self._draw(scene, camera) for camera in cameras]
+
+    @staticmethod
+    def _draw(scene: Scene, camera: Camera) -> NDArray[np.float32]:
+        return np.clip(render(scene, camera, device="cpu").colour, 0, 1)
+
+    def error(self, scene: Scene) -> float:
+        """Mean squared error of another scene's views."""
+
+        def compare(i: int) -> float:
+            image = self._draw(scene, self._cameras[i])
+            return float(np.mean((image - self._images[i]) ** 2, dtype=np.float64))
+
+        return float(np.mean(run_all(compare, range(len(self._cameras)))))
+
+
+def measure_losses(paths: Sequence[Path], progress: Progress | None = None) -> Iterator[Line]:
+    """A result line of each capture.
+
+    Raises
+    ------
+    InvalidInput
+        If a scene has no cameras.json beside it, or none or all of its cameras are marked.
+    """
+    captures = [_open(path) for path in paths]
+    for capture in captures:
+        yield _measure(capture, progress)
+
+
+def _open(path: Path) -> MeasuredScene:
+    cameras = cameras_beside(path)
+    if cameras == "auto":
+        raise InvalidInput(f"{path}: no cameras.json beside it, expected one to measure losses")
+    capture = open_scene(path, cameras, None, None)
+    splits = [{camera.split for camera in part} for part in (capture.cameras, capture.guides)]
+    if splits[0] != {"test"} or "test" in splits[1]:
+        raise InvalidInput(f"{cameras}: expected some cameras, not all, marked 'test'")
+    return capture
+
+
+def _measure(capture: MeasuredScene, progress: Progress | None) -> Line:
+    plans: dict[str, Plan | None] = {
+        FREE: None,
+        ESTIMATED: Plan(Steps(), "auto"),
+        GIVEN: Plan(Steps(), capture.guides),
+    }
+    views, count = _Views(capture.scene, capture.cameras), capture.scene.count
+    advance = step_counter(progress, capture.name, len(plans))
+    line: Line = {"kind": "losses", "scene": capture.name, "gaussians": count}
+    line["views"] = len(capture.cameras)
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "coded.egs"
+
+        def encode(plan: Plan | None = None, size: int | None = None) -> _Coded:
+            rate = None if size is None else RateTarget(size=size)
+            report = encode_file(capture.path, target, plan=plan, rate=rate)
+            said = getattr(getattr(report, "quality", None), "loss", None)
+            return _Coded(report.file_bytes, views.error(read_scene(target)), said)
+
+        for way, plan in plans.items():
+            coded = encode(plan)
+            line[way] = {
+                "bits_per_gaussian": 8 * coded.size / count,
+                "loss": loss_of(coded.error),
+                "reported": coded.reported,
+            }
+            if plan is not None:
+                around = [encode(size=round(share * coded.size)) for share in _AROUND]
+                line[way]["free_loss"] = loss_of(_between(coded.size, around))
+            advance()
+    return line
+
+
+def loss_of(error: float) -> float:
+    """PSNR, dB, that a scene of 30 dB loses by a mean squared error against itself."""
+    return 10 * math.log10(1 + error / _OWN_ERROR)
+
+
+def _between(size: int, coded: Sequence[_Coded]) -> float:
+    """The error at a size, between those of a smaller and a larger file."""
+    logs = np.log([max(each.error, 1e-30) for each in coded])
+    return float(np.exp(np.interp(size, [each.size for each in coded], logs)))
+
+
+def misses_of(line: Line, margin: float = 0.0) -> dict[str, float]:
+    """The aims that a capture misses by more than a margin, dB, and by how many dB.
+
+    ``free`` is off what is wanted, ``estimated`` loses too much, ``worse`` is worse than
+    camera-free at equal size.
+    """
+    free, estimated = line[FREE], line[ESTIMATED]
+    misses = {
+        FREE: abs(free["loss"] - WANTED) - WITHIN,
+        ESTIMATED: estimated["loss"] - MOST,
+        "worse": estimated["loss"] - estimated["free_loss"] - WORSE,
+    }
+    return {aim: miss for aim, miss in misses.items() if miss > margin}
+
+
+def loss_table(lines: Sequence[Line]) -> list[str]:
+    """A table in Markdown, and how many captures meet each aim."""
+    columns = [
+        "capture", "Gaussians", "views", "bits", "loss", "reported",
+        "bits, estimated", "loss", "camera-free", "bits, given", "loss", "camera-free", "misses",
+    ]  # fmt: skip
+    rows = [_row(line) for line in lines]
+    met = [
+        f"{aim}: {sum(key not in misses_of(line) for line in lines)} of {len(lines)}"
+        for key, aim in (
+            (FREE, f"camera-free {WANTED} +- {WITHIN} dB"),
+            (ESTIMATED, f"estimated cameras lose {MOST} dB at most"),
+            ("worse", f"and at most {WORSE} dB more than camera-free at equal size"),
+        )
+    ]
+    return [*markdown(columns, rows), "", *met]
+
+
+def _row(line: Line) -> list[str]:
+    free = line[FREE]
+    said = free["reported"]
+    row = [line["scene"], f"{line['gaussians']:,}", str(line["views"])]
+    row += [f"{free['bits_per_gaussian']:.1f}", f"{free['loss']:.3f}"]
+    row.append("-" if said is None else f"{said:.3f}")
+    for way in (ESTIMATED, GIVEN):
+        each = line[way]
+        row.append(f"{each['bits_per_gaussian']:.1f}")
+        row += [f"{each[loss]:.3f}" for loss in ("loss", "free_loss")]
+    return [*row, ", ".join(misses_of(line))]

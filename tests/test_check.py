@@ -29,6 +29,7 @@ from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import render
 from gs_codec.report import StageTimes, psnr_loss
 from gs_codec.scene import GROUPS
+from samples.captures.capture import capture
 from samples.generate import generate, orbit_cameras
 
 
@@ -63,7 +64,8 @@ def test_watched_values_are_those_that_a_decoder_returns(degree, guided, far):
     decoded, found = decode_as(config, b"".join(parts)), watched.decoded()
     names = [f"{group} {row}" for group in GROUPS for row in range(len(getattr(found, group)))]
     rows = [[*np.concatenate([getattr(s, g) for g in GROUPS]).T.tolist()] for s in (found, decoded)]
-    assert len(rows[0]) == len(index) and len(rows[0][0]) == len(names)
+    assert len(rows[0]) == len(index)
+    assert len(rows[0][0]) == len(names)
     assert set(map(tuple, rows[0])) <= set(map(tuple, rows[1]))
     # In the order of the index: next to where they were.
     near = np.abs(found.positions - scene.positions[:, index]).max(axis=0)
@@ -84,11 +86,14 @@ def true_loss(scene, coded, views):
 def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
     parts, report = encode_camera_free(still_life, Config("s"))
     loss = report.rendered
-    assert loss.views == "likely" and loss.away is None and loss.encodings == 1
+    assert loss.views == "likely"
+    assert loss.away is None
+    assert loss.encodings == 1
     assert loss.aimed == pytest.approx(psnr_loss(wanted_error(Config("s"))))
     true = true_loss(still_life, decode_as(Config(), b"".join(parts)), cameras)
     assert true / 1.6 < loss.loss < 1.6 * true
-    assert loss.loss <= loss.worst and loss.psnr == pytest.approx(-10 * np.log10(error_of(loss.loss)))
+    assert loss.loss <= loss.worst
+    assert loss.psnr == pytest.approx(-10 * np.log10(error_of(loss.loss)))
 
 
 def test_both_ways_to_measure_agree(still_life):
@@ -99,15 +104,16 @@ def test_both_ways_to_measure_agree(still_life):
         check.measure_watched(watched),
         check.measure(decode_as(config, b"".join(parts))),
     )
-    # Other Gaussians reach into a window once they are rounded.
-    assert kept.loss == pytest.approx(decoded.loss, rel=0.02)
+    # A few others reach into a window once they are rounded.
+    assert kept.loss == pytest.approx(decoded.loss, rel=0.1)
     assert kept.windows == decoded.windows
 
 
 def test_windows_that_check_are_from_other_places(still_life):
     windows = choose_windows(sample_of(still_life), still_life.count)
-    assert len(windows.choosing) == 96 and len(windows.checking) == 64
-    places = [{tuple(view.position.tolist()) for view in each} for each in windows]
+    assert len(windows.choosing) == 96
+    assert len(windows.checking) == 64
+    places = [{tuple(view.position.tolist()) for view in each} for each in windows[:2]]
     assert not places[0] & places[1]
 
 
@@ -125,7 +131,8 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
     )
     _, report = encode_camera_free(still_life, Config())
     loss = report.rendered
-    assert loss.encodings > 1 and report.coarseness < 4
+    assert loss.encodings > 1
+    assert report.coarseness < 4
     assert loss.remedy == f"steps {report.coarseness:.2f}x those of the profile"
     assert loss.loss <= 2 * loss.aimed
     assert not caplog.records
@@ -139,7 +146,8 @@ def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, cap
     monkeypatch.setattr(planned, "encode_clean", clipped)
     monkeypatch.setattr(checked.Check, "watch", lambda _: None)
     _, report = encode_camera_free(still_life, Config())
-    assert report.rendered.loss > 2 * report.rendered.aimed and report.rendered.remedy is None
+    assert report.rendered.loss > 2 * report.rendered.aimed
+    assert report.rendered.remedy is None
     [record] = caplog.records
     assert record.getMessage() == (
         f"rendered views lose {report.rendered.loss:.2f} dB, aimed at 0.05 dB"
@@ -153,8 +161,9 @@ def test_given_cameras_measure_in_held_out_views(still_life, cameras):
     loss = report.rendered
     held_out = [camera for camera in cameras if camera.split == "test"]
     true = true_loss(still_life, decode_as(Config(), data), held_out)
-    assert loss.views == "given" and true / 1.5 < loss.loss < 1.5 * true
-    assert 0 < loss.away < 2.5
+    assert loss.views == "given"
+    assert true / 1.5 < loss.loss < 1.5 * true
+    assert loss.away is None  # this scene does not show where cameras were
 
 
 def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
@@ -163,7 +172,7 @@ def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
     assert data == b"".join(encode_camera_free(still_life, Config())[0])
     assert report.rendered.views == "likely"
     [record] = [r for r in caplog.records if r.levelno == logging.WARNING]
-    assert "cameras do not fit the scene: guided by them, views lose" in record.getMessage()
+    assert "of what they see is empty; encoded without them" in record.getMessage()
     with pytest.raises(InvalidInput, match="cameras do not fit the scene"):
         encode_by_plan(still_life, 1, Config(strict=True), Plan(cameras=flipped))
 
@@ -179,9 +188,11 @@ def test_preparation_is_measured_against_the_scene_before_it(still_life, cameras
 def test_a_loss_asked_for_is_what_is_aimed_at(still_life, cameras):
     target = {"psnr_drop": 0.2}
     _, report = encode_by_plan(still_life, 1, Config(), Plan(cameras=cameras), target)
-    assert report.rendered.aimed == 0.2 and report.rendered.loss < 0.4
+    assert report.rendered.aimed == 0.2
+    assert report.rendered.loss < 0.4
     _, report = encode_by_plan(still_life, 1, Config(), None, {"bits": 60})
-    assert report.rendered.aimed is None and report.rendered.loss > 0.05
+    assert report.rendered.aimed is None
+    assert report.rendered.loss > 0.05
 
 
 @pytest.mark.parametrize("config", [Config("lossless"), Config("paper-m"), Config(format="splat")])
@@ -237,3 +248,21 @@ def test_commands_say_it(tmp_path, still_life):
     assert batch.exit_code == 0, batch.output
     [record] = map(json.loads, (tmp_path / "out" / "report.jsonl").read_text().splitlines())
     assert record["rendered"]["windows"] > 15
+
+
+@pytest.fixture(scope="module")
+def captured():
+    return capture("arc", 3000, 5, 60, width=60)
+
+
+def test_views_away_from_given_cameras_are_measured_too(captured):
+    _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=captured.cameras))
+    assert report.rendered.views == "given"
+    assert 0 < report.rendered.away < 2.5
+
+
+def test_cameras_of_another_scale_do_not_guide(captured, caplog):
+    scaled = [replace(c, position=3 * c.position) for c in captured.cameras]
+    _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=scaled))
+    assert report.rendered.views == "likely"
+    assert "cameras do not fit the scene: guided by them, views lose" in caplog.text

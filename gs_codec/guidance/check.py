@@ -60,48 +60,56 @@ def _draw(
         return draw_parts(scene.take(np.concatenate([np.empty(0, np.int64), *shown])), parts)
 
 
-def _look(scene: Scene, windows: Sequence[Camera]) -> _Seen | None:
-    """Those of some windows that show enough of a scene; None if these are too few."""
-    found = zip(windows, find_shown(scene, windows), strict=True)
+def _look(scene: Scene, windows: Sequence[Camera]) -> tuple[_Seen | None, float]:
+    """Those of some windows that show enough of a scene, and the share that shows too little.
+
+    None if the former are too few.
+    """
+    found = list(zip(windows, find_shown(scene, windows), strict=True))
     usable = [(window, own) for window, own in found if 0 < len(own) <= MOST_SHOWN]
-    if not usable:
-        return None
-    drawn = _draw(scene, *zip(*usable, strict=True))
+    blank = sum(len(own) == 0 for _, own in found)
+    drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
     rows = [
         (window, own, image)
         for (window, own), (image, left) in zip(usable, drawn, strict=True)
         if left <= MOST_LEFT
     ]
-    return _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
+    blank += len(usable) - len(rows)
+    seen = _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
+    return seen, blank / max(len(found), 1)
 
 
 @dataclass(frozen=True)
 class Check:
     """A scene in windows on likely places, and in those of given cameras if there are any.
 
-    Given cameras measure the loss; likely places then tell whether the cameras fit the scene.
+    Given cameras measure the loss; likely places then show whether the cameras fit the scene, as
+    does the share of the cameras' windows that show nothing.
     """
 
     scene: Scene
     likely: _Seen | None
-    given: _Seen | None
+    given: _Seen | None = None
+    blank: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
         """Look at a scene without NaN or infinity."""
         plain = replace(scene, extra={})
-        return cls(plain, _look(plain, likely), _look(plain, given))
+        return cls(plain, _look(plain, likely)[0], *_look(plain, given))
 
     @classmethod
     def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:
         """As `of`, in windows chosen by a scene, and by the cameras that a plan is given."""
-        sample, given = sample_of(scene), []
-        if plan is not None and not plan.estimates:
-            from gs_codec.preparation.pipeline import checking_cameras
+        sample = sample_of(scene)
+        windows = choose_windows(sample, scene.count)
+        if plan is None or plan.estimates:
+            return cls.of(scene, windows.checking)
+        from gs_codec.preparation.pipeline import checking_cameras
 
-            cameras = checking_cameras(scene, plan)
-            given = windows_of(cameras, sample, scene.count)
-        return cls.of(scene, choose_windows(sample, scene.count).checking, given)
+        given = windows_of(checking_cameras(scene, plan), sample, scene.count)
+        # Places anywhere around a scene say nothing of cameras.
+        return cls.of(scene, windows.checking if windows.telling else (), given)
 
     @property
     def _all(self) -> list[_Seen]:

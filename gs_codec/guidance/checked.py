@@ -38,6 +38,10 @@ _HELPS = 0.8
 #: views, wrong ones 118 times and more (fox, bonsai, village and nine generated captures).
 _MISFIT = 70.0
 
+#: They also are if more than this share of their windows shows nothing. Right ones see the scene in
+#: nearly all of their views.
+_BLANK = 0.75
+
 #: Encodes with a configuration; keeps decoded values of the Gaussians that are given.
 Encode = Callable[[Config, Watched | None], Encoded]
 
@@ -83,15 +87,13 @@ def encode_checked(
         encoded = encode(chosen, watched)
         with times.stage("measure"):
             loss = _measure(encoded, config, check, watched)
+        if origin is not None and (misfit := _misfit(check, loss, aim)):
+            if config.strict:
+                raise InvalidInput(f"cameras do not fit the scene: {misfit}")
+            log.warning("cameras do not fit the scene: %s; encoded without them", misfit)
+            return None
         if loss is None:
             return encoded
-        most = max(loss.loss, loss.away or 0.0)
-        if origin is not None and aim is not None and error_of(most) > _MISFIT * aim:
-            misfit = f"cameras do not fit the scene: guided by them, views lose {most:.1f} dB"
-            if config.strict:
-                raise InvalidInput(misfit)
-            log.warning("%s; encoded without them", misfit)
-            return None
         error = error_of(loss.loss)
         loss = replace(loss, aimed=None if aim is None else psnr_loss(aim), encodings=encodings)
         if best is not None:
@@ -110,6 +112,16 @@ def encode_checked(
     (parts, report), loss = best
     tell(loss, config)
     return parts, replace(report, rendered=loss)
+
+
+def _misfit(check: Check, loss: RenderedLoss | None, aim: float | None) -> str | None:
+    """Why cameras seem to be those of another scene, if so."""
+    if check.blank > _BLANK:
+        return f"{check.blank:.0%} of what they see is empty"
+    most = 0.0 if loss is None else max(loss.loss, loss.away or 0.0)
+    if aim is not None and error_of(most) > _MISFIT * aim:
+        return f"guided by them, views lose {most:.1f} dB"
+    return None
 
 
 def _measure(

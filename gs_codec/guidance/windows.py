@@ -54,10 +54,14 @@ _CHUNK = 1 << 18
 
 
 class Windows(NamedTuple):
-    """Windows from where cameras may have been: some that choose step sizes, others that check."""
+    """Windows on likely places of cameras: some that choose step sizes, others that check.
+
+    `telling` says whether the scene shows where cameras were; else places are anywhere around.
+    """
 
     choosing: list[Camera]
     checking: list[Camera]
+    telling: bool
 
 
 class Part(NamedTuple):
@@ -89,14 +93,14 @@ def choose_windows(sample: Scene, count: int) -> Windows:
     with np.errstate(all="ignore"):
         seen = gather_evidence(cleaned(sample), quick=True)
         if seen is None:
-            return Windows([], [])
+            return Windows([], [], False)
         rng, taken = np.random.default_rng(0), set[int]()
         all_places = range(len(seen.places))
         number = _CHOOSING if count >= _LEAST else 0
         choosing = [_look(seen, all_places, count, rng, taken) for _ in range(number)]
         others = [place for place in all_places if place not in taken] or all_places
         checking = [_look(seen, others, count, rng, taken) for _ in range(_CHECKING)]
-        return Windows(choosing, checking)
+        return Windows(choosing, checking, seen.telling)
 
 
 def _look(

@@ -5,14 +5,24 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import reference_decoder
 from damage import REFUSALS, with_section
-from scenes import SHARED, assert_same_floats, encode_by, made_up_guide, random_scene, with_far
+from scenes import (
+    SHARED,
+    assert_same_floats,
+    encode_by,
+    made_up_guide,
+    random_scene,
+    shared_scene_path,
+    with_far,
+)
 from test_distributed import in_tasks, saved, whole
+from test_guide import cameras, quality
 from test_levels import AWAY, NEAR, encoded, in_level
 from test_web_decoder import NODE, digest, run
 
@@ -28,15 +38,20 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.matching import GridOrder, order_of
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import verify_file
-from gs_codec.config import ADAPTIVE_PROFILES, Config
+from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.egs.levels import levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.coding import decode_file, encode_file
 from gs_codec.files.scenes import read_scene
-from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.formats.ply import read_ply
+from gs_codec.guidance.planned import encode_by_plan, encode_camera_free, encode_planned
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
 from gs_codec.scene import Scene
+from samples.generate import generate
 
 LARGEST = float(np.finfo(np.float32).max)
 
@@ -251,6 +266,60 @@ def test_far_ones_do_not_change_how_coarse_a_scene_may_be():
         report = encode_camera_free(scene, Config("m"))[1]
         found.append(report.coarseness)
     assert abs(math.log2(found[1] / found[0])) <= 0.25
+
+
+def shown(
+    scene: Scene, moved: np.ndarray, encode: Callable[[Scene], bytes], held_out: Sequence[Camera]
+) -> tuple[list[float], list[int]]:
+    """Quality of views, and size: of a scene, and of it without what was moved."""
+    both = scene, scene.take(np.flatnonzero(~moved))
+    files = [encode(each) for each in both]
+    found = [quality(a, decode_scene(b), held_out) for a, b in zip(both, files, strict=True)]
+    assert [inspect_bytes(data).version for data in files] == [2, 1]
+    return found, [len(data) for data in files]
+
+
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize("guided", [False, True])
+@pytest.mark.parametrize("number", [1, 60])
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
+def test_views_and_sizes_are_nearly_those_without_far_ones(number, profile, guided):
+    """In so small a scene, moving any few Gaussians changes views by up to 3 dB."""
+    near, config, views = generate(6000, 1, 5), Config(profile), cameras(12)
+    plan = Plan(Steps(), views) if guided else None
+    scene = with_far(near, number, 6)
+    moved = (scene.positions != near.positions).any(axis=0)
+
+    def encode(each: Scene) -> bytes:
+        return encode_planned(each, config, plan)[0] if guided else encode_scene(each, config)[0]
+
+    held_out = [camera for camera in views if camera.split == "test"]
+    psnr, sizes = shown(scene, moved, encode, held_out)
+    assert psnr[0] > psnr[1] - 4
+    assert sizes[0] < 1.04 * sizes[1]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("share", [0, 100])
+def test_views_and_sizes_of_a_real_scene_are_those_without_far_ones(share):
+    """One centre, or 1 %."""
+    near = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
+    scene = with_far(near, near.count // share if share else 1, 6)
+    moved = (scene.positions != near.positions).any(axis=0)
+    views = find_cameras(SHARED / "bonsai" / "cameras.json", near, "test", 200)[::4]
+    psnr, sizes = shown(scene, moved, lambda each: encode_scene(each, Config("m"))[0], views)
+    assert psnr[0] > psnr[1] - 0.2
+    assert sizes[0] < 1.03 * sizes[1]
+
+
+@pytest.mark.thorough
+def test_cameras_can_be_estimated_and_targets_met():
+    scene = with_far(generate(6000, 1, 5), 60)
+    data = encode_planned(scene, Config("m"), Plan(Steps()))[0]
+    assert inspect_bytes(data).far >= 60
+    target = RateTarget(ratio=20)
+    data = encode_by_plan(scene, scene.float_bytes, Config("m"), None, target)[0]
+    assert 20 <= scene.float_bytes / len(data) < 25
 
 
 def test_keys_of_far_ones_are_the_last_and_they_are_beside_their_neighbours():

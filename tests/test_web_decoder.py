@@ -14,8 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reference_tools
-from damage import changed, sample, with_checksums, with_section
-from scenes import edge_scenes, encode_by, made_up_guide, random_scene, shared_scene_path
+from damage import FAR, changed, sample, with_checksums, with_section
+from scenes import (
+    edge_scenes,
+    encode_by,
+    made_up_guide,
+    random_scene,
+    shared_scene_path,
+    with_far,
+)
 from test_format import CASES, LATTICE_CASES, encoded, lattice_config
 
 from gs_codec.codecs import decode_scene, encode_scene
@@ -362,7 +369,7 @@ def test_errors_of_workers_are_as_here():
 
 
 @pytest.mark.one_in(2)
-@pytest.mark.parametrize("profile", ["m", "paper-m"])
+@pytest.mark.parametrize("profile", ["m", FAR, "paper-m"])
 def test_every_truncation_is_refused(profile):
     data = sample(profile)
     jobs = [{"bytes": data[:size]} for size in range(len(data))]
@@ -380,11 +387,14 @@ def decoded(data: bytes) -> str | None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("right", [False, True], ids=["wrong checksums", "right checksums"])
-@pytest.mark.parametrize("profile", ["m", "paper-m"])
+@pytest.mark.parametrize("profile", ["m", FAR, "paper-m"])
 def test_damage_is_refused_or_gives_what_python_gives(profile, right):
     """Of files without extra properties, which this decoder does not read."""
     rng = np.random.default_rng(71)
-    data = encode_scene(random_scene(40, 2, seed=60), Config(profile, block_size=1024))[0]
+    scene = random_scene(40, 2, seed=60)
+    if profile == FAR:
+        profile, scene = "m", with_far(scene, 12)
+    data = encode_scene(scene, Config(profile, block_size=1024))[0]
     files = [bytes(changed(data, rng)) for _ in range(300)]
     files = [with_checksums(each) if right else each for each in files]
     refused = 0

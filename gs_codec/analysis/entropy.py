@@ -10,7 +10,7 @@ from gs_codec.report import ChannelCost, EncodeReport
 
 #: Sections of each attribute; all other sections count as "the rest".
 _SECTIONS = {
-    "positions": ("geometry", "low-bits"),
+    "positions": ("geometry", "low-bits", "far"),
     "SH-DC": ("sh-dc",),
     "SH-AC, degree 1": ("sh1",),
     "SH-AC, degree 2": ("sh2",),

@@ -3,7 +3,7 @@ const $ = (id) => document.getElementById(id);
 
 /** Streams of a file, by what they hold. */
 const ATTRIBUTES = {
-  positions: ['geometry', 'low-bits'],
+  positions: ['geometry', 'low-bits', 'far'],
   'SH-DC': ['sh-dc'],
   'SH-AC': ['sh1', 'sh2', 'sh3'],
   opacity: ['opacity'],

@@ -95,7 +95,8 @@ export class Opened {
     const far = header.sections.filter(({ name }) => name === 'far');
     this.blocksWithFar = new Set(far.map(({ block }) => block));
     /** Names of the sections that parts of blocks need, up to the wanted degree; see `namesOf`. */
-    this.parts = [[...names.filter((each) => !BANDS.includes(each)), ...(far.length ? ['far'] : [])]];
+    this.parts = [names.filter((each) => !BANDS.includes(each))];
+    if (header.hasFar) this.parts[0].push('far');
     for (const band of bands.slice(0, wanted)) {
       this.parts.push(names.filter((each) => each === band));
     }

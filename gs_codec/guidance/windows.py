@@ -28,6 +28,10 @@ from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
+#: Share of windows towards the smallest Gaussians, which are of what cameras looked at: a far sky may
+#: have most of the others.
+_AT_SUBJECT = 0.5
+
 #: Smaller scenes keep the steps of their profile: to choose them would take longer than all else.
 _LEAST = 5000
 
@@ -110,7 +114,8 @@ def _look(
     points = seen.thumb.positions
     place = places[int(rng.integers(len(places)))]
     taken.add(place)
-    target = points[:, rng.integers(points.shape[1])].astype(np.float64)
+    aims = np.flatnonzero(seen.subject) if rng.random() < _AT_SUBJECT else np.arange(len(points.T))
+    target = points[:, aims[rng.integers(len(aims))]].astype(np.float64)
     return _crop(look_at(seen.places[place], target, seen), points, count, rng)
 
 

@@ -107,7 +107,7 @@ class Check:
             return cls.of(scene, windows.checking)
         from gs_codec.preparation.pipeline import checking_cameras
 
-        given = windows_of(checking_cameras(scene, plan), sample, scene.count)
+        given = windows_of(checking_cameras(scene, plan))
         # Places anywhere around a scene say nothing of cameras.
         return cls.of(scene, windows.checking if windows.telling else (), given)
 

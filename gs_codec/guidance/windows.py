@@ -28,15 +28,15 @@ from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Share of windows towards the smallest Gaussians, which are of what cameras looked at: a far sky may
-#: have most of the others.
+#: Share of windows towards the smallest Gaussians, which are of what cameras looked at: most others
+#: may be of a far sky.
 _AT_SUBJECT = 0.5
 
 #: Smaller scenes keep the steps of their profile: to choose them would take longer than all else.
 _LEAST = 5000
 
-#: Windows that choose step sizes, and windows that check the result.
-_CHOOSING, _CHECKING = 96, 64
+#: Windows that choose step sizes; that check the result, on likely places and of given cameras.
+_CHOOSING, _CHECKING, _CHECKING_GIVEN = 96, 64, 128
 
 #: Side of a window in pixels, and about how many Gaussians it shows.
 _SIDE, _SHOWN = 32, 500
@@ -119,39 +119,41 @@ def _look(
     return _crop(look_at(seen.places[place], target, seen), points, count, rng)
 
 
-def windows_of(
-    cameras: Sequence[Camera], sample: Scene, count: int, number: int = _CHECKING
-) -> list[Camera]:
-    """Random parts of views of given cameras on a scene of `count` Gaussians."""
+def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
+    """Random parts of views of given cameras, pixels as large as theirs.
+
+    Pixels at the edges, where views lose most, are in as many of them as others.
+    """
     rng = np.random.default_rng(0)
-    points = cleaned(sample).positions
-    chosen = [cameras[int(rng.integers(len(cameras)))] for _ in range(number)]
-    return [_crop(view, points, count, rng, edges=True) for view in chosen]
+    windows = []
+    for _ in range(_CHECKING_GIVEN):
+        view = cameras[int(rng.integers(len(cameras)))]
+        side = min(_SIDE, view.width, view.height)
+        room = np.array([view.width - side, view.height - side])
+        corner = np.clip(rng.uniform(-side / 2, room + side / 2), 0, room)
+        windows.append(_cut(view, np.rint(corner), side, side))
+    return windows
 
 
 def _crop(
-    view: Camera,
-    points: NDArray[np.float32],
-    count: int,
-    rng: np.random.Generator,
-    edges: bool = False,
+    view: Camera, points: NDArray[np.float32], count: int, rng: np.random.Generator
 ) -> Camera:
-    """A random square part of a view, with about `_SHOWN` of `count` Gaussians in it.
-
-    With `edges`, pixels there are in as many of the parts as others.
-    """
+    """A random square part of a view, with about `_SHOWN` of `count` Gaussians in it."""
     shown = count * float(_inside(points, np.zeros_like(points[0]), view).mean())
     area = _SHOWN / max(shown, 1) * view.width * view.height
-    side = min(math.sqrt(area), view.width, view.height)
-    room = np.array([view.width - side, view.height - side])
-    left, top = rng.uniform(0, room)
-    if edges:
-        left, top = np.clip(rng.uniform(-side / 2, room + side / 2), 0, room)
-    scale = _SIDE / side
+    side = min(math.sqrt(area), view.height)
+    corner = rng.uniform(0, [view.width - side, view.height - side])
+    return _cut(view, corner, side, _SIDE)
+
+
+def _cut(view: Camera, corner: NDArray[np.float64], side: float, pixels: int) -> Camera:
+    """The square part of a view from a corner on, in so many pixels a side."""
+    scale = pixels / side
+    left, top = corner.tolist()
     return replace(
         view,
-        width=_SIDE,
-        height=_SIDE,
+        width=pixels,
+        height=pixels,
         fx=scale * view.fx,
         fy=scale * view.fy,
         cx=scale * (view.cx - left),

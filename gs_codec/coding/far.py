@@ -1,0 +1,204 @@
+"""Far centres: a few that are so far away that a grid over all centres is too coarse for the rest.
+
+Training leaves such strays, some at 1e8 times the size of a scene. What is ordered or quantised
+over the range of all centres is then the same for all but the strays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.arrays import empty
+from gs_codec.scene import Scene
+
+#: Largest share of centres that may be far; with fewer than eight centres, none is.
+_MOST = 1 / 8
+
+#: Bits per coordinate that a grid gains for each hundredth of centres that it leaves outside, or
+#: more; and what all of them gain at least, beyond that.
+_BITS_PER_HUNDREDTH, _LEAST_BITS = 1.0, 2.0
+
+#: Centres within this factor of the best distance are not far: a scene's own outskirts.
+_OUTSKIRTS = 3.0
+
+#: On each axis the box reaches this share of its longest reach from the middle, to either side.
+_THINNEST = 1 / 8
+
+#: Standard deviations are not scaled below this share of the distance from the middle: a hundredth
+#: of a pixel.
+_FINEST = 1e-5
+
+#: Centres that quantiles are estimated from, and those that are looked at together.
+_SAMPLE, _AT_ONCE = 1 << 14, 1 << 18
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-parallel box.
+
+    Attributes
+    ----------
+    low, high : ndarray, shape (3,), float64
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FarCentres:
+    """Which centres are far, and where the others are.
+
+    Attributes
+    ----------
+    far : ndarray, shape (F,), int64
+        Indices of the far ones, ascending; at least one.
+    middle : ndarray, shape (3,), float64
+        Median of all centres.
+    reach : float
+        Largest distance of a near centre from the middle along an axis.
+    farthest : float
+        The same of all centres.
+    near : Box
+        The box of the near centres.
+    """
+
+    far: NDArray[np.int64]
+    middle: NDArray[np.float64]
+    reach: float
+    farthest: float
+    near: Box
+
+    def box(self, factor: float = 1.0) -> Box:
+        """The box of the near centres, made thicker where it is thin, enlarged about the middle."""
+        thin = _THINNEST * self.reach
+        return Box(
+            self.middle - factor * np.maximum(self.middle - self.near.low, thin),
+            self.middle + factor * np.maximum(self.near.high - self.middle, thin),
+        )
+
+
+def find_far(positions: NDArray[np.float32]) -> FarCentres | None:
+    """The far ones of finite centres ``(3, N)``; None if there are none, as in most scenes.
+
+    A distance is the largest of the three along axes, from the median. The scene is cut off where
+    a grid gains most: log2 of its size, against a bit for each hundredth of centres outside. If
+    that gains less than 2 bits, nothing is far.
+    """
+    count = positions.shape[1]
+    if count * _MOST < 1:
+        return None
+    some = positions[:, :: -(-count // _SAMPLE)].astype(np.float64)
+    middle = np.median(some, axis=1)
+    # Most of the far ones are beyond this, and so is no more than a part of the others.
+    start = float(np.quantile(_distances(some, middle), 1 - 2 * _MOST))
+    outer = np.concatenate(
+        [own[own > start] for own in (_distances(part, middle) for part in _parts(positions))]
+    )
+    if not outer.size or outer.max() < start * 2**_LEAST_BITS:
+        return None
+    reach = _reach(np.sort(outer), count)
+    if reach is None:
+        return None
+    far, low, high = [], np.full(3, np.inf), np.full(3, -np.inf)
+    for number, part in enumerate(_parts(positions)):
+        outside = _distances(part, middle) > reach
+        far.append(number * _AT_ONCE + np.flatnonzero(outside))
+        low = np.minimum(low, part[:, ~outside].min(axis=1, initial=np.inf))
+        high = np.maximum(high, part[:, ~outside].max(axis=1, initial=-np.inf))
+    return FarCentres(np.concatenate(far), middle, reach, float(outer.max()), Box(low, high))
+
+
+def _parts(positions: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
+    for start in range(0, positions.shape[1], _AT_ONCE):
+        yield positions[:, start : start + _AT_ONCE].astype(np.float64)
+
+
+def _distances(points: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.abs(points - middle[:, None]).max(axis=0)
+
+
+def _reach(outer: NDArray[np.float64], count: int) -> float | None:
+    """Largest distance of a near centre, of sorted distances of the outermost; None if no far."""
+    outside = np.arange(len(outer) - 1, -1, -1) / count
+    allowed = (outside <= _MOST) & (outer > 0)
+    if not allowed.any():
+        return None
+    outer, outside = outer[allowed], outside[allowed]
+    gained = np.log2(outer[-1] / outer) - 100 * _BITS_PER_HUNDREDTH * outside
+    best = int(np.argmax(gained))
+    if gained[best] < _LEAST_BITS:
+        return None
+    return float(outer[np.searchsorted(outer, _OUTSKIRTS * outer[best], "right") - 1])
+
+
+def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene, tuple[str, ...]]:
+    """Move far Gaussians that are outside a box onto its surface, and say so.
+
+    Each moves along the ray from the scene's middle, and is scaled down by the same factor: from
+    the middle it looks the same.
+
+    Parameters
+    ----------
+    scene : Scene
+    found : FarCentres or None
+        What `find_far` says of its centres.
+    box : Box
+        Holds all near centres.
+
+    Returns
+    -------
+    scene : Scene
+        The same one if nothing moves.
+    lost : tuple of str
+        What was done, in a sentence, if anything was.
+    """
+    if found is None:
+        return scene, ()
+    rays = scene.positions[:, found.far].astype(np.float64) - found.middle[:, None]
+    with np.errstate(divide="ignore"):
+        ends = np.where(rays > 0, box.high[:, None], box.low[:, None]) - found.middle[:, None]
+        factors = (np.abs(ends) / np.abs(rays)).min(axis=0)
+    moved = np.flatnonzero(factors < 1)
+    if not len(moved):
+        return scene, ()
+    which, rays, factors = found.far[moved], factors[moved] * rays[:, moved], factors[moved]
+    positions, log_scale = _copy(scene.positions), _copy(scene.log_scale)
+    positions[:, which] = np.clip(found.middle[:, None] + rays, box.low[:, None], box.high[:, None])
+    finest = np.log(_FINEST * np.sqrt((rays * rays).sum(axis=0)))
+    scales = log_scale[:, which].astype(np.float64)
+    log_scale[:, which] = np.maximum(scales + np.log(factors), np.minimum(scales, finest))
+    drawn = replace(scene, positions=positions, log_scale=log_scale)
+    return drawn, (_sentence(scene.positions, found, which),)
+
+
+def bring_nearer(scene: Scene, factor: float = 1.0) -> tuple[Scene, tuple[str, ...]]:
+    """A finite scene with its far Gaussians drawn to the box of the others, or to a larger one.
+
+    Returns the same as `draw_nearer`; `factor` as for `FarCentres.box`.
+    """
+    found = find_far(scene.positions)
+    return (scene, ()) if found is None else draw_nearer(scene, found, found.box(factor))
+
+
+def _copy(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    copied = empty(planes.shape, np.float32)
+    copied[:] = planes
+    return copied
+
+
+def _sentence(positions: NDArray[np.float32], found: FarCentres, moved: NDArray[np.int64]) -> str:
+    distances = _distances(positions[:, moved].astype(np.float64), found.middle)
+    stay = np.setdiff1d(found.far, moved)
+    others = _distances(positions[:, stay].astype(np.float64), found.middle)
+    least, most = float(distances.min()), float(distances.max())
+    span = f"{most:.4g}" if f"{least:.4g}" == f"{most:.4g}" else f"{least:.4g} to {most:.4g}"
+    return (
+        f"{len(moved):,} of {positions.shape[1]:,} Gaussians, {span} from the middle of the scene "
+        f"(the others: up to {others.max(initial=found.reach):.4g}), were moved nearer and scaled "
+        "down to look the same; --remove-floaters removes such Gaussians"
+    )

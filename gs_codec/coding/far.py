@@ -18,12 +18,12 @@ from gs_codec.scene import Scene
 #: Largest share of centres that may be far; with fewer than eight centres, none is.
 _MOST = 1 / 8
 
-#: Bits per coordinate that a grid gains for each hundredth of centres that it leaves outside, or
-#: more; and what all of them gain at least, beyond that.
-_BITS_PER_HUNDREDTH, _LEAST_BITS = 1.0, 2.0
+#: A scene is cut off where a grid gains most: bits per coordinate, less this many for each centre
+#: outside, as a share of all: one bit for a hundredth of them.
+_BITS = 100.0
 
-#: Centres within this factor of the best distance are not far: a scene's own outskirts.
-_OUTSKIRTS = 3.0
+#: Far is what is beyond this many times that distance: a scene's own outskirts are not.
+_OUTSKIRTS = 4.0
 
 #: On each axis the box reaches this share of its longest reach from the middle, to either side.
 _THINNEST = 1 / 8
@@ -85,24 +85,25 @@ class FarCentres:
 def find_far(positions: NDArray[np.float32]) -> FarCentres | None:
     """The far ones of finite centres ``(3, N)``; None if there are none, as in most scenes.
 
-    A distance is the largest of the three along axes, from the median. The scene is cut off where
-    a grid gains most: log2 of its size, against a bit for each hundredth of centres outside. If
-    that gains less than 2 bits, nothing is far.
+    A distance is the largest of the three along axes, from the median. The best distance to cut a
+    scene off is where a grid gains most: log2 of its size, less a bit for each hundredth of centres
+    outside. What is beyond four times that is far.
     """
     count = positions.shape[1]
     if count * _MOST < 1:
         return None
     some = positions[:, :: -(-count // _SAMPLE)].astype(np.float64)
     middle = np.median(some, axis=1)
-    # Most of the far ones are beyond this, and so is no more than a part of the others.
     start = float(np.quantile(_distances(some, middle), 1 - 2 * _MOST))
     outer = np.concatenate(
         [own[own > start] for own in (_distances(part, middle) for part in _parts(positions))]
     )
-    if not outer.size or outer.max() < start * 2**_LEAST_BITS:
+    farthest = float(outer.max(initial=0.0))
+    # The best distance is not less than the start: at most half of the outer ones are beyond it.
+    if farthest <= _OUTSKIRTS * start:
         return None
     reach = _reach(np.sort(outer), count)
-    if reach is None:
+    if reach == farthest:
         return None
     far, low, high = [], np.full(3, np.inf), np.full(3, -np.inf)
     for number, part in enumerate(_parts(positions)):
@@ -110,7 +111,7 @@ def find_far(positions: NDArray[np.float32]) -> FarCentres | None:
         far.append(number * _AT_ONCE + np.flatnonzero(outside))
         low = np.minimum(low, part[:, ~outside].min(axis=1, initial=np.inf))
         high = np.maximum(high, part[:, ~outside].max(axis=1, initial=-np.inf))
-    return FarCentres(np.concatenate(far), middle, reach, float(outer.max()), Box(low, high))
+    return FarCentres(np.concatenate(far), middle, reach, farthest, Box(low, high))
 
 
 def _parts(positions: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
@@ -122,18 +123,12 @@ def _distances(points: NDArray[np.float64], middle: NDArray[np.float64]) -> NDAr
     return np.abs(points - middle[:, None]).max(axis=0)
 
 
-def _reach(outer: NDArray[np.float64], count: int) -> float | None:
-    """Largest distance of a near centre, of sorted distances of the outermost; None if no far."""
+def _reach(outer: NDArray[np.float64], count: int) -> float:
+    """Largest distance of a near centre, of the sorted distances of the outermost."""
+    outer = outer[-(int(_MOST * count) + 1) :]
     outside = np.arange(len(outer) - 1, -1, -1) / count
-    allowed = (outside <= _MOST) & (outer > 0)
-    if not allowed.any():
-        return None
-    outer, outside = outer[allowed], outside[allowed]
-    gained = np.log2(outer[-1] / outer) - 100 * _BITS_PER_HUNDREDTH * outside
-    best = int(np.argmax(gained))
-    if gained[best] < _LEAST_BITS:
-        return None
-    return float(outer[np.searchsorted(outer, _OUTSKIRTS * outer[best], "right") - 1])
+    best = outer[np.argmin(np.log2(outer) + _BITS * outside)]
+    return float(outer[np.searchsorted(outer, _OUTSKIRTS * best, "right") - 1])
 
 
 def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene, tuple[str, ...]]:

@@ -36,8 +36,8 @@ from gs_codec.scene import Scene
 _LARGEST_SIDE = (1 << 14) - 4
 
 #: Far Gaussians are drawn to a box so many times as large as that of the others. Coordinates are
-#: logarithms: twice as large, and their steps are a fifth longer.
-REACH = 2.0
+#: logarithms, so that four times as large makes their steps a third to a half longer.
+REACH = 4.0
 
 #: Largest magnitude of SH: distances to rows of a palette are in float32.
 _LARGEST_SH = 2.0**12

@@ -47,6 +47,9 @@ _WRITTEN_BITS = 16
 #: Largest magnitude of a centre in fixed point, and of a component of a quaternion.
 _FARTHEST, _LONGEST = (1 << 23) - 1, 511
 
+#: Far centres are drawn to this magnitude, whose multiples of steps are not beyond the farthest.
+_DRAWN = 15 << 19
+
 #: Most octaves by which rounding is coarser than the format's own.
 _COARSEST = 20.0
 
@@ -131,8 +134,9 @@ def pack_spz(
     steps = AttributeSteps.least(scene) if steps is None else steps.take(order)
     found = find_far(scene.positions)
     ends = scene.positions if found is None else np.stack([found.near.low, found.near.high])
-    bits = _fraction_bits(float(np.abs(ends).max(initial=0.0)))
-    edge = np.full(3, _FARTHEST * 2.0**-bits)
+    farthest = float(np.abs(ends).max(initial=0.0))
+    bits = _fraction_bits(farthest)
+    edge = np.full(3, max(farthest, _DRAWN * 2.0**-bits))
     nearer, moved = draw_nearer(scene, found, Box(-edge, edge))
     turned = turn_axes(nearer.take(order), SYSTEM)
     flags = ANTIALIASED if scene.antialiased else 0

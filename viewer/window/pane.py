@@ -10,6 +10,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
+from gs_codec.coding.far import find_far
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
 from viewer.pictures.marker import LINES
@@ -314,8 +315,13 @@ def _tensor(array: NDArray) -> o3d.core.Tensor:
 
 
 def _box(positions: NDArray) -> tuple[NDArray, NDArray]:
-    """Lowest and highest coordinates of the finite centres."""
+    """Lowest and highest coordinates of the finite centres, but far ones.
+
+    With these, the near plane would be beyond all the others.
+    """
     finite = positions[np.isfinite(positions).all(axis=1)]
     if not len(finite):
         return -np.ones(3), np.ones(3)
+    if found := find_far(finite.T):
+        return found.near.low, found.near.high
     return finite.min(axis=0).astype(np.float64), finite.max(axis=0).astype(np.float64)

@@ -216,7 +216,8 @@ def _side_by_side_unmarked(first: Scene, second: Scene) -> tuple[Scene, Scene, s
 
 def _in_morton_order(scene: Scene) -> Scene:
     """The scene in the order of writers, which is that of centres in the convention's system."""
-    return scene.take(spatial_order(turn_axes(scene, CONVENTION).positions))
+    turned = turn_axes(scene, CONVENTION)
+    return scene.take(spatial_order(turned.positions, turned.log_scale))
 
 
 def are_together(first: Scene, second: Scene) -> bool:

@@ -18,9 +18,13 @@ from gs_codec.scene import Scene
 #: Largest share of centres that may be far; with fewer than eight centres, none is.
 _MOST = 1 / 8
 
-#: A scene is cut off where a grid gains most: bits per coordinate, less this many for each centre
-#: outside, as a share of all: one bit for a hundredth of them.
+#: A scene is cut off where a grid gains most: bits per coordinate, less this many for all centres
+#: that are outside, as a share of all: one for a hundredth of them.
 _BITS = 100.0
+
+#: And less this many for the sum over those outside of squares of size by distance: a background
+#: of a few large Gaussians is no stray. At most so many bits, which make any grid too coarse.
+_BITS_SEEN, _MOST_BITS_SEEN = 200.0, 6.0
 
 #: Far is what is beyond this many times that distance: a scene's own outskirts are not.
 _OUTSKIRTS = 4.0
@@ -82,12 +86,21 @@ class FarCentres:
         )
 
 
-def find_far(positions: NDArray[np.float32]) -> FarCentres | None:
-    """The far ones of finite centres ``(3, N)``; None if there are none, as in most scenes.
+def find_far(
+    positions: NDArray[np.float32], log_scale: NDArray[np.float32] | None = None
+) -> FarCentres | None:
+    """The far ones of finite centres; None if there are none, as in most scenes.
 
     A distance is the largest of the three along axes, from the median. The best distance to cut a
     scene off is where a grid gains most: log2 of its size, less a bit for each hundredth of centres
-    outside. What is beyond four times that is far.
+    outside, and less up to six bits if those outside look large. What is beyond four times that
+    distance is far.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (3, N)
+    log_scale : ndarray, shape (3, N), optional
+        Without it, Gaussians are points.
     """
     count = positions.shape[1]
     if count * _MOST < 1:
@@ -95,39 +108,60 @@ def find_far(positions: NDArray[np.float32]) -> FarCentres | None:
     some = positions[:, :: -(-count // _SAMPLE)].astype(np.float64)
     middle = np.median(some, axis=1)
     start = float(np.quantile(_distances(some, middle), 1 - 2 * _MOST))
-    outer = np.concatenate(
-        [own[own > start] for own in (_distances(part, middle) for part in _parts(positions))]
-    )
+    outer, where = _beyond(positions, middle, start)
     farthest = float(outer.max(initial=0.0))
     # The best distance is not less than the start: at most half of the outer ones are beyond it.
-    if farthest <= _OUTSKIRTS * start:
+    if not farthest > _OUTSKIRTS * start:
         return None
-    reach = _reach(np.sort(outer), count)
+    sizes = np.zeros(len(outer)) if log_scale is None else _sizes(log_scale[:, where], outer)
+    order = np.argsort(outer)
+    reach = _reach(outer[order], sizes[order], count)
     if reach == farthest:
         return None
-    far, low, high = [], np.full(3, np.inf), np.full(3, -np.inf)
-    for number, part in enumerate(_parts(positions)):
-        outside = _distances(part, middle) > reach
-        far.append(number * _AT_ONCE + np.flatnonzero(outside))
-        low = np.minimum(low, part[:, ~outside].min(axis=1, initial=np.inf))
-        high = np.maximum(high, part[:, ~outside].max(axis=1, initial=-np.inf))
-    return FarCentres(np.concatenate(far), middle, reach, farthest, Box(low, high))
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for _, part in _parts(positions):
+        near = part[:, _distances(part, middle) <= reach]
+        low = np.minimum(low, near.min(axis=1, initial=np.inf))
+        high = np.maximum(high, near.max(axis=1, initial=-np.inf))
+    return FarCentres(where[outer > reach], middle, reach, farthest, Box(low, high))
 
 
-def _parts(positions: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
+def _beyond(
+    positions: NDArray[np.float32], middle: NDArray[np.float64], start: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distances of the centres beyond one, and their indices."""
+    found, where = [], []
+    for first, part in _parts(positions):
+        distances = _distances(part, middle)
+        which = np.flatnonzero(distances > start)
+        found.append(distances[which])
+        where.append(first + which)
+    return np.concatenate(found), np.concatenate(where)
+
+
+def _parts(positions: NDArray[np.float32]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Index of the first, and centres, of those that are looked at together."""
     for start in range(0, positions.shape[1], _AT_ONCE):
-        yield positions[:, start : start + _AT_ONCE].astype(np.float64)
+        yield start, positions[:, start : start + _AT_ONCE].astype(np.float64)
 
 
 def _distances(points: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.abs(points - middle[:, None]).max(axis=0)
 
 
-def _reach(outer: NDArray[np.float64], count: int) -> float:
+def _sizes(log_scale: NDArray[np.float32], distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squares of the longest standard deviations by distances, at most 1."""
+    return np.exp(2 * np.fmin(log_scale.max(axis=0) - np.log(distances), 0.0))
+
+
+def _reach(outer: NDArray[np.float64], sizes: NDArray[np.float64], count: int) -> float:
     """Largest distance of a near centre, of the sorted distances of the outermost."""
-    outer = outer[-(int(_MOST * count) + 1) :]
+    most = int(_MOST * count) + 1
+    outer, sizes = outer[-most:], sizes[-most:]
     outside = np.arange(len(outer) - 1, -1, -1) / count
-    best = outer[np.argmin(np.log2(outer) + _BITS * outside)]
+    seen = np.cumsum(sizes[::-1])[::-1] - sizes
+    lost = _BITS * outside + np.minimum(_BITS_SEEN * seen, _MOST_BITS_SEEN)
+    best = outer[np.argmin(np.log2(outer) + lost)]
     return float(outer[np.searchsorted(outer, _OUTSKIRTS * best, "right") - 1])
 
 
@@ -176,7 +210,7 @@ def bring_nearer(scene: Scene, factor: float = 1.0) -> tuple[Scene, tuple[str, .
 
     Returns the same as `draw_nearer`; `factor` as for `FarCentres.box`.
     """
-    found = find_far(scene.positions)
+    found = find_far(scene.positions, scene.log_scale)
     return (scene, ()) if found is None else draw_nearer(scene, found, found.box(factor))
 
 

@@ -96,16 +96,19 @@ def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDA
     return cells
 
 
-def spatial_order(positions: NDArray[np.float32]) -> NDArray[np.int64]:
+def spatial_order(
+    positions: NDArray[np.float32], log_scale: NDArray[np.float32] | None = None
+) -> NDArray[np.int64]:
     """Permutation ``(N,)`` that sorts finite centres ``(3, N)`` along a Morton curve.
 
-    Far centres come last, along a curve of their own: they would leave one cell for all others.
+    Far ones come last, along a curve of their own: they would leave one cell for all others. Which
+    are far depends on sizes too; see `find_far`.
     """
-    found = find_far(positions)
+    found = find_far(positions, log_scale)
     if found is None:
         return _along_curve(positions)
     near = np.delete(np.arange(positions.shape[1]), found.far)
-    far = found.far[spatial_order(positions[:, found.far])]
+    far = found.far[spatial_order(positions[:, found.far])]  # of any size
     # Backwards, so that it begins near the corner where the curve of the others ends.
     return np.concatenate([near[_along_curve(positions[:, near])], far[::-1]])
 

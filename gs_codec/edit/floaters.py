@@ -104,7 +104,7 @@ def find_floaters(
     apart[finite] = _apart(scene.take(finite))
     labels[apart > _FAR] = FLOATERS.index("isolated")
     far = np.zeros(scene.count, bool)
-    if found := find_far(scene.positions[:, finite]):
+    if found := find_far(scene.positions[:, finite], scene.log_scale[:, finite]):
         far[finite[found.far]] = True
     if cameras is None:
         labels[far & (labels == 0)] = FLOATERS.index("outside")

@@ -162,7 +162,7 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     """
     check_finite(scene, ".compressed.ply")
     nearer, moved = bring_nearer(scene)
-    scene = nearer.take(spatial_order(scene.positions))
+    scene = nearer.take(spatial_order(scene.positions, scene.log_scale))
     columns, ranges = _packed_shares(scene)
     vertex = np.empty(scene.count, [(name, "<u4") for name in _PACKED])
     vertex["packed_position"] = _joined(columns[:3], _BITS)

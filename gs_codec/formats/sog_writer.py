@@ -63,7 +63,7 @@ def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, 
         If a value is not finite, or an image would have more pixels than WebP has.
     """
     check_finite(scene, ".sog")
-    order = spatial_order(scene.positions)
+    order = spatial_order(scene.positions, scene.log_scale)
     steps = AttributeSteps.least(scene) if steps is None else steps
     nearer, moved = bring_nearer(scene, REACH)
     files, (rounded, *lost) = sog_files_of(nearer.take(order), steps.take(order))

@@ -130,9 +130,9 @@ def pack_spz(
         If a value is not finite.
     """
     check_finite(scene, ".spz")
-    order = spatial_order(scene.positions)
+    order = spatial_order(scene.positions, scene.log_scale)
     steps = AttributeSteps.least(scene) if steps is None else steps.take(order)
-    found = find_far(scene.positions)
+    found = find_far(scene.positions, scene.log_scale)
     ends = scene.positions if found is None else np.stack([found.near.low, found.near.high])
     farthest = float(np.abs(ends).max(initial=0.0))
     bits = _fraction_bits(farthest)

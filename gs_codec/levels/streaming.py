@@ -65,7 +65,7 @@ def stream_levels(
         if not scene.count:
             raise InvalidInput(f"no Gaussians, {STREAMED} has at least one")
         nearer, moved = bring_nearer(scene, REACH)
-        leaves = _leaves(nearer.take(spatial_order(scene.positions)), leaf)
+        leaves = _leaves(nearer.take(spatial_order(scene.positions, scene.log_scale)), leaf)
         files: dict[str, bytes] = {}
         runs: list[list[Run]] = []
         told: list[str] = [*moved]
@@ -107,7 +107,7 @@ def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
         found = [scene.between(*ends)]
         for _ in range(depth):
             merged, _ = coarsen(found[-1], scene.antialiased)
-            merged = merged.take(spatial_order(merged.positions))
+            merged = merged.take(spatial_order(merged.positions, merged.log_scale))
             found.append(replace(merged, comments=comments))
         return found
 

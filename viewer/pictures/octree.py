@@ -67,7 +67,10 @@ class Octree:
         places = {scene: scene.positions[mask].T for scene, mask in kept.items()}
         both = np.concatenate(list(places.values()), axis=1)
         # Very far centres are in the outermost cells: around them, all others would be in one.
-        if found := find_far(both):
+        lengths = np.concatenate([scene.lengths[mask] for scene, mask in kept.items()])
+        with np.errstate(divide="ignore"):
+            sizes = np.log(lengths)
+        if found := find_far(both, sizes[None]):
             box = found.box(_AROUND)
             both = np.clip(both, box.low[:, None], box.high[:, None])
         self._cube = Cube.around(both) if both.size else Cube((0.0, 0.0, 0.0), 1.0)

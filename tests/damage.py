@@ -10,11 +10,11 @@ from functools import cache
 
 import numpy as np
 from crc32c import crc32c
-from scenes import random_scene
+from scenes import random_scene, with_far
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.config import LOSSLESS, PROFILE_CHOICES, Config
 from gs_codec.egs.file import Section, SectionId, in_file_order, read_file, write_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
@@ -33,11 +33,18 @@ REFUSALS = (CorruptStream, TruncatedStream, UnsupportedVersion)
 TIMES_LIMIT, TIMES_FILE, A_THREAD = 3, 64, 32 << 20
 
 
+#: What `sample` takes for a file of profile `m` with far Gaussians; what there are samples of.
+FAR = "far"
+SAMPLES = (*PROFILE_CHOICES, FAR)
+
+
 @cache
 def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -> bytes:
     """A file of several blocks, with a comment and two extra properties."""
     carried = {"label": np.arange(count, dtype="<i4"), "mark": np.zeros(count, "<u2")}
     scene = random_scene(count, degree, seed=60)
+    if profile == FAR:
+        profile, scene = "m", with_far(scene, 1 + count // 5)
     scene = replace(scene, extra=carried, comments=("a comment",), has_normals=True)
     config = Config(profile, extra="keep")
     # Smaller blocks than an encoder may be asked for: more of them in less to damage.
@@ -52,9 +59,10 @@ def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> 
     changed = {**file.sections, (section_id, block): content}
     sections = [Section(SectionId(i), b, d) for (i, b), d in changed.items() if d is not None]
     found = {section.id for section in sections}
-    features = Feature.GPCC * (SectionId.TOOL in found) | Feature.TORCHAC * (
-        SectionId.CODER in found
-    )
+    needed = {
+        SectionId.TOOL: Feature.GPCC, SectionId.CODER: Feature.TORCHAC, SectionId.FAR: Feature.FAR,
+    }  # fmt: skip
+    features = sum(feature for section, feature in needed.items() if section in found)
     header = replace(file.header, features=Feature(features))
     return write_file(header, in_file_order(sections))
 

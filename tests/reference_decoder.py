@@ -17,11 +17,11 @@ from reference_tools import Reader, check, crc32c, finite
 
 MAGIC = bytes.fromhex("894547530D0A1A0A")
 CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, GPCC, TOOL, CODER = 1, 11, 12, 13, 16, 17, 18, 19
-LEVEL, ERRORS = 20, 21
+LEVEL, ERRORS, FAR_CENTRES = 20, 21, 22
 SCENE = {CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, TOOL, CODER, ERRORS}
-KNOWN = range(1, 22)
+KNOWN = range(1, 23)
 FIRST = (INDEX, ERRORS, CHANNELS, LATTICE, TOOL, CODER)
-G_PCC, TORCHAC = 1, 2
+G_PCC, TORCHAC, FAR = 1, 2, 4
 LOSSLESS = 6
 TYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 LAYOUT = re.compile(r"[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]", re.ASCII)
@@ -88,7 +88,7 @@ def read_header(data):
     reader = Reader(data, "header")
     check(reader.take(8) == MAGIC, "header: not an .egs file")
     version, minor, size = reader.numbers("HHI")
-    check(version == 1, f"header: version {version}")
+    check(version in (1, 2), f"header: version {version}")
     count, features, flags, axes, profile, degree = reader.numbers("QIHBBB")
     reserved, block_size, sections = reader.take(3), reader.u32(), reader.u32()
     check(size == 48 + 20 * sections, f"header: {size} bytes, expected {48 + 20 * sections}")
@@ -96,11 +96,13 @@ def read_header(data):
     table = tuple(Entry(*reader.numbers("HHIQI")) for _ in range(sections))
     check(crc32c(data[: reader.at]) == reader.u32(), "header: checksum")
     check(count < 1 << 53, "header: count")
-    check(features < 4, f"header: features {features:#x} are not known")
+    check(features < 8, f"header: features {features:#x} are not known")
+    check(version == (2 if features >= 4 else 1), f"header: version {version}")
     check(flags < 8, f"header: flags {flags:#x}")
     check(not flags & 2 or profile == LOSSLESS, "header: order of the input, but not lossless")
     check(profile <= 6, f"header: profile {profile}")
-    check(not features or profile <= 2, f"header: features with profile {profile}")
+    of_profile = G_PCC | TORCHAC if profile <= 2 else 0 if profile == LOSSLESS else FAR
+    check(not features & ~of_profile, f"header: features with profile {profile}")
     check(degree <= 3, f"header: SH degree {degree}")
     check(reserved == b"\0\0\0", "header: reserved bytes are not 0")
     check(1 <= block_size <= 65536, f"header: block size {block_size}")
@@ -163,7 +165,9 @@ def check_presence(header, sections, of_scene, of_blocks):
         of_scene = of_scene | {INDEX}
     expected = {(number, 0) for number in of_scene}
     expected |= {(number, block) for number in of_blocks for block in range(header.blocks)}
-    free = (COMMENTS, EXTRA, LEVEL)
+    free = (COMMENTS, EXTRA, LEVEL, FAR_CENTRES)
+    has_far = any(number == FAR_CENTRES for number, _ in sections)
+    check(has_far == bool(header.features & FAR), "far: feature or sections are missing")
     found = {key for key in sections if key[0] in KNOWN and key[0] not in free}
     check(found == expected, f"sections: (id, block) {sorted(found ^ expected)[:3]}")
 
@@ -326,9 +330,10 @@ def decode_levels(data):
         content = sections[LEVEL, number]
         own, parts = read_file(content)
         check(not any(section == LEVEL for section, _ in parts), "level: has levels")
-        same = ("features", "antialiased", "coordinates", "profile", "sh_degree", "block_size")
+        same = ("antialiased", "coordinates", "profile", "sh_degree", "block_size")
         for name in same:
             check(getattr(own, name) == getattr(header, name), f"level {number}: {name}")
+        check(not own.features & ~header.features, f"level {number}: features")
         check(own.count == counts[number - 1], f"level {number}: {own.count} Gaussians")
         check(not own.has_normals and not own.kept_order, f"level {number}: flags")
         decoded = decode_file(content, level=True)
@@ -434,6 +439,8 @@ def decode_scene(header, sections):
         own = {ERRORS} if (ERRORS, 0) in sections else set()
         check_presence(header, sections, {LATTICE} | own, expected)
         lattice = reference_lattice.read_lattice(sections[LATTICE, 0], header.sh_degree)
+        far = header.features & FAR
+        check(not far or sum(lattice.bits) <= 62, "lattice: too many bits with far Gaussians")
 
         def decode_block(*block):
             return reference_lattice.decode_block(lattice, *block)

@@ -27,7 +27,7 @@ from reference_tools import (
 )
 
 GEOMETRY, SH_DC, STATES, OPACITY, SCALING, ROTATION, SH_1, SH_2, SH_3 = range(2, 11)
-CLASSES, LOW_BITS = 14, 15
+CLASSES, LOW_BITS, FAR_CENTRES = 14, 15, 22
 BANDS = (SH_1, SH_2, SH_3)
 PRECISION = 12
 ONE = 1 << 20
@@ -297,7 +297,8 @@ def decode_places(lattice, sections, gaussians):
     axes = axes_of(lattice.bits)
     raw = RawBits(sections[LOW_BITS], "low-bits")
     places = []
-    for leaf in read_tree(sections[GEOMETRY], len(gaussians), len(axes)):
+    far = len(far_centres(sections, len(gaussians)))
+    for leaf in read_tree(sections[GEOMETRY], len(gaussians) - far, len(axes)):
         dropped = 0
         if leaf.count == 1:
             gaussian = gaussians[len(places)]
@@ -309,7 +310,20 @@ def decode_places(lattice, sections, gaussians):
         place = tuple(2 * cells[axis] + (1 << lowest.count(axis)) for axis in range(3))
         places += [place] * leaf.count
     raw.finish()
-    return places
+    return places + [tuple(2 ** (b + 1) - 1 for b in lattice.bits)] * far
+
+
+def far_centres(sections, count):
+    """Centres of the last Gaussians of a block, those that are far (section "Far Gaussians")."""
+    if FAR_CENTRES not in sections:
+        return []
+    reader = Reader(sections[FAR_CENTRES], "far")
+    centres = []
+    while not centres or reader.at < len(sections[FAR_CENTRES]):
+        centres.append(reader.numbers("3f"))
+    check(len(centres) <= count, "far: more than the block has")
+    check(all(finite(*centre) for centre in centres), "far: a centre is not finite")
+    return centres
 
 
 # Colours
@@ -451,6 +465,9 @@ def decode_block(lattice, sections, count, sh_degree):
     places = decode_places(lattice, sections, gaussians)
     near = [neighbours_of(places, i) for i in range(count)]
     found = shape_floats(lattice, gaussians, places)
+    for k, centre in enumerate(reversed(far_centres(sections, count)), 1):
+        for name, number in zip("xyz", centre, strict=True):
+            found[name][-k] = number
     planes = decode_dc(lattice, states, sections[SH_DC], gaussians, near)
     found.update((f"f_dc_{c}", plane) for c, plane in enumerate(colours_of(planes)))
     colours = decode_ac(lattice, states, sections, gaussians, near, sh_degree)

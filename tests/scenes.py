@@ -43,6 +43,23 @@ def random_scene(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
     return Scene(**{name: plane.astype(np.float32) for name, plane in planes.items()})
 
 
+def with_far(scene: Scene, number: int, seed: int = 0, lowest: float = 1e3) -> Scene:
+    """The scene with some centres moved away, in random directions, to `lowest` up to 1e9.
+
+    The first ones are as far away as floats go, and on one axis alone.
+    """
+    rng = np.random.default_rng(seed)
+    moved = rng.choice(scene.count, number, replace=False)
+    away = rng.normal(size=(3, number))
+    away *= 10 ** rng.uniform(np.log10(lowest), 9, number) / np.linalg.norm(away, axis=0)
+    positions = scene.positions.copy()
+    positions[:, moved] = away
+    largest = float(np.finfo(np.float32).max)
+    for place, far in zip(moved, ((-0.0, 0.0, -largest), (largest, largest, 1e9)), strict=False):
+        positions[:, place] = far
+    return replace(scene, positions=positions)
+
+
 def edge_scenes() -> dict[str, Scene]:
     """Scenes at the limits of what there can be, by name."""
     base = random_scene(500, 3, seed=1)

@@ -516,7 +516,7 @@ BAD_EGS = {
     "empty": (lambda good: b"", "empty file"),
     "text": (lambda good: b"these are\nno Gaussians\n", "not an .egs file"),
     "signature alone": (lambda good: good[:8], "header"),
-    "version 2": (lambda good: resealed(good, 8, b"\2\0"), "version 2 .*knows 1"),
+    "version 3": (lambda good: resealed(good, 8, b"\3\0"), "version 3 .*knows 1 and 2"),
     "version 0": (lambda good: resealed(good, 8, b"\0\0"), "version 0"),
     "reserved flag": (lambda good: resealed(good, 28, b"\x08"), "reserved"),
     "bit of the count": (lambda good: flipped(good, 16), "header"),

@@ -96,7 +96,7 @@ def test_processors_do_not_matter_to_levels():
 def test_golden_files_are_written_and_read_by_any_threads(name, threads):
     scene, config = golden_scenes()[name]
     options = {**vars(config), "threads": threads}
-    golden = (ROOT / "tests" / "golden" / f"v1-{name}").with_suffix(".egs")
+    golden = (ROOT / "tests" / "golden" / name).with_suffix(".egs")
     data = golden.read_bytes()
     assert encode_by(scene, Config(**options), GUIDES.get(name)) == data
     decoded = decode_scene(data, threads)

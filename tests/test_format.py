@@ -11,14 +11,13 @@ from reference_channels import model_frequencies
 from reference_decoder import decode, read_file
 from reference_lattice import read_lattice
 from reference_tools import frequencies
-from scenes import edge_scenes, encode_by, made_up_guide, random_scene
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene, with_far
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs.models import Component, MixtureModel
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.frequency_table import normalise
 from gs_codec.config import DEPTH_GROUPS, Config
-from gs_codec.egs import file
 from gs_codec.formats.ply import read_ply
 from gs_codec.scene import other_comments
 
@@ -60,7 +59,12 @@ def far_apart(seed, count):
     largest = np.finfo(np.float32).max
     positions = scene.positions / np.abs(scene.positions).max() * largest
     positions[:, 0], positions[:, 1] = -largest, largest
-    return replace(scene, positions=positions)
+    # Large ones, as small ones would be far Gaussians.
+    return replace(scene, positions=positions, log_scale=scene.log_scale + np.float32(80))
+
+
+def some_far(seed, count, number):
+    return with_far(random_scene(count, 2, seed=seed), number, seed)
 
 
 def identical(seed, count):
@@ -209,6 +213,9 @@ LATTICE_CASES = {
     "one-place-seed8": (one_place, (8, 200)),
     "few-levels-seed9": (few_levels, (9, 300)),
     "far-apart-seed16": (far_apart, (16, 50)),
+    "one-far-seed17": (some_far, (17, 50, 1)),
+    "many-far-seed18": (some_far, (18, 1100, 400)),
+    "two-far-seed19": (some_far, (19, 3, 2)),
 }
 
 
@@ -280,8 +287,6 @@ def test_random_weights_give_the_same_table(seed):
     assert told == normalise(weights, 8).frequencies.tolist()
 
 
-def test_version_that_is_told_is_the_files_own(monkeypatch):
-    data = encode_scene(random_scene(5, 0), Config("m"))[0]
-    monkeypatch.setattr(file, "VERSION", 3)
-    assert inspect_bytes(data).version == 1
-    assert inspect_bytes(encode_scene(random_scene(5, 0), Config("m"))[0]).version == 3
+def test_version_that_is_told_is_the_files_own():
+    for version, scene in enumerate((random_scene(5, 0), with_far(random_scene(5, 0), 1)), 1):
+        assert inspect_bytes(encode_scene(scene, Config("m"))[0]).version == version

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import sample, with_section
+from damage import FAR, sample, with_section
 from golden.make import GUIDES
-from scenes import edge_scenes, encode_by, random_scene
+from scenes import edge_scenes, encode_by, random_scene, with_far
 
 import gs_codec
 from gs_codec.codecs import decode_scene
@@ -43,6 +43,7 @@ ENCODED: dict[str, tuple[Scene, str, int]] = {
     **{f"edge {n}": (s.take(np.arange(min(s.count, 24))), "m", 64) for n, s in EDGES.items()},
     **{f"degree {d}": (random_scene(40 + d, d, seed=61 + d), "lsml"[d], 33) for d in range(4)},
     "strong": (replace(STRONG, f_rest=30 * STRONG.f_rest, f_dc=40 * STRONG.f_dc), "m", 100),
+    "far": (with_far(random_scene(40, 1, seed=66), 5), "m", 16),
 }
 
 
@@ -75,9 +76,10 @@ def folder(tmp_path_factory) -> Path:
         (folder / f"{name}.egs").write_bytes((HERE / "golden" / f"{name}.egs").read_bytes())
     for name, scene in EDGES.items():
         few = scene.take(np.arange(min(scene.count, 24)))
-        data = encode_by(few, Config("m"), GUIDES["guided"] if name == "pairs" else None)
+        data = encode_by(few, Config("m"), GUIDES["v1-guided"] if name == "pairs" else None)
         (folder / f"{name}.egs").write_bytes(data)
     (folder / "blocks.egs").write_bytes(sample("s", 70, 3, 33))
+    (folder / "far.egs").write_bytes(sample(FAR, 20, 1, 8))
     # Sums of SH-AC up to the highest contexts, and many tables.
     strong = replace(STRONG, f_rest=8 * STRONG.f_rest)
     (folder / "strong.egs").write_bytes(encode_by(strong, Config("m")))
@@ -121,7 +123,7 @@ def check_same(found, scene: Scene) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", [*GOLDEN, *EDGES, "blocks", "strong"])
+@pytest.mark.parametrize("name", [*GOLDEN, *EDGES, "blocks", "far", "strong"])
 def test_a_device_decodes_to_the_same_bits(folder, name):
     with np.load(folder / f"{name}.npz") as found:
         check_same(found, decode_scene((folder / f"{name}.egs").read_bytes()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import replace
 from itertools import product
@@ -9,6 +10,7 @@ from itertools import product
 import pytest
 from crc32c import crc32c
 from damage import ENTRY, HEADER, SECTIONS, sample, with_checksums, with_section
+from reference_decoder import decode as reference_decode
 from scenes import random_scene
 
 from gs_codec.codecs import decode_scene, encode_scene
@@ -66,12 +68,18 @@ def test_any_minor_version_is_read():
 
 
 @pytest.mark.parametrize(
-    ("features", "named"), [(4, "2"), (1 << 31, "31"), (0b1101, "2, 3"), ((1 << 32) - 1, "2, 3, 4")]
+    ("features", "named"),
+    [
+        (8, "3 (local SH basis), this reader knows 0 (G-PCC), 1 (torchac), 2 (far Gaussians)"),
+        (1 << 31, "31, this"),
+        (0b11101, "3 (local SH basis), 4 (sequences), this"),
+        ((1 << 32) - 1, "3 (local SH basis), 4 (sequences), 5, 6, 7"),
+    ],
 )
 def test_unknown_features_are_named(features, named):
     data = patched(encode_scene(scene())[0], FEATURES, "I", features)
     for read in (decode_scene, inspect_bytes):
-        with pytest.raises(UnsupportedVersion, match=f"needs features {named}"):
+        with pytest.raises(UnsupportedVersion, match=re.escape(f"needs features {named}")):
             read(data)
 
 
@@ -95,6 +103,28 @@ def test_names_of_features():
     assert Feature(3).labels == ("G-PCC", "torchac")
     assert Feature.TORCHAC.labels == ("torchac",)
     assert Feature.NONE.labels == ()
+    assert Feature.FAR.labels == ("far Gaussians",)
+
+
+@pytest.mark.parametrize(
+    ("profile", "features", "version", "told"),
+    [
+        ("m", 0, 2, "version 2 with features: none"),
+        ("m", 4, 1, "version 1 with features: far Gaussians"),
+        ("m", 4, 2, "feature far Gaussians is stated, unlike section 'far'"),
+        ("paper-m", 3, 2, "version 2 with features: G-PCC, torchac"),
+        ("paper-m", 4, 2, "far Gaussians with profile paper-m"),
+        (LOSSLESS, 4, 2, "far Gaussians with profile lossless"),
+    ],
+)
+def test_versions_and_features_go_together(profile, features, version, told):
+    data = patched(encode_scene(scene(), Config(profile))[0], FEATURES, "I", features)
+    data = patched(data, VERSION, "H", version)
+    for read in (decode_scene, inspect_bytes):
+        with pytest.raises(CorruptStream, match=told):
+            read(data)
+    with pytest.raises(ValueError, match=r"header|far"):
+        reference_decode(data)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

@@ -207,11 +207,15 @@ def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
 def test_what_is_not_possible_is_told():
     data = blocks()
     future, features = bytearray(data), bytearray(data)
-    future[8], features[24] = 2, 4
+    future[8], features[24] = 3, 8
     paper = encode_scene(random_scene(40, 1), Config("paper-m"))[0]
     jobs = [
-        ({"bytes": future}, "UnsupportedError", "header: version 2"),
-        ({"bytes": with_checksums(features)}, "UnsupportedError", "header: features 4"),
+        ({"bytes": future}, "UnsupportedError", "header: version 3"),
+        (
+            {"bytes": with_checksums(features)},
+            "UnsupportedError",
+            "header: features local SH basis",
+        ),
         ({"bytes": b"ply\n" * 9}, "CorruptError", "not an .egs file"),
         ({"bytes": b""}, "CorruptError", "cut off before byte 16"),
         ({"bytes": data + b"\0\0\0\0"}, "CorruptError", "bytes after the last section"),

@@ -324,12 +324,12 @@ def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
     place = 3 * len(data) // 4
     bad = {
         "damaged": data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :],
-        "later": data[:8] + b"\2" + data[9:],
+        "later": data[:8] + b"\3" + data[9:],
         "cut": data[: len(data) // 2],
         "text": b"<html>not found</html>",
     }
     said = {
-        "damaged": "checksum", "later": "version 2 of the format", "cut": "cut off",
+        "damaged": "checksum", "later": "version 3 of the format", "cut": "cut off",
         "text": "not an .egs file",
     }  # fmt: skip
     site = tmp_path / "site"

@@ -13,6 +13,7 @@ from gs_codec.codecs.decode import ChosenPart, carried, choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
 from gs_codec.guidance.planned import encode_camera_free
@@ -66,8 +67,8 @@ class Splats:
 def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
     """Decode an `.egs` file or stream to tensors on a device.
 
-    A CUDA device decodes profiles ``l``, ``m`` and ``s`` itself. Files of other profiles are
-    decoded on the CPU, and their numbers copied to the device.
+    A CUDA device decodes profiles ``l``, ``m`` and ``s`` itself. Files of other profiles, and those
+    with far Gaussians, are decoded on the CPU, and their numbers copied to the device.
 
     Parameters
     ----------
@@ -182,7 +183,9 @@ def _is_complete() -> bool:
 
 def _decode(chosen: ChosenPart, device: str) -> Splats:
     header = chosen.file.header
-    if device != "cpu" and header.profile in ADAPTIVE_PROFILES:
+    # Kernels know nothing of far Gaussians.
+    by_kernels = header.profile in ADAPTIVE_PROFILES and Feature.FAR not in header.features
+    if device != "cpu" and by_kernels:
         from gs_codec.codecs.cuda.decode import decode_blocks
 
         carried(chosen.file)  # Damage there is found, too.

@@ -186,6 +186,8 @@ def _print_info(file: Path, info: Info) -> None:
         print_text(f"geometry and SH-DC: G-PCC, by '{info.tool}'")
     if info.coder.startswith("torchac"):
         print_text(f"attributes: coded by '{info.coder}'")
+    if info.far:
+        print_text(f"far Gaussians: {info.far:,}, whose centres are stored as they are")
     print_table(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],

@@ -320,6 +320,8 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
         own = own | {SectionId.COMMENTS, SectionId.EXTRA}
         if header.profile in ADAPTIVE_PROFILES:
             own = own | {SectionId.LEVEL}
+    if header.profile in ADAPTIVE_PROFILES:
+        own = own | {SectionId.FAR}
     others = set(SectionId) - own - expected
     for section_id, block in file.table:
         if section_id in others:

@@ -13,7 +13,7 @@ import numpy as np
 from gs_codec.codecs.adaptive.contexts import ContextList, passes
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGrid
 from gs_codec.codecs.adaptive.rotation import rules_of
-from gs_codec.codecs.adaptive.section import PassModels, lattice_of
+from gs_codec.codecs.adaptive.section import PassModels, far_count, lattice_of
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
@@ -142,6 +142,8 @@ class Info:
         ``RUB`` (right, up, back).
     antialiased : bool
         Whether opacity compensation is asked for.
+    far : int
+        Number of far Gaussians: outside of the grid, their centres are stored as they are.
     skipped : tuple of str
         What takes no bits, in words, as far as header and tables tell.
     levels : tuple of LevelInfo
@@ -169,6 +171,7 @@ class Info:
     grid: PositionGrid | None = None
     coordinates: str | None
     antialiased: bool
+    far: int = 0
     skipped: tuple[str, ...]
     levels: tuple[LevelInfo, ...] = ()
 
@@ -225,6 +228,7 @@ def describe(file: EgsFile) -> Info:
         streams=_streams(file),
         coordinates=header.coordinates,
         antialiased=header.antialiased,
+        far=far_count(file),
         bounds=bounds_of(file),
         levels=tuple(_level_info(file, level) for level in levels_of(file)),
         **details(file),

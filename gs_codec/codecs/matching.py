@@ -12,7 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gs_codec.codecs.adaptive.lattice import PositionGrid, grid_codes
+from gs_codec.codecs.adaptive.lattice import (
+    MOST_AXIS_BITS,
+    MOST_FAR_BITS,
+    PositionGrid,
+    grid_codes,
+)
 from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
@@ -28,6 +33,9 @@ from gs_codec.scene import Scene
 #: Start of the comment line.
 _MARK = "gs_codec order "
 _GRID, _FLOATS = "grid", "floats"
+
+#: Last word of a line on a grid, if Gaussians outside of it come last.
+_FAR = "far"
 
 _INSTEAD = "compare with the original, or what cameras see (--cameras auto)"
 _UNRELATED = f"neither scene was decoded from the other: {_INSTEAD}"
@@ -80,7 +88,8 @@ class GridOrder:
 
     def __str__(self) -> str:
         numbers = " ".join(f"{x!r}" for x in (*self.grid.origin, self.grid.step))
-        return f"{_GRID} {numbers} {' '.join(map(str, self.grid.bits))}"
+        far = f" {_FAR}" * self.grid.has_far
+        return f"{_GRID} {numbers} {' '.join(map(str, self.grid.bits))}{far}"
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
         """The original in the decoded scene's order, its axes as they were coded."""
@@ -153,15 +162,18 @@ def _marks(scene: Scene) -> tuple[str, ...]:
 
 
 def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
+    has_far = fields[-1:] == [_FAR]
     try:
         x, y, z, step = (float(field) for field in fields[:4])
-        a, b, c = (int(field) for field in fields[4:])
+        a, b, c = (int(field) for field in fields[4 : len(fields) - has_far])
     except ValueError:
         raise InvalidInput(f"comment '{mark}': expected four numbers and three depths") from None
     finite = all(map(math.isfinite, (x, y, z, step))) and step > 0
-    if not finite or not 0 <= min(a, b, c) <= max(a, b, c) <= 21:
+    grid = PositionGrid((x, y, z), step, (a, b, c), has_far)
+    many = max(a, b, c) > MOST_AXIS_BITS or (has_far and grid.total_bits > MOST_FAR_BITS)
+    if not finite or min(a, b, c) < 0 or many:
         raise InvalidInput(f"comment '{mark}': a number is out of range")
-    return PositionGrid((x, y, z), step, (a, b, c))
+    return grid
 
 
 def with_order(scene: Scene, order: Order | None) -> Scene:

@@ -23,6 +23,9 @@ from gs_codec.scene import Scene
 #: Arrays of a pass, by name.
 _PASS = tuple(field.name for field in fields(PassData))
 
+#: What blocks have as bytes, by name.
+_BYTES = ("tree", "low_bits", "far")
+
 
 def save_quantised(
     folder: Folder,
@@ -51,8 +54,7 @@ def save_quantised(
 def _packed(blocks: Sequence[Block]) -> Arrays:
     """The arrays of blocks, one after another, and the length of each."""
     columns: dict[str, list[NDArray[Any]]] = {
-        name: [np.frombuffer(getattr(block, name), np.uint8) for block in blocks]
-        for name in ("tree", "low_bits")
+        name: [np.frombuffer(getattr(block, name), np.uint8) for block in blocks] for name in _BYTES
     }
     for k in range(len(blocks[0].passes)):
         for name in _PASS:
@@ -71,11 +73,11 @@ def _unpacked(packed: Arrays, extents: NDArray[np.float32]) -> Iterator[Block]:
     for name in names:
         wide = packed[name].astype(np.int64) if packed[name].dtype == np.int32 else packed[name]
         columns[name] = np.split(wide, np.cumsum(packed[f"{name} lengths"])[:-1])
-    number = (len(names) - 2) // len(_PASS)
+    number = (len(names) - len(_BYTES)) // len(_PASS)
     for k, extent in enumerate(extents):
         own = [PassData(*(columns[f"{p} {name}"][k] for name in _PASS)) for p in range(number)]
-        tree, low_bits = columns["tree"][k].tobytes(), columns["low_bits"][k].tobytes()
-        yield Block(tree, low_bits, extent, own, 0)
+        tree, low_bits, far = (columns[name][k].tobytes() for name in _BYTES)
+        yield Block(tree, low_bits, far, extent, own, 0)
 
 
 def save_coded(

@@ -126,7 +126,8 @@ def encode_with(
             return _encode_nothing(sources, target, looked.config, sources.count)
         with times.stage("sort"):
             lattice = choose_lattice(workers, job, looked)
-            chunks = Chunks.of(Header.of(sources.head, config, count), size)
+            header = Header.of(sources.head, config, count)
+            chunks = Chunks.of(header.with_far(lattice.grid.has_far), size)
             cuts = _sort(workers, job, lattice, chunks)
         task = partial(_quantise, job, lattice, chunks, cuts)
         coded = code_blocks(workers, folder, chunks, lattice, task, times)
@@ -160,7 +161,7 @@ def _sort(workers: Workers, job: Job, lattice: Lattice, chunks: Chunks) -> NDArr
     folder, number = job.folder, len(job.spans)
     do_all(workers, folder, "sort", partial(_sort_span, job, lattice), number)
     if not folder.has("cuts"):
-        cuts = find_cuts(folder, number, chunks.ranks, lattice.grid.total_bits)
+        cuts = find_cuts(folder, number, chunks.ranks, lattice.grid.key_bits)
         folder.save("cuts", {"cuts": cuts})
     return folder.load("cuts")["cuts"]
 

@@ -22,7 +22,7 @@ from gs_codec.distributed.looking import Job, choose_lattice, look
 from gs_codec.distributed.sorting import planes_of, scene_of_rows
 from gs_codec.distributed.sources import Source, Span
 from gs_codec.distributed.workers import Workers, do_all
-from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.levels import errors_section, level_header
 from gs_codec.formats.ply_body import to_rows
 from gs_codec.levels.building import Level, coarser
@@ -90,8 +90,9 @@ def code_levels(
         looked = look(workers, job, calibrates=number == 1)
         if number == 1:
             config = config_of_levels(looked.config)
-        lattice = choose_lattice(workers, job, looked._replace(config=config))
-        own = Chunks(header, chunks.each)
+        may_have_far = Feature.FAR in header.features
+        lattice = choose_lattice(workers, job, looked._replace(config=config), may_have_far)
+        own = Chunks(header.with_far(lattice.grid.has_far), chunks.each)
         task = partial(_quantise, merged, lattice, own)
         level = code_blocks(workers, folder, own, lattice, task, StageTimes())
         paths.append(folder.path / "level.egs")

@@ -93,14 +93,16 @@ def look(workers: Workers, job: Job, calibrates: bool = True) -> Looked:
     )
 
 
-def choose_lattice(workers: Workers, job: Job, looked: Looked) -> Lattice:
+def choose_lattice(
+    workers: Workers, job: Job, looked: Looked, may_have_far: bool = True
+) -> Lattice:
     """The lattices of all Gaussians that are not dropped, as `arrange_scene` chooses them."""
     number = len(job.spans)
     stride = lattice_stride(job.gaussians.count - len(looked.dropped))
     task = partial(_pick, job, stride, looked.dropped)
     do_all(workers, job.folder, "pick", task, number)
     sample = join_scenes([job.load_scene(f"pick-{k}") for k in range(number)])
-    return blind_lattice(sample, looked.bounds, looked.config)
+    return blind_lattice(sample, looked.bounds, looked.config, may_have_far)
 
 
 def _numbers(span: Span, stride: int, dropped: NDArray[np.int64]) -> NDArray[np.int64]:

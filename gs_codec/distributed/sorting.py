@@ -21,7 +21,7 @@ from gs_codec.scene import GROUPS, Scene, group_rows
 
 
 def save_run(folder: Folder, number: int, scene: Scene, grid: PositionGrid) -> None:
-    """Sort a span's Gaussians, and keep them and their Morton codes."""
+    """Sort a span's Gaussians, and keep them and their codes; see `grid_codes`."""
     codes = grid_codes(scene.positions, grid)
     order = canonical_order(codes)
     folder.save_mapped(f"codes-{number}", codes[order])
@@ -37,7 +37,7 @@ def _rows(number: int) -> str:
 def find_cuts(folder: Folder, runs: int, ranks: Sequence[int], bits: int) -> NDArray[np.int64]:
     """Where each run is cut, ``(runs, R)``, so that as many Gaussians as each rank come before.
 
-    The order is by Morton code, of so many bits, then by span, then within a span as sorted.
+    The order is by code, of so many bits, then by span, then within a span as sorted.
     """
     codes = [folder.mapped(f"codes-{number}") for number in range(runs)]
 

@@ -19,9 +19,11 @@ from gs_codec.runtime.arrays import current
 Parsed = TypeVar("Parsed")
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
-VERSION = 1
 
-#: Minor version of files without levels, and of those with them.
+#: The highest version that is read; `Header.version` says which one a file has.
+VERSION = 2
+
+#: Minor version of files without levels, and of those of version 1 with them.
 MINOR, MINOR_LEVELS = 0, 1
 
 _START = "<8sHHI"
@@ -56,6 +58,7 @@ class SectionId(IntEnum):
     CODER = 19
     LEVEL = 20
     ERRORS = 21
+    FAR = 22
 
     @property
     def label(self) -> str:
@@ -89,6 +92,13 @@ DESCRIPTIONS = (
 SCENE_SECTIONS = frozenset(
     {*DESCRIPTIONS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.LEVEL},
 )
+
+#: What a file with a feature has, and no other.
+_FEATURE_SECTIONS = {
+    Feature.GPCC: SectionId.TOOL,
+    Feature.TORCHAC: SectionId.CODER,
+    Feature.FAR: SectionId.FAR,
+}
 
 #: Sections of a block that come after those of all blocks that are not listed, in this order.
 _LATER = (SectionId.SH1, SectionId.SH2, SectionId.SH3)
@@ -245,8 +255,9 @@ class Listed(NamedTuple):
 
 def file_head(header: Header, table: Sequence[Listed]) -> bytes:
     """The start of a file, up to its first section; the table is in the order of the sections."""
-    minor = MINOR_LEVELS if any(entry.id == SectionId.LEVEL for entry in table) else MINOR
-    head = bytearray(struct.pack(_START, MAGIC, VERSION, minor, _header_size(len(table))))
+    has_levels = any(entry.id == SectionId.LEVEL for entry in table)
+    minor = MINOR_LEVELS if has_levels and header.version == 1 else MINOR
+    head = bytearray(struct.pack(_START, MAGIC, header.version, minor, _header_size(len(table))))
     head += pack_header(header) + struct.pack("<I", len(table))
     for entry in table:
         head += struct.pack(_ENTRY, entry.id, entry.flags, *entry[1:4])
@@ -281,7 +292,7 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     fields = reader.unpack(FIELDS)
     entries = reader.unpack("I")[0]
     if version > VERSION or version == 0:
-        raise UnsupportedVersion(f"version {version} of the format, this reader knows 1")
+        raise UnsupportedVersion(f"version {version} of the format, this reader knows 1 and 2")
     if header_size != (expected := _header_size(entries)):
         raise CorruptStream(f"header: size {header_size}, expected {expected}")
     needed, left = expected - reader.position, len(view) - reader.position
@@ -292,6 +303,9 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
     header = unpack_header(*fields)
+    if version != header.version:
+        named = ", ".join(header.features.labels) or "none"
+        raise CorruptStream(f"header: version {version} with features: {named}")
     located = _locate(reader.position, len(view), header, table)
     _check_features(header.features, located)
     return EgsFile(header, view, reader.position, located, {}, version).read(wanted)
@@ -299,8 +313,9 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
 
 def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> None:
     """Check that the sections of exactly these features are there."""
-    for feature, section in ((Feature.GPCC, SectionId.TOOL), (Feature.TORCHAC, SectionId.CODER)):
-        if (feature in features) != ((section, 0) in table):
+    found = {section for section, _ in table}
+    for feature, section in _FEATURE_SECTIONS.items():
+        if (feature in features) != (section in found):
             label = " and ".join(feature.labels)
             stated = "stated" if feature in features else "not stated"
             raise CorruptStream(

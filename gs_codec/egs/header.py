@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
 from gs_codec.errors import CorruptStream, UnsupportedVersion
 from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
@@ -38,6 +38,7 @@ class Feature(IntFlag):
     NONE = 0
     GPCC = 1
     TORCHAC = 2
+    FAR = 4
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -45,7 +46,17 @@ class Feature(IntFlag):
         return tuple(label for feature, label in _FEATURE_LABELS.items() if feature in self)
 
 
-_FEATURE_LABELS = {Feature.GPCC: "G-PCC", Feature.TORCHAC: "torchac"}
+_FEATURE_LABELS = {
+    Feature.GPCC: "G-PCC",
+    Feature.TORCHAC: "torchac",
+    Feature.FAR: "far Gaussians",
+}
+
+#: Names of bits of the features that are not used yet.
+_RESERVED_FEATURES = {3: "local SH basis", 4: "sequences"}
+
+#: Files with a feature from this one on are of version 2.
+_FIRST_OF_VERSION_2 = Feature.FAR
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,15 @@ class Header:
             scene.antialiased,
             scene.coordinates,
         )
+
+    @property
+    def version(self) -> int:
+        """Version of the format that a file with these features has."""
+        return 2 if self.features >= _FIRST_OF_VERSION_2 else 1
+
+    def with_far(self, has_far: bool) -> Header:
+        """The header of profile ``l``, ``m`` or ``s`` with far Gaussians, or without."""
+        return replace(self, features=Feature.FAR if has_far else Feature.NONE)
 
     @property
     def block_count(self) -> int:
@@ -160,9 +180,9 @@ def unpack_header(
     CorruptStream, UnsupportedVersion
     """
     if unknown := features & ~sum(Feature):
-        bits = ", ".join(str(bit) for bit in range(32) if unknown >> bit & 1)
         raise UnsupportedVersion(
-            f"header: needs features {bits}, this reader knows 0 (G-PCC) and 1 (torchac)"
+            f"header: needs features {_named_bits(unknown)}, this reader knows "
+            f"{_named_bits(sum(Feature))}"
         )
     exact = profile == PROFILE_NAMES.index(LOSSLESS)
     known = _NORMALS_FLAG | _ORDER_FLAG * exact | _ANTIALIASED_FLAG
@@ -170,6 +190,8 @@ def unpack_header(
         raise CorruptStream("header: a reserved field is not 0")
     if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
+    if features & Feature.FAR and PROFILE_NAMES[profile] not in ADAPTIVE_PROFILES:
+        raise CorruptStream(f"header: far Gaussians with profile {PROFILE_NAMES[profile]}")
     if coordinates and coordinates not in _SYSTEMS:
         raise CorruptStream(f"header: coordinates {coordinates} are no system")
     if count >= TOO_LARGE:
@@ -185,3 +207,11 @@ def unpack_header(
         _SYSTEMS.get(coordinates),
         Feature(features),
     )
+
+
+def _named_bits(features: int) -> str:
+    """Numbers of the bits of features, with the names that they have."""
+    names = {feature.bit_length() - 1: label for feature, label in _FEATURE_LABELS.items()}
+    names |= _RESERVED_FEATURES
+    bits = [bit for bit in range(32) if features >> bit & 1]
+    return ", ".join(f"{bit} ({names[bit]})" if bit in names else str(bit) for bit in bits)

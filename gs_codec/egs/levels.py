@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
-from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 
 _WHERE = "section 'errors'"
 
 
 def level_header(header: Header, level: int) -> Header:
-    """The header of a level of a file with this header."""
+    """The header of a level of a file with this header; the level may lack far Gaussians."""
     count = header.level_counts[level - 1]
     return replace(header, count=count, has_normals=False)
 
@@ -44,7 +44,8 @@ def open_level(file: EgsFile, level: int) -> EgsFile:
         data = file.data[position : position + size]
         found = read_file(data, lambda section, _: section in DESCRIPTIONS)
         wanted = level_header(file.header, level)
-        if found.header != wanted or levels_of(found):
+        fewer = replace(wanted, features=wanted.features & ~Feature.FAR)
+        if found.header not in (wanted, fewer) or levels_of(found):
             raise CorruptStream("header: is not that of a level of this file")
         errors_of(found)
     return found

@@ -26,6 +26,7 @@ from gs_codec.guidance.sensitivity import sensitivity
 from gs_codec.guidance.trust import blend, blind_share
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
+from gs_codec.preparation.likely_views import likely_views
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sh_weights import coefficients_of
@@ -132,6 +133,7 @@ class Guidance:
         if not decoded.sh_degree:
             return decoded
         weights = self.weights[:, shaped.order]
+        likely = likely_views(decoded, weights) if self.views.origin == "estimated" else None
 
         def compacted(seen: Sequence[int]) -> Scene:
             """The scene compacted with some of the views."""
@@ -141,6 +143,7 @@ class Guidance:
                 profile.compaction,
                 smallest=0.5 * steps,
                 weights=weights[list(seen)],
+                likely=likely,
                 progress=self.progress,
             )[0]
 

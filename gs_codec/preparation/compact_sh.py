@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.ycocg import luma_chroma, red_green_blue
+from gs_codec.preparation.likely_views import LikelyViews
 from gs_codec.preparation.sh_weights import (
     coefficients_of,
     fill_matrix,
@@ -48,6 +49,7 @@ def compact_sh(
     *,
     smallest: float | NDArray[np.float32] = SMALLEST,
     weights: NDArray[np.float32] | None = None,
+    likely: LikelyViews | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, dict[str, Any]]:
     """Replace SH by sparser ones that give the cameras nearly the same colours.
@@ -76,6 +78,8 @@ def compact_sh(
         SH-AC nearer to 0 become 0, and the others compensate; usually half a quantisation step.
     weights : ndarray, shape (views, N), float32, optional
         `squared_weights` of the scene, if already computed.
+    likely : LikelyViews, optional
+        Views whose colours are to stay as well; they do not count as pixels.
     progress : callable, optional
 
     Returns
@@ -98,6 +102,9 @@ def compact_sh(
         pixels = sum(camera.width * camera.height for camera in cameras)
         penalty = penalty_of(scene, pixels, strength)
         centres = np.array([camera.position for camera in cameras])
+        if likely is not None:
+            centres = np.concatenate([centres, likely.centres])
+            weights = np.concatenate([weights, likely.weights])
 
         def run(start: int) -> tuple[int, int]:
             stop = min(start + _CHUNK, scene.count)

@@ -201,9 +201,15 @@ def _weigh(points, shown, places, soft, shows, part):
         shows[place] = total / weights
 
 
+def sh_bases(directions: NDArray[np.float64], coefficients: int) -> NDArray[np.float64]:
+    """The SH-AC basis ``(D, K)`` in ``directions (D, 3)``, from the camera to the Gaussian."""
+    bases = np.empty((len(directions), coefficients))
+    _fill_bases(directions, bases)
+    return bases
+
+
 @kernel
 def _fill_bases(directions, bases):
-    """Fill ``bases (D, K)`` with the SH-AC basis in ``directions (D, 3)``."""
     for i in range(len(directions)):
         sh_basis(directions[i, 0], directions[i, 1], directions[i, 2], bases.shape[1], bases[i])
 
@@ -229,7 +235,7 @@ def _vertical(
     scales = np.sort(scene.log_scale.astype(np.float64), axis=0)
     flatness = np.clip(scales[1] - scales[0], 0, 3)
     some = slice(None, None, max(1, scene.count // 5000))
-    axes = _sphere(2 * _DIRECTIONS)[_DIRECTIONS:]
+    axes = sphere(2 * _DIRECTIONS)[_DIRECTIONS:]
     level = np.abs(np.einsum("ia,ja->ij", axes, normals[some])) > _ALIKE
     found = np.einsum("ij,j->i", level, flatness[some])
     if not telling and found.max() < _FLAT * np.median(found):
@@ -264,9 +270,8 @@ def _vertical(
 
 def _side(shown: NDArray[np.float32], axis: NDArray[np.float64]) -> float:
     """Log of how much more Gaussians show of their SH-AC from along `axis` than from behind."""
-    directions = _sphere(64)
-    bases = np.empty((len(directions), shown.shape[1]))
-    _fill_bases(directions, bases)
+    directions = sphere(64)
+    bases = sh_bases(directions, shown.shape[1])
     some = shown[:, :, :: max(1, shown.shape[2] // 2000)]
     powers = np.sum(np.einsum("dk,ckn->cdn", bases, some) ** 2, axis=(0, 2))
     # A basis is that of the direction from the camera.
@@ -284,7 +289,7 @@ def _above(
     return float(np.log(below / (len(heights) + 2 - below)))
 
 
-def _sphere(count: int) -> NDArray[np.float64]:
+def sphere(count: int) -> NDArray[np.float64]:
     """Evenly spaced unit vectors ``(count, 3)``: golden-angle steps up the sphere."""
     height = (2 * np.arange(count) + 1) / count - 1
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)

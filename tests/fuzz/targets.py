@@ -19,7 +19,7 @@ import browser
 import foreign
 import numpy as np
 from damage import ENTRY, HEADER, SECTIONS, with_checksums
-from scenes import encode_by, made_up_guide, random_scene
+from scenes import encode_by, made_up_guide, random_scene, with_far
 
 from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.codecs import decode_part, encode_parts, encode_scene
@@ -140,6 +140,7 @@ def _streams() -> list[bytes]:
                 scene = replace(scene, extra=extra, comments=("a comment",))
             streams.append(encode_scene(scene, Config(profile, extra="keep", block_size=1024))[0])
     streams.append(encode_by(random_scene(_COUNT, 2), Config("m"), made_up_guide()))
+    streams.append(encode_scene(with_far(random_scene(_COUNT, 1), 3), Config("m"))[0])
     found = [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
     return found + [bytes([first]) + _levels() for first in (9, 25, 41)]
 
@@ -157,6 +158,7 @@ def _browser_streams() -> list[bytes]:
     streams = [
         encode_scene(random_scene(_COUNT, 2, seed=7), Config(profile))[0] for profile in profiles
     ]
+    streams.append(encode_scene(with_far(random_scene(_COUNT, 1), 3), Config("m"))[0])
     levels = Config("m", lod=True)
     object.__setattr__(levels, "block_size", 16)  # smaller than an encoder may be asked for
     parts = encode_parts(random_scene(_COUNT, 1, seed=8), levels)

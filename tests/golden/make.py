@@ -1,4 +1,4 @@
-"""Write the golden files of the present format version. Run by hand, once for each version.
+"""Write golden files that are not there yet. Run by hand, when the format has something new.
 
     python tests/golden/make.py
 
@@ -9,6 +9,7 @@ and never writes.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,23 +18,40 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from scenes import encode_by, made_up_guide, random_scene  # noqa: E402
+from scenes import encode_by, made_up_guide, random_scene, with_far  # noqa: E402
 
 from gs_codec.codecs import decode_part, decode_scene, encode_parts  # noqa: E402
 from gs_codec.codecs.part import Part  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
-from gs_codec.egs.file import VERSION, read_file  # noqa: E402
+from gs_codec.egs.file import read_file  # noqa: E402
 from gs_codec.egs.levels import levels_of  # noqa: E402
 from gs_codec.levels.encoding import add_levels  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 
 #: What tells the encoder of what views see, by name. The error is that of `m` when files of version
 #: 1 were written.
-GUIDES = {"guided": made_up_guide(seed=103, error=2e-5)}
+GUIDES = {
+    "v1-guided": made_up_guide(seed=103, error=2e-5),
+    "v2-far-guided": made_up_guide(seed=107),
+}
 
 
 def golden_scenes() -> dict[str, tuple[Scene, Config]]:
-    """Scenes and options that together use every part of the format."""
+    """Scenes and options that together use every part of the format, by the names of files."""
+    return {f"v1-{name}": case for name, case in _golden_scenes().items()} | {
+        "v2-far": (
+            with_far(random_scene(1100, 3, seed=106), 11),
+            Config("m", block_size=1024),
+        ),
+        "v2-far-guided": (
+            with_far(random_scene(1100, 1, seed=107), 110),
+            Config("m", block_size=1024),
+        ),
+    }
+
+
+def _golden_scenes() -> dict[str, tuple[Scene, Config]]:
+    """Those of version 1."""
     plain = random_scene(1500, 3, seed=100)
     carried = replace(
         random_scene(40, 1, seed=101),
@@ -76,19 +94,27 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
     }
 
 
-def golden_levels() -> bytes:
-    """A file with three levels of detail; how Gaussians merge may differ between machines."""
-    config = Config("m", lod=True)
-    object.__setattr__(config, "block_size", 16)
-    scene = random_scene(600, 1, seed=105)
-    return b"".join(add_levels(*encode_parts(scene, config), config)[0])
+def golden_levels() -> dict[str, Callable[[], bytes]]:
+    """Files with three levels of detail; how Gaussians merge may differ between machines."""
+
+    def encode(scene: Scene) -> bytes:
+        config = Config("m", lod=True)
+        object.__setattr__(config, "block_size", 16)
+        return b"".join(add_levels(*encode_parts(scene, config), config)[0])
+
+    return {
+        "v1-levels": lambda: encode(random_scene(600, 1, seed=105)),
+        "v2-far-levels": lambda: encode(with_far(random_scene(600, 1, seed=108), 30)),
+    }
 
 
 def main() -> None:
     """Encode, decode, and store both."""
-    stem = HERE / f"v{VERSION}-levels"
-    if not stem.with_suffix(".egs").exists():
-        data = golden_levels()
+    for name, encode in golden_levels().items():
+        stem = HERE / name
+        if stem.with_suffix(".egs").exists():
+            continue
+        data = encode()
         stem.with_suffix(".egs").write_bytes(data)
         planes = {group: getattr(decode_scene(data), group) for group in GROUPS}
         for level in levels_of(read_file(data)):
@@ -97,7 +123,7 @@ def main() -> None:
         np.savez_compressed(stem.with_suffix(".npz"), **planes)
         print(f"{stem.name}: {len(data)} bytes")
     for name, (scene, config) in golden_scenes().items():
-        stem = HERE / f"v{VERSION}-{name}"
+        stem = HERE / name
         if stem.with_suffix(".egs").exists():
             print(f"{stem.name}: exists already, left as it is")
             continue

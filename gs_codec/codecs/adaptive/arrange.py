@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
+from gs_codec.codecs.adaptive.grid import Bounds, choose_grid
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
+    MAX_SHIFT,
     Lattice,
     PositionGrid,
-    StepRule,
     grid_codes,
 )
 from gs_codec.codecs.adaptive.step_sizes import (
@@ -35,9 +36,6 @@ from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Lowest and highest x, y, z, each ``(3,)``.
-Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
-
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
 
@@ -47,10 +45,6 @@ _FINEST_SH = 32
 
 #: Most bits of a step size as a fixed-point integer.
 _STEP_BITS = 31
-
-_AXIS_BITS = 21
-
-_LARGEST = float(np.finfo(np.float32).max)
 
 #: Units and centres are chosen from a sample of at most twice this many Gaussians.
 _SAMPLE = 100_000
@@ -63,8 +57,8 @@ _CHUNK = 1 << 16
 class Arranged:
     """A scene to code, its lattices, and arrays in stream order.
 
-    ``order (N,)`` is the index in the scene, ``codes (N,)`` are Morton codes, ascending, and
-    ``classes (2, N)`` are shape classes and colour classes.
+    ``order (N,)`` is the index in the scene, ``codes (N,)`` are those of `grid_codes`, ascending,
+    and ``classes (2, N)`` are shape classes and colour classes.
     """
 
     source: Scene
@@ -75,11 +69,16 @@ class Arranged:
 
 
 def arrange_scene(
-    scene: Scene, config: Config, asked: StepSizes | None, block: int | None = None
+    scene: Scene,
+    config: Config,
+    asked: StepSizes | None,
+    block: int | None = None,
+    may_have_far: bool = True,
 ) -> Arranged:
     """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
 
     With `block`, each so many Gaussians stay together, and are only sorted among themselves.
+    Without `may_have_far`, the grid of positions spans all of them.
 
     Raises
     ------
@@ -97,7 +96,8 @@ def arrange_scene(
     if config.depths and scene.count:
         known = features(opacity, sampled)
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
-    lattice = _lattice(opacity, sampled, some, steps, _bounds(scene.positions))
+    places = scene.positions[:, some], _bounds(scene.positions), may_have_far
+    lattice = _lattice(opacity, sampled, some, steps, *places)
     codes = _codes(scene, lattice.grid)
     order = canonical_order(codes) if block is None else order_within(codes, block)
     keep = current().keep
@@ -113,7 +113,9 @@ def sample_stride(count: int) -> int:
     return max(1, count // _SAMPLE)
 
 
-def blind_lattice(sample: Scene, bounds: Bounds, config: Config) -> Lattice:
+def blind_lattice(
+    sample: Scene, bounds: Bounds, config: Config, may_have_far: bool = True
+) -> Lattice:
     """The lattices that `arrange_scene` chooses without cameras, for a scene that is not there.
 
     Parameters
@@ -124,10 +126,13 @@ def blind_lattice(sample: Scene, bounds: Bounds, config: Config) -> Lattice:
         Lowest and highest x, y, z of its centres.
     config : Config
         Without depths.
+    may_have_far : bool
+        As for `arrange_scene`.
     """
     _, scales, _ = sort_axes(sample.log_scale, sample.rot)
     steps = _blind_steps(sample.count, scales, config)
-    return _lattice(sample.opacity[0], scales, slice(None), steps, bounds)
+    places = sample.positions, bounds, may_have_far
+    return _lattice(sample.opacity[0], scales, slice(None), steps, *places)
 
 
 def _blind_steps(count: int, scales: NDArray[np.float64], config: Config) -> StepSizes:
@@ -154,7 +159,7 @@ def order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
 
 
 def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
-    """Morton codes ``(N,)``."""
+    """See `grid_codes`."""
     codes = np.empty(scene.count, np.int64)
 
     def work(start: int) -> None:
@@ -170,9 +175,11 @@ def _lattice(
     scales: NDArray[np.float64],
     some: slice,
     steps: StepSizes,
+    positions: NDArray[np.float32],
     bounds: Bounds | None,
+    may_have_far: bool,
 ) -> Lattice:
-    """Choose the lattices from opacities and sorted log-scales of `some` of the Gaussians."""
+    """Choose the lattices from attributes of `some` of the Gaussians; log-scales are sorted."""
     known = features(opacity, scales)
 
     def wanted(name: str) -> NDArray[np.float64]:
@@ -191,7 +198,11 @@ def _lattice(
     for band, ratio in enumerate(steps.sh_ratios, 1):
         largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
         units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, _FINEST_SH), largest))
-    grid, rules["position"] = _grid(bounds, steps, wanted("position"))
+    grid, unit = choose_grid(bounds, positions, wanted("position"), may_have_far)
+    rules["position"] = make_rule(np.zeros(5), 0, 0)
+    if bounds is not None:
+        slopes = steps.coefficients["position"]
+        rules["position"] = make_rule(slopes, unit, unit + MAX_SHIFT, thirds=True)
     centres = (_median(opacity), _median(known[2]))
     classes = (
         1 + int(steps.shape_class.max(initial=0)),
@@ -203,24 +214,3 @@ def _lattice(
 def _median(values: NDArray) -> int:
     middle = float(np.median(values)) if len(values) else 0.0
     return round(min(max(middle, -LARGEST), LARGEST) * (1 << FRACTION_BITS))
-
-
-def _grid(
-    bounds: Bounds | None,
-    steps: StepSizes,
-    wanted: NDArray[np.float64],
-) -> tuple[PositionGrid, StepRule]:
-    """The grid of positions, and the rule for how many low bits are dropped."""
-    if bounds is None:
-        return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), make_rule(np.zeros(5), 0, 0)
-    low = bounds[0].astype(np.float64)
-    extent = bounds[1].astype(np.float64) - low
-    widest = math.frexp(max(float(extent.max()), 1e-30))[1]
-    unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), min(widest, 127))
-    step = float(np.float32(2.0**unit))
-    bits = [max(math.frexp(size / step)[1], 0) for size in extent]
-    # A flat axis has one cell, whose middle is the coordinate.
-    flat = extent == 0
-    origin = np.maximum(low - 0.5 * step * flat, -_LARGEST).astype(np.float32).astype(float)
-    grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
-    return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

@@ -13,11 +13,14 @@ from gs_codec.codecs.adaptive.lattice import (
     LARGEST,
     PositionGrid,
     centres,
+    far_among,
+    far_codes,
     from_grid,
     to_fixed,
     to_float,
 )
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
+from gs_codec.codecs.adaptive.section import write_far
 from gs_codec.codecs.adaptive.sh_ac import code_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, shape_pass, walk_shape
 from gs_codec.codecs.adaptive.tokens import tokenise
@@ -68,15 +71,16 @@ def _count(tokens, contexts, counts):
 class ShapedBlock:
     """A block without its colours: a range of the stream, and what is coded and decoded so far.
 
-    ``grid_positions (3, n)`` are decoded, in half steps of the grid; ``shifts (n,)`` are those of
-    the step sizes of its colours; ``coded`` is the shape pass; ``clamped`` is the number of values
-    clamped to the largest.
+    ``grid_positions (3, n)`` are decoded, in half steps of the grid; ``far (3, f)`` are the centres
+    of its far Gaussians; ``shifts (n,)`` are those of the step sizes of its colours; ``coded`` is
+    the shape pass; ``clamped`` is the number of values clamped to the largest.
     """
 
     start: int
     stop: int
     tree: bytes
     low_bits: bytes
+    far: NDArray[np.float32]
     grid_positions: NDArray[np.int64]
     shape: Shape
     shifts: NDArray[np.int64]
@@ -86,10 +90,14 @@ class ShapedBlock:
     def decoded(self, grid: PositionGrid) -> tuple[NDArray[np.float32], ...]:
         """Decoded positions ``(3, n)``, log-scales ``(3, n)`` and rotations ``(4, n)``."""
         return (
-            from_grid(self.grid_positions, grid),
+            from_grid(self.grid_positions, grid, self.far),
             to_float(self.shape.scales).astype(np.float32),
             turned_quaternions(to_float(self.shape.turns), self.shape.poles),
         )
+
+    def coded_places(self) -> tuple[bytes, bytes, bytes]:
+        """Coded positions: the tree, low bits, and centres of far Gaussians."""
+        return self.tree, self.low_bits, write_far(self.far)
 
     def extent(self, grid: PositionGrid) -> NDArray[np.float32]:
         """Where its decoded Gaussians are."""
@@ -102,6 +110,7 @@ class Block:
 
     tree: bytes
     low_bits: bytes
+    far: bytes
     extent: NDArray[np.float32]
     passes: list[PassData]
     clamped: int
@@ -123,7 +132,11 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
     levels, contexts = shape_pass(classes, quantiser.levels, quantiser.shifts, lattice.units)
     known = (shape.opacity, shape.scales)
     codes = arranged.codes[start:stop]
-    tree, lefts = encode_tree(codes, lattice.grid.total_bits)
+    number = far_among(codes, lattice.grid)
+    near, far = codes[: len(codes) - number], source.positions[:, members[len(codes) - number :]]
+    tree, lefts = encode_tree(near, lattice.grid.total_bits)
+    if number:
+        codes, lefts = np.append(near, far_codes(number, lattice.grid)), np.pad(lefts, (0, number))
     dropped = np.minimum(lattice.rules["position"].shifts(classes[0], 3, *known), lefts)
     kept = codes >> dropped
     bits = BitWriter()
@@ -135,6 +148,7 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
         stop,
         tree,
         bits.finish(),
+        far,
         grid_positions,
         shape,
         shifts,
@@ -164,4 +178,4 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
     extent = shaped.extent(arranged.lattice.grid)
-    return Block(shaped.tree, shaped.low_bits, extent, listed, clamped)
+    return Block(*shaped.coded_places(), extent, listed, clamped)

@@ -12,6 +12,7 @@ from gs_codec.codecs.adaptive.colour import code_colours
 from gs_codec.codecs.adaptive.decode import Blocks, DecodedBlock
 from gs_codec.codecs.adaptive.lattice import cell_sides, to_float
 from gs_codec.codecs.adaptive.rotation import TURNS
+from gs_codec.codecs.adaptive.section import FAR_BYTES
 from gs_codec.codecs.adaptive.sh_ac import code_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import shape_pass, walk_shape
 from gs_codec.codecs.adaptive.tokens import RAW_WIDTHS, token_of
@@ -21,7 +22,7 @@ from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 
-_LOW_BITS = "low-bits"
+_LOW_BITS, _FAR = "low-bits", "far"
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class BlockCosts:
         alone: what is in ``geometry`` places several Gaussians together.
     steps : dict of str to ndarray, shape (k, n), float64
         Step sizes by stream, in the attribute's own domain: sides of a cell along x, y and z
-        (``geometry``), logit, log-scale (the longest, and the differences of the next two), sine
-        of half an angle (roll and two tilts), SH (Y, Co and Cg alike).
+        (``geometry``; 0 of far Gaussians), logit, log-scale (the longest, and the differences of
+        the next two), sine of half an angle (roll and two tilts), SH (Y, Co and Cg alike).
     """
 
     bits: dict[str, NDArray[np.float64]]
@@ -64,6 +65,9 @@ def block_costs(blocks: Blocks, number: int) -> BlockCosts:
     found = blocks.read(number)
     coded, shifts = _coded_again(blocks, found)
     bits = {_LOW_BITS: found.low_bits.astype(np.float64)}
+    if found.far.size:
+        bits[_FAR] = np.zeros(len(found.shifts))
+        bits[_FAR][-found.far.shape[1] :] = 8 * FAR_BYTES
     for item, rows, symbols in zip(blocks.passes, blocks.rows, coded, strict=True):
         values, contexts, owners = symbols
         costs = np.zeros((len(item.streams), len(found.shifts)))
@@ -133,6 +137,7 @@ def _steps(
         "rotation": TURNS,
     }
     steps = {"geometry": cell_sides(found.dropped, blocks.lattice.grid)}
+    steps["geometry"][:, len(found.shifts) - found.far.shape[1] :] = 0
     for stream, names in groups.items():
         steps[stream] = to_float(units[stream] << np.stack([shifts[name] for name in names]))
     for stream in ("sh-dc", *SH_STREAMS[: len(blocks.bands)]):

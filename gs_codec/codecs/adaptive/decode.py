@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import read_colours
 from gs_codec.codecs.adaptive.contexts import passes
-from gs_codec.codecs.adaptive.lattice import TOO_LARGE, centres, from_grid, to_float
+from gs_codec.codecs.adaptive.lattice import TOO_LARGE, centres, far_codes, from_grid, to_float
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
-from gs_codec.codecs.adaptive.section import lattice_of
+from gs_codec.codecs.adaptive.section import lattice_of, read_far
 from gs_codec.codecs.adaptive.sh_ac import read_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, read_shapes
 from gs_codec.coding.context_rans import PassReader, PassTables
@@ -60,8 +60,9 @@ class DecodedBlock:
 
     ``classes (2, n)`` are of shape and colour, ``grid_positions (3, n)`` half steps of the grid,
     ``dropped (n,)`` the low bits of their Morton codes that are not coded, ``low_bits (n,)`` how
-    many are, ``shifts (n,)`` of the colours' step sizes, ``colours (3, n)`` SH-DC as fixed-point
-    Y, Co, Cg, ``levels (3, K, n)`` of SH-AC.
+    many are, ``far (3, f)`` the centres of the last ones that the grid does not have, ``shifts
+    (n,)`` of the colours' step sizes, ``colours (3, n)`` SH-DC as fixed-point Y, Co, Cg,
+    ``levels (3, K, n)`` of SH-AC.
     """
 
     classes: NDArray[np.int64]
@@ -69,6 +70,7 @@ class DecodedBlock:
     grid_positions: NDArray[np.int64]
     dropped: NDArray[np.int64]
     low_bits: NDArray[np.int64]
+    far: NDArray[np.float32]
     nearest: Nearest
     shifts: NDArray[np.int64]
     colours: NDArray[np.int64]
@@ -96,9 +98,7 @@ class Blocks:
         where = f"block {block}"
         lattice, section = self.lattice, partial(self.file.section, block=block)
         start, stop = self.file.header.block_range(block)
-        tree = section(SectionId.GEOMETRY)
-        bits = lattice.grid.total_bits
-        codes, lefts = decode_tree(tree, stop - start, bits, f"geometry of {where}")
+        codes, lefts, far = self._read_tree(block)
         reader = PassReader(section(SectionId.STATES), self.tables, where)
         streams = [
             [section(SectionId.of_stream(stream)) for stream in item.streams]
@@ -122,15 +122,25 @@ class Blocks:
         read_bands(reader, ac, self.rows[2:], levels, two_nearest(nearest), shifts)
         if len(streams) == len(self.passes):
             reader.finish()
-        return DecodedBlock(
-            classes, shape, grid_positions, dropped, low_bits, nearest, shifts, colours, levels
-        )
+        of_places = grid_positions, dropped, low_bits, far
+        return DecodedBlock(classes, shape, *of_places, nearest, shifts, colours, levels)
+
+    def _read_tree(self, block: int) -> tuple[NDArray, NDArray, NDArray[np.float32]]:
+        """Morton codes ``(n,)`` without low bits, how many these are; far centres ``(3, f)``."""
+        (start, stop), grid = self.file.header.block_range(block), self.lattice.grid
+        far = read_far(self.file, block)
+        number = far.shape[1]
+        tree, where = self.file.section(SectionId.GEOMETRY, block), f"geometry of block {block}"
+        codes, lefts = decode_tree(tree, stop - start - number, grid.total_bits, where)
+        if number:
+            codes, lefts = np.append(codes, far_codes(number, grid)), np.pad(lefts, (0, number))
+        return codes, lefts, far
 
     def fill(self, block: int, groups: dict[str, NDArray[np.float32]], span: slice) -> None:
         """Decode a block into a range of groups."""
         found = self.read(block)
         shape = found.shape
-        positions = from_grid(found.grid_positions, self.lattice.grid)
+        positions = from_grid(found.grid_positions, self.lattice.grid, found.far)
         check_centres(self.file, block, positions)
         groups["positions"][:, span] = positions
         groups["opacity"][0, span] = to_float(shape.opacity)

@@ -21,7 +21,7 @@ from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.file import Section, SectionId
-from gs_codec.egs.header import Header
+from gs_codec.egs.header import Feature, Header
 from gs_codec.egs.index import index_section
 from gs_codec.egs.levels import errors_section
 from gs_codec.egs.sections import pack_scene
@@ -99,10 +99,13 @@ def encode_level(
 ) -> list[bytes | memoryview]:
     """Encode a coarser level of a scene, camera-free, to the pieces of a file.
 
-    Its blocks, as the header has them, stay as they are, with their `errors`; see FORMAT.md.
+    Its blocks, as the header has them, stay as they are, with their `errors`; see FORMAT.md. It may
+    have far Gaussians if the header says so.
     """
     times = StageTimes()
-    arranged = arrange_scene(scene, config, None, header.block_size)
+    may_have_far = Feature.FAR in header.features
+    arranged = arrange_scene(scene, config, None, header.block_size, may_have_far)
+    header = header.with_far(arranged.lattice.grid.has_far)
     blocks = _blocks(header, arranged, True, times, progress)
     beside = [errors_section(errors)]
     return _code(header, arranged, blocks, times, progress, beside)[0]
@@ -159,7 +162,9 @@ def _arrange(
     scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
 ) -> tuple[Header, Arranged]:
     with times.stage("order"):
-        return Header.of(scene, config), arrange_scene(scene, config, steps)
+        arranged = arrange_scene(scene, config, steps)
+        header = Header.of(scene, config).with_far(arranged.lattice.grid.has_far)
+        return header, arranged
 
 
 def _spans(header: Header) -> list[tuple[int, int]]:
@@ -270,11 +275,19 @@ def block_sections(
         for item, own, data in zip(listed, rows, block.passes, strict=True)
     ]
     states, streams = encode_passes(coded, tables)
-    sections = [
-        Section(SectionId.GEOMETRY, number, block.tree),
-        Section(SectionId.STATES, number, states),
-        Section(SectionId.LOW_BITS, number, block.low_bits),
-    ]
+    sections = leading_sections(number, states, block.tree, block.low_bits, block.far)
     for stream, data in streams.items():
         sections.append(Section.kept(SectionId.of_stream(stream), number, data))
     return sections
+
+
+def leading_sections(
+    number: int, states: bytes, tree: bytes, low_bits: bytes, far: bytes
+) -> list[Section]:
+    """Sections of a block beside its streams: positions, and initial states of the coder."""
+    sections = [
+        Section(SectionId.GEOMETRY, number, tree),
+        Section(SectionId.STATES, number, states),
+        Section(SectionId.LOW_BITS, number, low_bits),
+    ]
+    return [*sections, Section(SectionId.FAR, number, far)] if far else sections

@@ -33,6 +33,10 @@ RULE_FRACTION_BITS = 16
 #: A step size is at most its unit times 2 to this power.
 MAX_SHIFT = 31
 
+#: Most bits of a cell's number on an axis; of a Morton code if there are far Gaussians, whose keys
+#: have one more.
+MOST_AXIS_BITS, MOST_FAR_BITS = 21, 62
+
 
 def to_fixed(values: NDArray[np.floating], limit: float) -> tuple[NDArray[np.int64], int]:
     """Fixed-point values, and how many were clamped to `limit`."""
@@ -143,25 +147,63 @@ class PositionGrid:
         Side of a cell, scene units.
     bits : tuple of three int
         Bits of the cell's number on each axis.
+    has_far : bool
+        Whether centres outside of the grid are stored as they are: Gaussians that are *far*.
     """
 
     origin: tuple[float, float, float]
     step: float
     bits: tuple[int, int, int]
+    has_far: bool = False
 
     @property
     def total_bits(self) -> int:
         """Bits of a Morton code."""
         return sum(self.bits)
 
+    @property
+    def key_bits(self) -> int:
+        """Bits of what Gaussians are sorted by; see `grid_codes`."""
+        return self.total_bits + self.has_far
+
+
+def _levels(row: NDArray[np.float32], axis: int, grid: PositionGrid) -> NDArray[np.float64]:
+    """Numbers of the cells of coordinates on an axis, of a grid without ends."""
+    return np.floor((row.astype(np.float64) - grid.origin[axis]) / grid.step)
+
+
+def outside(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np.bool_]:
+    """Which of ``positions (3, N)`` are outside of a grid."""
+    found = np.zeros(positions.shape[1], np.bool_)
+    for axis, row in enumerate(positions):
+        levels = _levels(row, axis, grid)
+        found |= (levels < 0) | (levels >= 1 << grid.bits[axis])
+    return found
+
 
 def grid_codes(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np.int64]:
-    """Morton codes ``(N,)`` of the cells of positions ``(3, N)``."""
+    """What Gaussians are sorted by, ``(N,)``: Morton codes of the cells of ``positions (3, N)``.
+
+    Those outside have the codes of the nearest cells, and come last if they are far: then they have
+    one more bit.
+    """
     cells = np.empty(positions.shape, np.uint32)
     for axis, row in enumerate(positions):
-        levels = np.floor((row.astype(np.float64) - grid.origin[axis]) / grid.step)
-        cells[axis] = np.clip(levels, 0, (1 << grid.bits[axis]) - 1)
-    return encode_morton(cells, grid.bits)
+        cells[axis] = np.clip(_levels(row, axis, grid), 0, (1 << grid.bits[axis]) - 1)
+    codes = encode_morton(cells, grid.bits)
+    if grid.has_far:
+        codes[outside(positions, grid)] |= 1 << grid.total_bits
+    return codes
+
+
+def far_among(codes: NDArray[np.int64], grid: PositionGrid) -> int:
+    """How many of some Gaussians, sorted by `grid_codes`, are far: the last ones."""
+    return int(np.count_nonzero(codes >> grid.total_bits)) if grid.has_far else 0
+
+
+def far_codes(number: int, grid: PositionGrid) -> NDArray[np.int64]:
+    """Morton codes ``(number,)`` that stand for far Gaussians: the last cell on each axis."""
+    return np.full(number, (1 << grid.total_bits) - 1, np.int64)
 
 
 def cell_widths(grid: PositionGrid) -> NDArray[np.int64]:
@@ -191,11 +233,19 @@ def centres(
     return cells
 
 
-def from_grid(half_steps: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.float32]:
-    """Positions ``(3, N)`` of grid positions in half steps, clamped to what float32 holds."""
+def from_grid(
+    half_steps: NDArray[np.int64], grid: PositionGrid, far: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Positions ``(3, N)`` of grid positions in half steps, clamped to what float32 holds.
+
+    The last ones are those in ``far (3, f)`` instead, if there are any.
+    """
     positions = np.array(grid.origin)[:, None] + half_steps * (0.5 * grid.step)
     largest = float(np.finfo(np.float32).max)
-    return np.clip(positions, -largest, largest, out=positions).astype(np.float32)
+    found = np.clip(positions, -largest, largest, out=positions).astype(np.float32)
+    if far is not None and far.size:
+        found[:, -far.shape[1] :] = far
+    return found
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
     MAX_SHIFT,
+    MOST_AXIS_BITS,
+    MOST_FAR_BITS,
     Lattice,
     PositionGrid,
     StepRule,
@@ -28,6 +30,7 @@ from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -38,6 +41,9 @@ MANTISSA = 3
 
 #: Step sizes are below 2 to this power, in units of 1 / 2**20.
 _STEP_BITS = 31
+
+#: Bytes of the centre of a far Gaussian.
+FAR_BYTES = 12
 
 #: Intercept; factors of opacity and of three scales; limit.
 _RULE = "5iB"
@@ -88,10 +94,13 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
 def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
     """Lattices and tables of a file; see `read_lattice`."""
     coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-    return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients))
+    has_far = Feature.FAR in file.header.features
+    return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients, has_far))
 
 
-def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassModels]:
+def read_lattice(
+    data: memoryview, coefficients: int, has_far: bool = False
+) -> tuple[Lattice, PassModels]:
     """The inverse of `write_lattice`.
 
     Raises
@@ -101,8 +110,9 @@ def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassMode
     reader = ByteReader(data, _WHERE)
     *origin, step = reader.unpack("4f")
     bits = reader.unpack("3B")
-    grid = PositionGrid((origin[0], origin[1], origin[2]), step, bits)
-    if not (all(map(math.isfinite, origin)) and 0 < step < math.inf and max(bits) <= 21):
+    grid = PositionGrid((origin[0], origin[1], origin[2]), step, bits, has_far)
+    sound = all(map(math.isfinite, origin)) and 0 < step < math.inf
+    if not sound or max(bits) > MOST_AXIS_BITS or (has_far and grid.total_bits > MOST_FAR_BITS):
         raise CorruptStream(f"{_WHERE}: grid of {bits} bits, step {step}")
     classes = reader.unpack("2B")
     if not all(1 <= number <= MAX_CLASSES for number in classes):
@@ -153,3 +163,39 @@ def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
         raise CorruptStream(f"{_WHERE}: an alphabet out of range")
     weights = decode_tables(reader.rest(), alphabets, [MANTISSA] * number, _WHERE)
     return PassModels(listed, weights)
+
+
+def write_far(positions: NDArray[np.float32]) -> bytes:
+    """Serialise the centres ``(3, f)`` of the far Gaussians of a block."""
+    return positions.T.astype("<f4").tobytes()
+
+
+def read_far(file: EgsFile, block: int) -> NDArray[np.float32]:
+    """Centres ``(3, f)`` of the far Gaussians of a block, its last ones.
+
+    Raises
+    ------
+    CorruptStream
+    """
+    data = file.sections.get((SectionId.FAR, block))
+    if data is None:
+        return np.empty((3, 0), np.float32)
+    start, stop = file.header.block_range(block)
+    where, most = f"section 'far' of block {block}", FAR_BYTES * (stop - start)
+    if len(data) % FAR_BYTES or not 0 < len(data) <= most:
+        raise CorruptStream(
+            f"{where}: {len(data)} bytes, expected a multiple of {FAR_BYTES} up to {most}"
+        )
+    found = np.frombuffer(data, "<f4").astype(np.float32).reshape(-1, 3).T
+    if not np.isfinite(found).all():
+        raise CorruptStream(f"{where}: a centre is not finite")
+    return found
+
+
+def far_count(file: EgsFile) -> int:
+    """Number of far Gaussians of a file, by the sizes of sections."""
+    return sum(
+        entry.size // FAR_BYTES
+        for (section, _), entry in file.table.items()
+        if section == SectionId.FAR
+    )

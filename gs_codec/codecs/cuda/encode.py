@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Arranged
 from gs_codec.codecs.adaptive.blocks import ShapedBlock
 from gs_codec.codecs.adaptive.contexts import Pass, passes
-from gs_codec.codecs.adaptive.encode import assemble, choose_models, shape_scene
+from gs_codec.codecs.adaptive.encode import (
+    assemble,
+    choose_models,
+    leading_sections,
+    shape_scene,
+)
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST
 from gs_codec.codecs.cuda.lanes import WIDTH
 from gs_codec.codecs.cuda.launch import argument, for_each, unsigned, upload, working_on
@@ -147,9 +152,7 @@ class _Encoder:
         begun = states.cpu().numpy().astype("<u4")
         return [
             [
-                Section(SectionId.GEOMETRY, number, block.tree),
-                Section(SectionId.STATES, number, begun[number].tobytes()),
-                Section(SectionId.LOW_BITS, number, block.low_bits),
+                *leading_sections(number, begun[number].tobytes(), *block.coded_places()),
                 *self._streams(listed, [own[number] for own in words], number),
             ]
             for number, block in enumerate(self.shaped)

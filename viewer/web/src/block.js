@@ -80,6 +80,18 @@ function bucket(n) {
   return Math.min(2 * k + ((n >> (k - 1)) & 1), 15);
 }
 
+/** x, y, z of the far Gaussians of a block, from a section that it may lack. */
+function farCentres(content, count) {
+  if (content === undefined) return new Float32Array(0);
+  const size = content.length;
+  const fits = size > 0 && size <= 12 * count && size % 12 === 0;
+  check(fits, 'far', `${size} bytes for a block of ${count} Gaussians`);
+  const reader = new Reader(content, 'far');
+  const centres = Float32Array.from({ length: size / 4 }, () => reader.f32());
+  check(centres.every(Number.isFinite), 'far', 'a centre is not finite');
+  return centres;
+}
+
 /** A block that is decoded part by part: `base`, then `band` for each band of SH-AC. */
 export class LatticeBlock {
   /**
@@ -187,8 +199,10 @@ export class LatticeBlock {
       }
       return counts;
     });
+    const far = farCentres(sections.far, count);
+    const near = count - far.length / 3;
     let i = 0;
-    walkTree(sections.geometry, count, axes, (x, y, z, missing, points) => {
+    walkTree(sections.geometry, near, axes, (x, y, z, missing, points) => {
       const cells = [x, y, z];
       const dropped = points === 1 ? Math.min(shifts[i], missing) : 0;
       addBits(cells, axes, axes.length - missing, axes.length - dropped, raw);
@@ -203,8 +217,9 @@ export class LatticeBlock {
     const half = lattice.step / 2;
     for (let axis = 0; axis < 3; axis++) {
       const origin = lattice.origin[axis];
-      const found = places[axis];
-      for (let k = 0; k < count; k++) planes[axis * count + k] = inRange(origin + found[k] * half);
+      const found = places[axis].fill(2 ** (lattice.bits[axis] + 1) - 1, near); // the last cell
+      for (let k = 0; k < near; k++) planes[axis * count + k] = inRange(origin + found[k] * half);
+      for (let k = near; k < count; k++) planes[axis * count + k] = far[3 * (k - near) + axis];
     }
     return places;
   }

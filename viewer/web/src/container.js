@@ -9,13 +9,19 @@ const COEFFICIENTS = [0, 3, 8, 15];
 /** Names of sections by id. */
 const NAMES = (
   ' channels geometry sh-dc states opacity scaling rotation sh1 sh2 sh3 comments extra lattice ' +
-  'classes low-bits index gpcc tool coder level errors'
+  'classes low-bits index gpcc tool coder level errors far'
 ).split(' ');
 
 /** Sections that a file has first, in this order. */
 export const FIRST = ['index', 'errors', 'channels', 'lattice', 'tool', 'coder'];
 
 const OF_SCENE = [...FIRST, 'comments', 'extra'];
+
+/** Names of the bits of `features`; those after the first three are not used yet. */
+const FEATURES = ['G-PCC', 'torchac', 'far Gaussians', 'local SH basis', 'sequences'];
+
+/** Far Gaussians; files with this feature are of version 2. */
+const FAR = 4;
 
 /** Blocks of a level that one of the next stands for, and Gaussians that one of it stands for. */
 export const FANOUT = 4;
@@ -33,7 +39,9 @@ export function headerSize(prefix) {
     'not an .egs file',
   );
   const version = reader.u16();
-  if (version !== 1) throw new UnsupportedError(`version ${version} of the format`, 'header');
+  if (version !== 1 && version !== 2) {
+    throw new UnsupportedError(`version ${version} of the format`, 'header');
+  }
   reader.u16();
   const size = reader.u32();
   check(size >= 48 && (size - 48) % 20 === 0, 'header', `${size} bytes`);
@@ -44,7 +52,8 @@ export function headerSize(prefix) {
  * The header of a file.
  *
  * Attributes beside those of the format: `profile` is a name, `coordinates` three letters or null,
- * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `levelCounts` the
+ * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `hasFar` whether
+ * some have far Gaussians, `levelCounts` the
  * numbers of Gaussians of level 1, 2, ... if the file has levels, `sections` a list
  * of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file, `bytes`
  * that of each stream, by name.
@@ -54,7 +63,8 @@ export class Header {
     const size = headerSize(data);
     check(data.length >= size, 'header', 'truncated');
     const reader = new Reader(data.subarray(0, size), 'header');
-    reader.take(10);
+    reader.take(8);
+    const version = reader.u16();
     this.minor = reader.u16();
     reader.take(4);
     this.count = reader.u64();
@@ -72,13 +82,21 @@ export class Header {
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
     check(reader.u32() === checksum, 'header', 'wrong checksum');
-    if (this.features > 3) throw new UnsupportedError(`features ${this.features}`, 'header');
+    if (this.features >= 2 * FAR) {
+      throw new UnsupportedError(`features ${namesOf(this.features & -(2 * FAR))}`, 'header');
+    }
+    this.hasFar = this.features >= FAR;
+    const isRight = version === (this.hasFar ? 2 : 1);
+    check(isRight, 'header', `version ${version} with features ${this.features}`);
     check(flags < 8, 'header', `flags ${flags}`);
     this.antialiased = (flags & 4) !== 0;
     check(profile < PROFILES.length, 'header', `profile ${profile}`);
     this.profile = PROFILES[profile];
     check(!(flags & 2) || this.profile === 'lossless', 'header', 'order of the input');
-    check(this.features === 0 || profile <= 2, 'header', `features with profile ${profile}`);
+    const isPaper = profile <= 2;
+    const isLattice = !isPaper && profile <= 5;
+    const fitting = (isPaper ? FAR - 1 : 0) | (isLattice ? FAR : 0);
+    check((this.features & ~fitting) === 0, 'header', `features with profile ${profile}`);
     check(this.degree <= 3, 'header', `SH degree ${this.degree}`);
     check(
       reserved.every((byte) => byte === 0),
@@ -161,7 +179,10 @@ export class Header {
     const scene = [...ofScene];
     if (this.count > 0) scene.push('index');
     if (isLevel) scene.push('errors');
-    const free = isLevel ? [''] : ['', 'comments', 'extra'];
+    // Blocks without far Gaussians have no such section.
+    const free = isLevel ? ['', 'far'] : ['', 'far', 'comments', 'extra'];
+    const hasFar = this.sections.some(({ name }) => name === 'far');
+    check(hasFar === this.hasFar, 'header', 'far Gaussians, or their sections, are missing');
     const counts = new Map();
     for (const { name } of this.sections) {
       if (!free.includes(name)) counts.set(name, (counts.get(name) ?? 0) + 1);
@@ -176,6 +197,12 @@ export class Header {
       check(found === wanted, `section ${name}`, `${found} of them, expected ${wanted}`);
     }
   }
+}
+
+/** Names of the bits of features, or their numbers. */
+function namesOf(features) {
+  const bits = Array.from({ length: 32 }, (_, bit) => bit).filter((bit) => (features >>> bit) & 1);
+  return bits.map((bit) => FEATURES[bit] ?? bit).join(' and ');
 }
 
 function coordinatesOf(number) {
@@ -245,8 +272,9 @@ export function checkErrors(finer, coarser) {
 
 /** Check that a header is that of a level of a file. */
 export function checkLevel(header, level, file) {
-  const same = ['features', 'coordinates', 'profile', 'degree', 'blockSize'];
-  const isSame = same.every((name) => header[name] === file[name]);
+  const same = ['coordinates', 'profile', 'degree', 'blockSize'];
+  // A level may lack far Gaussians.
+  const isSame = same.every((name) => header[name] === file[name]) && header.hasFar <= file.hasFar;
   const isLevel = isSame && header.count === file.levelCounts[level - 1];
   check(
     isLevel && header.flags === (file.flags & ~1),
@@ -301,10 +329,9 @@ export function checkSupport(header) {
       'profile lossless: this decoder has no pcodec; encode it with l, m or s',
     );
   }
-  const programs = ['', 'G-PCC', 'torchac', 'G-PCC and torchac'];
-  if (header.features > 0) {
+  if (header.features % FAR > 0) {
     throw new UnsupportedError(
-      `coded by ${programs[header.features]}, which this decoder does not read`,
+      `coded by ${namesOf(header.features % FAR)}, which this decoder does not read`,
     );
   }
 }

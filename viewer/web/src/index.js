@@ -125,8 +125,8 @@ class Decoding {
   #begin(opened) {
     const { input, header, options, degree } = this;
     opened.begin(degree);
+    this.opened = opened;
     this.boxes = opened.boxes;
-    this.parts = opened.parts;
     let first = 0;
     for (let block = 0; block < header.blocks; block++) {
       if (!meets(this.boxes[block].centres, options.box)) continue;
@@ -137,11 +137,11 @@ class Decoding {
     this.scene = new Scene(header, first, degree);
     this.pool = createPool([opened.setup], this.blocks.size, options);
     // Values of blocks without sections are constant.
-    if (this.parts[0].length === 0) for (const block of this.blocks.keys()) this.#advance(block);
+    if (opened.parts[0].length === 0) for (const block of this.blocks.keys()) this.#advance(block);
   }
 
   #wants({ name, block }) {
-    const isPart = this.parts.some((names) => names.includes(name));
+    const isPart = this.opened.parts.some((names) => names.includes(name));
     return name === 'comments' || (isPart && this.blocks.has(block));
   }
 
@@ -157,7 +157,7 @@ class Decoding {
     const waiting = this.blocks.get(block);
     const { sections } = waiting;
     for (; waiting.next <= this.degree; waiting.next++) {
-      const names = this.parts[waiting.next];
+      const names = this.opened.namesOf(block, waiting.next);
       if (!names.every((name) => sections[name])) return;
       const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
       for (const name of names) delete sections[name];

@@ -90,6 +90,12 @@ export class Lattice {
     this.#readTables(reader, degree);
   }
 
+  /** Check what holds if there are far Gaussians. */
+  checkFar() {
+    const [x, y, z] = this.bits;
+    check(x + y + z <= 62, 'lattice', `bits ${this.bits} with far Gaussians`);
+  }
+
   #checkUnits() {
     const { opacity, scaling, rotation, dc, bands } = this.units;
     const most = (rules) => Math.max(...rules.map((rule) => rule.limit));

@@ -91,10 +91,19 @@ export class Opened {
     const blocks = new Blocks(this.setup); // which checks it
     const names = isPaper ? blocks.sections : [...BASE, ...bands];
     header.checkPresence([commonName], names, this.isLevel);
-    /** Names of the sections that each part of a block needs, up to the wanted degree. */
-    this.parts = [names.filter((each) => !BANDS.includes(each))];
+    if (header.hasFar) blocks.common.checkFar();
+    const far = header.sections.filter(({ name }) => name === 'far');
+    this.blocksWithFar = new Set(far.map(({ block }) => block));
+    /** Names of the sections that parts of blocks need, up to the wanted degree; see `namesOf`. */
+    this.parts = [[...names.filter((each) => !BANDS.includes(each)), ...(far.length ? ['far'] : [])]];
     for (const band of bands.slice(0, wanted)) {
       this.parts.push(names.filter((each) => each === band));
     }
+  }
+
+  /** Names of the sections that a part of a block needs. */
+  namesOf(block, part) {
+    const isThere = (name) => name !== 'far' || this.blocksWithFar.has(block);
+    return this.parts[part].filter(isThere);
   }
 }

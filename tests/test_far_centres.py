@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene, shared_scene_path
+from scenes import antialiased, edge_scenes, random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
@@ -186,6 +186,38 @@ def test_they_look_the_same_from_the_middle(scene, distance, factor):
     np.testing.assert_allclose(angles[0], angles[1], rtol=1e-4)
     assert f"{far.sum()} of {COUNT:,} Gaussians" in line
     assert "--remove-floaters" in line
+
+
+def test_dots_fade_unless_the_scene_has_them_compensated(scene):
+    moved, far = moved_away(scene, 1e6, 0.01)
+    drawn, _ = bring_nearer(moved)
+    np.testing.assert_array_equal(drawn.opacity[:, ~far], moved.opacity[:, ~far])
+    assert (drawn.opacity[:, far] < np.log(1 / 254)).all()
+    assert (drawn.opacity[:, far] <= moved.opacity[:, far]).all()
+    kept, _ = bring_nearer(antialiased(moved))
+    np.testing.assert_array_equal(kept.opacity, moved.opacity)
+    # A pixel: 0.5 mrad.
+    sizes = np.where(far, np.float32(np.log(500.0)), moved.log_scale)
+    drawn, _ = bring_nearer(replace(moved, log_scale=sizes))
+    shares = [1 / (1 + np.exp(-s.opacity[0, far].astype(np.float64))) for s in (moved, drawn)]
+    lengths = np.linalg.norm(moved.positions.T[far] - find_far(moved.positions).middle, axis=1)
+    expected = 1 / (1 + 0.3 * (lengths / 1e6) ** 2)
+    kept = shares[1] > 0.002
+    np.testing.assert_allclose((shares[1] / shares[0])[kept], expected[kept], rtol=1e-3)
+    large = np.where(far, np.float32(np.log(1e5)), moved.log_scale)
+    drawn, _ = bring_nearer(replace(moved, log_scale=large))
+    np.testing.assert_allclose(drawn.opacity, moved.opacity, atol=0.05)
+
+
+def test_opaque_ones_and_those_without_an_opacity(scene):
+    moved, far = moved_away(scene, 1e6, 0.01)
+    opacity = np.where(far, np.float32(200.0), moved.opacity)
+    opacity[0, np.flatnonzero(far)[0]] = -200.0
+    for size in (-40.0, np.log(1e5)):
+        sizes = np.where(far, np.float32(size), moved.log_scale)
+        drawn, _ = bring_nearer(replace(moved, opacity=opacity, log_scale=sizes))
+        assert np.isfinite(drawn.opacity).all()
+        assert (drawn.opacity <= opacity).all()
 
 
 def test_small_ones_stay_finite_and_a_flat_scene_keeps_a_thickness(scene):

@@ -36,6 +36,11 @@ _THINNEST = 1 / 8
 #: of a pixel.
 _FINEST = 1e-5
 
+#: Renderers draw what is smaller than a pixel as a dot of the pixel. Such dots would be seen in the
+#: wrong places, so they are as faint as Mip-Splatting makes them: with a low-pass of this variance
+#: for pixels of this angle, radians; but not fainter than what no 8 bits hold (logit).
+_LOW_PASS, _PIXEL, _FAINTEST = 0.3, 5e-4, -6.93
+
 #: Centres that quantiles are estimated from, and those that are looked at together.
 _SAMPLE, _AT_ONCE = 1 << 14, 1 << 18
 
@@ -169,7 +174,8 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
     """Move far Gaussians that are outside a box onto its surface, and say so.
 
     Each moves along the ray from the scene's middle, and is scaled down by the same factor: from
-    the middle it looks the same.
+    the middle it looks the same. Those smaller than a pixel fade, unless the scene asks for
+    opacity compensation, which has the same effect.
 
     Parameters
     ----------
@@ -201,7 +207,12 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
     finest = np.log(_FINEST * np.sqrt((rays * rays).sum(axis=0)))
     scales = log_scale[:, which].astype(np.float64)
     log_scale[:, which] = np.maximum(scales + np.log(factors), np.minimum(scales, finest))
-    drawn = replace(scene, positions=positions, log_scale=log_scale)
+    opacity = scene.opacity
+    if not scene.antialiased:
+        opacity = _copy(scene.opacity)
+        angles = scales - np.log(np.sqrt((rays * rays).sum(axis=0)) / factors)
+        opacity[:, which] = _faded(scene.opacity[:, which], angles)
+    drawn = replace(scene, positions=positions, log_scale=log_scale, opacity=opacity)
     return drawn, (_sentence(scene.positions, found, which),)
 
 
@@ -212,6 +223,15 @@ def bring_nearer(scene: Scene, factor: float = 1.0) -> tuple[Scene, tuple[str, .
     """
     found = find_far(scene.positions, scene.log_scale)
     return (scene, ()) if found is None else draw_nearer(scene, found, found.box(factor))
+
+
+def _faded(opacity: NDArray[np.float32], angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Logits of Gaussians whose axes are seen under angles ``(3, n)``, by their logarithm."""
+    wide = np.sort(np.exp(2 * (angles - np.log(_PIXEL))), axis=0)[1:]
+    with np.errstate(over="ignore", divide="ignore"):
+        share = np.sqrt((wide / (wide + _LOW_PASS)).prod(axis=0)) / (1 + np.exp(-opacity))
+        logit = np.log(share) - np.log1p(-share)
+    return np.maximum(logit, np.minimum(opacity, _FAINTEST))
 
 
 def _copy(planes: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -229,5 +249,5 @@ def _sentence(positions: NDArray[np.float32], found: FarCentres, moved: NDArray[
     return (
         f"{len(moved):,} of {positions.shape[1]:,} Gaussians, {span} from the middle of the scene "
         f"(the others: up to {others.max(initial=found.reach):.4g}), were moved nearer and scaled "
-        "down to look the same; --remove-floaters removes such Gaussians"
+        "down to look the same, fainter if below a pixel; --remove-floaters removes such Gaussians"
     )

@@ -197,7 +197,8 @@ class EncodeReport:
         Factor on the step sizes of profile ``l``, ``m`` or ``s``: what was asked for, times what
         the scene needs without cameras, or what met a target.
     lost : tuple of str
-        What a format other than `.egs` cannot hold, in words.
+        What a format other than `.egs` cannot hold, in words; with profiles ``paper-*``, how many
+        Gaussians were moved nearer.
     rate : RateReport, optional
         How the target was met, if one was given.
     rendered : RenderedLoss, optional

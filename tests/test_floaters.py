@@ -206,7 +206,7 @@ def test_seen_ones_are_never_outside():
 
 @pytest.mark.parametrize("places", [disc(30, 1.0), np.zeros((20, 3))], ids=["plane", "point"])
 def test_cameras_and_points_without_a_hull(places):
-    away = made(np.full((9, 3), [0, 0, -50.0]), 0.05)
+    away = made(np.full((9, 3), [3.5, 0, 4.0]), 0.05)
     camera = Camera("a", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0, 0, 0.0]))
     scene = join_scenes([made(places * [1, 0, 0] + np.array([0, 0, 4]), 0.3), away])
     assert not (find_floaters(scene, [camera] * 2) == OUTSIDE).any()

@@ -27,6 +27,7 @@ from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import Pose, look_at
 from viewer.scenes.request import Request
 from viewer.window.octree_layer import OctreeLayer
+from viewer.window.pane import _box
 
 COUNT = 2500
 
@@ -111,6 +112,18 @@ def test_cells_are_the_leaves_of_to_octree(files, depth):
     assert cells.sides.max() <= 0.95 * octree.size / 2**depth
     fullest = cells.sides[order][leaves[:, 3] == most]
     assert (fullest == cells.sides.max()).all()
+
+
+def test_very_far_centres_leave_cells_to_the_others():
+    scene = random_scene(1000, 0, seed=5)
+    positions = scene.positions.copy()
+    positions[0, :3] = 1e9, -1e9, 1e5
+    moved = opened(replace(scene, positions=positions))
+    cells = Octree([moved]).cells(moved, OctreeChoice(8))
+    assert len(cells.middles) > 300
+    assert np.abs(cells.middles).max() < 100
+    low, high = _box(moved.positions, moved.lengths)
+    assert max(np.abs(low).max(), np.abs(high).max()) < 10
 
 
 def test_two_scenes_have_one_grid_and_one_scale():

@@ -10,7 +10,7 @@ from gs_codec.codecs import decode_part
 from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra, RateTarget
-from gs_codec.files.scenes import inspect_file, read_scene, write_scene
+from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply import vertex_rows
 from gs_codec.guidance.planned import encode_by_plan
@@ -163,7 +163,8 @@ def encode(
 ) -> bytes | tuple[bytes, RateReport]:
     """Encode a cloud as an `.egs` stream, or in another format; `encode_file` has these arguments.
 
-    The same cloud, options and version give the same bytes. Profiles ``paper-*`` use the method of
+    The same cloud, options and version give the same bytes. Log messages name what the format
+    cannot hold. Profiles ``paper-*`` use the method of
     EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
 
     Parameters
@@ -217,6 +218,7 @@ def encode(
         if config.lod:
             parts, report = add_levels([data], report, config, progress)
             data = b"".join(parts)
+    tell_lost(f".{config.format}", report.lost)
     return data if report.rate is None else (data, report.rate)
 
 

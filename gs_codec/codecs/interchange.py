@@ -140,7 +140,7 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
     [data], _ = _packed(replace(scene, f_rest=scene.f_rest[:0]), config, wanted, times)
     rounded = decode_interchange(data, config, system_of(scene))
     in_order = config.format in _SORTED
-    order = spatial_order(scene.positions) if in_order else np.arange(scene.count)
+    order = spatial_order(scene.positions, scene.log_scale) if in_order else np.arange(scene.count)
     return RoundedScene(scene, config, wanted, order, rounded)
 
 

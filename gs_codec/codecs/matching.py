@@ -7,6 +7,7 @@ aligns the two. A scene that was coded several times has a line for each time.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +23,9 @@ from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
-from gs_codec.coding.quantise import fit_range
+from gs_codec.coding.quantise import Quantiser, fit_range
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
 from gs_codec.scene import Scene
@@ -61,13 +63,21 @@ class DepthOrder:
         """
         rows = (*decoded.positions, *decoded.f_dc)
         quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, self.depths, strict=True)]
-        ordered = original.take(order_like(original, quantisers))
-        steps = [quantiser.step for quantiser in quantisers[:3]]
-        for a, b, step in zip(ordered.positions, decoded.positions, steps, strict=True):
-            bound = 0.51 * step + np.spacing(np.abs(b).max(initial=0.0))
-            if (np.abs(a.astype(np.float64) - b) > bound).any():
-                raise InvalidInput(_UNRELATED)
-        return ordered
+        # Far Gaussians were drawn nearer, unless an earlier version encoded the scene.
+        for coded in (bring_nearer(original)[0], original):
+            order = order_like(coded, quantisers)
+            if _are_within_steps(coded.take(order), decoded, quantisers):
+                return original.take(order)
+        raise InvalidInput(_UNRELATED)
+
+
+def _are_within_steps(first: Scene, second: Scene, quantisers: Sequence[Quantiser]) -> bool:
+    """Whether centres of the same index are within half a step."""
+    for a, b, quantiser in zip(first.positions, second.positions, quantisers[:3], strict=True):
+        bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
+        if (np.abs(a.astype(np.float64) - b) > bound).any():
+            return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -218,7 +228,8 @@ def _side_by_side_unmarked(first: Scene, second: Scene) -> tuple[Scene, Scene, s
 
 def _in_morton_order(scene: Scene) -> Scene:
     """The scene in the order of writers, which is that of centres in the convention's system."""
-    return scene.take(spatial_order(turn_axes(scene, CONVENTION).positions))
+    turned = turn_axes(scene, CONVENTION)
+    return scene.take(spatial_order(turned.positions, turned.log_scale))
 
 
 def are_together(first: Scene, second: Scene) -> bool:

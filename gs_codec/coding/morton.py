@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.far import find_far
 from gs_codec.runtime.arrays import Disk, current
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
@@ -95,8 +96,24 @@ def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDA
     return cells
 
 
-def spatial_order(positions: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Permutation ``(N,)`` that sorts finite centres ``(3, N)`` along a Morton curve."""
+def spatial_order(
+    positions: NDArray[np.float32], log_scale: NDArray[np.float32] | None = None
+) -> NDArray[np.int64]:
+    """Permutation ``(N,)`` that sorts finite centres ``(3, N)`` along a Morton curve.
+
+    Far ones come last, along a curve of their own: they would leave one cell for all others. Which
+    are far depends on sizes too; see `find_far`.
+    """
+    found = find_far(positions, log_scale)
+    if found is None:
+        return _along_curve(positions)
+    near = np.delete(np.arange(positions.shape[1]), found.far)
+    far = found.far[spatial_order(positions[:, found.far])]  # of any size
+    # Backwards, so that it begins near the corner where the curve of the others ends.
+    return np.concatenate([near[_along_curve(positions[:, near])], far[::-1]])
+
+
+def _along_curve(positions: NDArray[np.float32]) -> NDArray[np.int64]:
     wide = positions.astype(np.float64)
     low = wide.min(axis=1, keepdims=True, initial=np.inf)
     side = float((wide - low).max(initial=0.0)) or 1.0

@@ -112,7 +112,7 @@ def _reduce(
     quotas = list(_quotas(scene.count, number))
     advance = step_counter(progress, "decimate", len(quotas))
     # What is near in space is near in memory, which is several times as fast.
-    places = spatial_order(scene.positions)
+    places = spatial_order(scene.positions, scene.log_scale)
     scene = scene.take(places)
     for turn, quota in enumerate(quotas, 1):
         blobs, near = blobs_of(scene), _neighbours(scene.positions)

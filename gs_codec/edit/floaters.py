@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.far import find_far
 from gs_codec.coding.linear import combine
 from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.spacing import (
@@ -102,6 +103,11 @@ def find_floaters(
     apart = np.zeros(scene.count)
     apart[finite] = _apart(scene.take(finite))
     labels[apart > _FAR] = FLOATERS.index("isolated")
+    far = np.zeros(scene.count, bool)
+    if found := find_far(scene.positions[:, finite], scene.log_scale[:, finite]):
+        far[finite[found.far]] = True
+    if cameras is None:
+        labels[far & (labels == 0)] = FLOATERS.index("outside")
     if cameras is not None:
         sight = _look(scene, cameras, progress)
         before = (apart > _FAR_BEFORE) & (sight.closest < _BEFORE)
@@ -111,7 +117,9 @@ def find_floaters(
         left = np.zeros(scene.count, bool)
         left[finite] = labels[finite] == 0
         labels[left & hardly] = FLOATERS.index("hardly seen")
-        outside = _outside(scene, cameras, left & ~faint, left & faint & ~hardly)
+        unseen = left & faint & ~hardly
+        labels[unseen & far] = FLOATERS.index("outside")
+        outside = _outside(scene, cameras, left & ~faint, unseen & ~far)
         labels[outside] = FLOATERS.index("outside")
     return labels
 
@@ -208,8 +216,14 @@ def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None 
     - hardly seen, with cameras: at least ten have its centre in their image, but all together see
       less of it than a thousandth of what they see of a Gaussian on average, because it is hidden
       or transparent.
-    - outside, with cameras: they see no more of it than that, and it is beyond the convex hull of
-      the cameras and of what they see, enlarged four times about its middle.
+    - outside: it is one of a few that are far away: see below. With cameras, only if they see no
+      more of it than that; or if it is beyond the convex hull of the cameras and of what they see,
+      enlarged four times about its middle.
+
+    Far away are few Gaussians of any size, at least four times as far from the median centre as
+    where the scene is best cut off: where log2 of the distance, plus a bit for each hundredth of
+    Gaussians beyond, is least. Most scenes have none. They are those that writers of grids, as of
+    ``.spz`` and ``.sog``, say they moved nearer.
 
     What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within
     the enlarged hull, so that few cameras do not remove what others would see. Gaussians with a
@@ -221,7 +235,8 @@ def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None 
         As `gs_codec.read` gives it.
     cameras : path or sequence of Camera, optional
         Those the scene was trained with, or others that look at all that is to stay; as for
-        `gs_codec.render`, but not ``auto``. Without them, only isolated Gaussians go.
+        `gs_codec.render`, but not ``auto``. Without them, only isolated Gaussians and
+        those far away go.
 
     Returns
     -------

@@ -237,7 +237,7 @@ def sort_morton(scene: Scene) -> Scene:
     """
     if not np.isfinite(scene.positions).all():
         raise InvalidInput("centres that are not finite, expected --remove-nan before")
-    return without_order(scene.take(spatial_order(scene.positions)))
+    return without_order(scene.take(spatial_order(scene.positions, scene.log_scale)))
 
 
 def attribute_names(scene: Scene) -> list[str]:

@@ -66,7 +66,7 @@ class Spacing(NamedTuple):
 def in_place_order(scene: Scene) -> NDArray[np.int64]:
     """Indices of the finite Gaussians along a Morton curve, where neighbours are found faster."""
     finite = np.flatnonzero(finite_gaussians(scene))
-    return finite[spatial_order(scene.positions[:, finite])]
+    return finite[spatial_order(scene.positions[:, finite], scene.log_scale[:, finite])]
 
 
 def find_spacing(scene: Scene) -> Spacing:

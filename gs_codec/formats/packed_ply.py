@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import ShGrid
@@ -151,7 +152,8 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a packed PLY, and what it cannot hold, in words; Gaussians in Morton order.
 
     Ranges of chunks are from the lowest to the highest value: clipping some so that the others are
-    finer gains nothing (measured on centres, scales and colours).
+    finer gains nothing (measured on centres, scales and colours). Far Gaussians come last, drawn to
+    the box of the others: one of their chunks also has near ones.
 
     Raises
     ------
@@ -159,7 +161,8 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
         If a value is not finite.
     """
     check_finite(scene, ".compressed.ply")
-    scene = scene.take(spatial_order(scene.positions))
+    nearer, moved = bring_nearer(scene)
+    scene = nearer.take(spatial_order(scene.positions, scene.log_scale))
     columns, ranges = _packed_shares(scene)
     vertex = np.empty(scene.count, [(name, "<u4") for name in _PACKED])
     vertex["packed_position"] = _joined(columns[:3], _BITS)
@@ -173,7 +176,7 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     sh = _packed_sh(scene, clipped)
     data = b"".join([_header_of(scene).encode(), ranges.tobytes(), vertex.tobytes(), sh.tobytes()])
     lost = "centres and scales rounded to 10 or 11 bits of a chunk's range, other values to 8 or 10"
-    return data, (lost, *clipped.sentences(), *left_out(scene))
+    return data, (lost, *moved, *clipped.sentences(), *left_out(scene))
 
 
 def _header_of(scene: Scene) -> str:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
@@ -33,6 +34,10 @@ from gs_codec.scene import Scene
 
 #: Most pixels along a side of an image.
 _LARGEST_SIDE = (1 << 14) - 4
+
+#: Far Gaussians are drawn to a box so many times as large as that of the others. Coordinates are
+#: logarithms, so that four times as large makes their steps a third to a half longer.
+REACH = 4.0
 
 #: Largest magnitude of SH: distances to rows of a palette are in float32.
 _LARGEST_SH = 2.0**12
@@ -57,24 +62,24 @@ def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, 
     InvalidInput
         If a value is not finite, or an image would have more pixels than WebP has.
     """
-    files, lost = sog_files_of(scene, steps)
+    check_finite(scene, ".sog")
+    order = spatial_order(scene.positions, scene.log_scale)
+    steps = AttributeSteps.least(scene) if steps is None else steps
+    nearer, moved = bring_nearer(scene, REACH)
+    files, (rounded, *lost) = sog_files_of(nearer.take(order), steps.take(order))
     archive = io.BytesIO()
     write_zip(archive, files)
-    return archive.getvalue(), lost
+    return archive.getvalue(), (rounded, *moved, *lost)
 
 
-def sog_files_of(
-    scene: Scene, steps: AttributeSteps | None = None, in_order: bool = False
-) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """The files of a scene by name, `meta.json` first; as `pack_sog`, or in the scene's order."""
+def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """The files of a scene by name, `meta.json` first, in the scene's order."""
     check_finite(scene, ".sog")
     if scene.count > _LARGEST_SIDE**2:
         raise InvalidInput(f"{scene.count:,} Gaussians, .sog holds {_LARGEST_SIDE**2:,}")
-    order = np.arange(scene.count) if in_order else spatial_order(scene.positions)
-    turned, clipped = turn_axes(scene.take(order)), Clipped()
+    turned, clipped = turn_axes(scene), Clipped()
     f_rest = clipped.limited("SH", turned.f_rest, -_LARGEST_SH, _LARGEST_SH)
     turned = replace(turned, f_rest=f_rest)
-    steps = AttributeSteps.least(scene) if steps is None else steps.take(order)
     meta: dict[str, object] = {"version": 2, "count": scene.count}
     meta["asset"] = {"generator": "gs_codec"}
     if scene.antialiased:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.far import Box, draw_nearer, find_far
 from gs_codec.coding.morton import spatial_order
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import turn_axes
@@ -45,6 +46,9 @@ _WRITTEN_BITS = 16
 
 #: Largest magnitude of a centre in fixed point, and of a component of a quaternion.
 _FARTHEST, _LONGEST = (1 << 23) - 1, 511
+
+#: Far centres are drawn to this magnitude, whose multiples of steps are not beyond the farthest.
+_DRAWN = 15 << 19
 
 #: Most octaves by which rounding is coarser than the format's own.
 _COARSEST = 20.0
@@ -109,7 +113,8 @@ def pack_spz(
 ) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of an `.spz` file of version 3 or 4, and what it cannot hold, in words.
 
-    Gaussians are in Morton order, and in the format's own coordinates.
+    Gaussians are in Morton order, and in the format's own coordinates. Far ones, for which the
+    others would have fewer bits of fractions, are drawn nearer.
 
     Parameters
     ----------
@@ -125,12 +130,15 @@ def pack_spz(
         If a value is not finite.
     """
     check_finite(scene, ".spz")
-    order = spatial_order(scene.positions)
-    turned = turn_axes(scene.take(order), SYSTEM)
+    order = spatial_order(scene.positions, scene.log_scale)
     steps = AttributeSteps.least(scene) if steps is None else steps.take(order)
-    farthest = float(np.abs(turned.positions).max(initial=0.0))
-    room = math.floor(math.log2(_FARTHEST / farthest)) if farthest else _WRITTEN_BITS
-    bits = min(max(room, 0), _WRITTEN_BITS)
+    found = find_far(scene.positions, scene.log_scale)
+    ends = scene.positions if found is None else np.stack([found.near.low, found.near.high])
+    farthest = float(np.abs(ends).max(initial=0.0))
+    bits = _fraction_bits(farthest)
+    edge = np.full(3, max(farthest, _DRAWN * 2.0**-bits))
+    nearer, moved = draw_nearer(scene, found, Box(-edge, edge))
+    turned = turn_axes(nearer.take(order), SYSTEM)
     flags = ANTIALIASED if scene.antialiased else 0
     header = SpzHeader(version, scene.count, scene.sh_degree, bits, flags)
     streams = [np.empty((scene.count, size), np.uint8) for size in header.sizes]
@@ -141,7 +149,13 @@ def pack_spz(
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
     lost = "opacity, colours, scales and SH rounded to 8 bits, rotations to 10"
-    return pack_streams(header, streams), (lost, *clipped.sentences(), *left_out(scene))
+    return pack_streams(header, streams), (lost, *moved, *clipped.sentences(), *left_out(scene))
+
+
+def _fraction_bits(farthest: float) -> int:
+    """Bits of fractions that a coordinate of this magnitude leaves room for."""
+    room = math.floor(math.log2(_FARTHEST / farthest)) if farthest else _WRITTEN_BITS
+    return min(max(room, 0), _WRITTEN_BITS)
 
 
 def _bytes_of(

@@ -11,12 +11,13 @@ import numpy as np
 from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
 from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.extent import block_extent
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import STREAMED, UNBUNDLED, Config
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.sog_writer import numbers, sog_files_of
+from gs_codec.formats.sog_writer import REACH, numbers, sog_files_of
 from gs_codec.formats.streamed_sog import Leaf, Run, describe_levels
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.building import coarsen
@@ -63,10 +64,11 @@ def stream_levels(
         scene = turn_axes(clean_scene(scene, config)[0])
         if not scene.count:
             raise InvalidInput(f"no Gaussians, {STREAMED} has at least one")
-        leaves = _leaves(scene.take(spatial_order(scene.positions)), leaf)
+        nearer, moved = bring_nearer(scene, REACH)
+        leaves = _leaves(nearer.take(spatial_order(scene.positions, scene.log_scale)), leaf)
         files: dict[str, bytes] = {}
         runs: list[list[Run]] = []
-        told: list[str] = []
+        told: list[str] = [*moved]
         names: list[str] = []
         chosen = config
         for level, parts in enumerate(zip(*leaves, strict=True)):
@@ -79,7 +81,7 @@ def stream_levels(
             runs.append(_runs([part.count for part in parts], most, len(names)))
             for number, (start, stop) in enumerate(_extents(runs[-1])):
                 own = steps.take(slice(start, stop))
-                contents, lost = sog_files_of(whole.between(start, stop), own, in_order=True)
+                contents, lost = sog_files_of(whole.between(start, stop), own)
                 files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
                 names.append(f"{level}_{number}/{UNBUNDLED}")
                 told += lost
@@ -105,7 +107,7 @@ def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
         found = [scene.between(*ends)]
         for _ in range(depth):
             merged, _ = coarsen(found[-1], scene.antialiased)
-            merged = merged.take(spatial_order(merged.positions))
+            merged = merged.take(spatial_order(merged.positions, merged.log_scale))
             found.append(replace(merged, comments=comments))
         return found
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.cube import Cube
+from gs_codec.coding.far import find_far
 from gs_codec.coding.morton import decode_morton
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import UNKNOWN, Legend, Points, heat, legend_of
@@ -27,6 +28,9 @@ _LEAST, _MOST = 0.3, 0.94
 _BITS = (0.02, 0.98)
 
 _DEEPEST = DEPTHS[-1]
+
+#: Cells reach this many times as far as near centres do.
+_AROUND = 8.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,13 @@ class Octree:
         kept = {scene: np.isfinite(scene.positions).all(axis=1) for scene in scenes}
         places = {scene: scene.positions[mask].T for scene, mask in kept.items()}
         both = np.concatenate(list(places.values()), axis=1)
+        # Very far centres are in the outermost cells: around them, all others would be in one.
+        lengths = np.concatenate([scene.lengths[mask] for scene, mask in kept.items()])
+        with np.errstate(divide="ignore"):
+            sizes = np.log(lengths)
+        if found := find_far(both, sizes[None]):
+            box = found.box(_AROUND)
+            both = np.clip(both, box.low[:, None], box.high[:, None])
         self._cube = Cube.around(both) if both.size else Cube((0.0, 0.0, 0.0), 1.0)
         self._sorted: dict[Opened, _Sorted] = {}
         for scene, mask in kept.items():

@@ -10,6 +10,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
+from gs_codec.coding.far import find_far
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
 from viewer.pictures.marker import LINES
@@ -91,7 +92,7 @@ class Pane:
         self.scene = scene
         self.points: dict[str, Points] = {}
         self._outlined: tuple | None = None
-        low, high = _box(scene.positions)
+        low, high = _box(scene.positions, scene.lengths)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
         self._corners = np.asarray(self._box.get_box_points())
 
@@ -313,9 +314,17 @@ def _tensor(array: NDArray) -> o3d.core.Tensor:
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array, np.float32))
 
 
-def _box(positions: NDArray) -> tuple[NDArray, NDArray]:
-    """Lowest and highest coordinates of the finite centres."""
-    finite = positions[np.isfinite(positions).all(axis=1)]
+def _box(positions: NDArray, lengths: NDArray) -> tuple[NDArray, NDArray]:
+    """Lowest and highest coordinates of the finite centres, but far ones.
+
+    With these, the near plane would be beyond all the others.
+    """
+    kept = np.isfinite(positions).all(axis=1)
+    finite = positions[kept]
     if not len(finite):
         return -np.ones(3), np.ones(3)
+    with np.errstate(divide="ignore"):
+        sizes = np.log(lengths[kept])
+    if found := find_far(finite.T, sizes[None]):
+        return found.near.low, found.near.high
     return finite.min(axis=0).astype(np.float64), finite.max(axis=0).astype(np.float64)

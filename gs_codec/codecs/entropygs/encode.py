@@ -16,6 +16,7 @@ from gs_codec.codecs.entropygs.torchac_coder import coder_section, encode_stream
 from gs_codec.coding.colour import encode_colour
 from gs_codec.coding.count_tree import encode_geometry
 from gs_codec.coding.extent import block_extent
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, encode_symbols
 from gs_codec.config import Config
@@ -36,6 +37,7 @@ def encode_channels(
     if config.coder == "torchac":
         require_torchac()
     with times.stage("order"):
+        scene, lost = bring_nearer(scene)
         ordered = order_scene(scene, config.resolved_depths())
     with times.stage("quantise and model"):
         coded = quantise_and_model(scene, ordered.order, config, progress)
@@ -53,7 +55,10 @@ def encode_channels(
         sections = [*index_section(extents), Section(SectionId.CHANNELS, 0, channels)]
         sections += [*by_tool, *by_coder]
         sections += _encode_blocks(header, ordered, coded, config, tool, progress)
-    return pack_scene(scene, header, sections, ordered.order, times, coded.costs, coded.rectified)
+    parts, report = pack_scene(
+        scene, header, sections, ordered.order, times, coded.costs, coded.rectified
+    )
+    return parts, replace(report, lost=lost)
 
 
 def _extent(ordered: Ordered, coded: Coded, start: int, stop: int) -> NDArray[np.float32]:

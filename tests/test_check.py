@@ -99,7 +99,7 @@ def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
 
 
 def test_both_ways_to_measure_agree(still_life):
-    check, config = check_of(still_life), Config("s")
+    check, config = check_of(still_life), Config("m")
     watched = check.watch()
     parts, _ = encode_clean(still_life, config, StageTimes(), watched=watched)
     kept, decoded = (
@@ -107,7 +107,7 @@ def test_both_ways_to_measure_agree(still_life):
         check.measure(decode_as(config, b"".join(parts))),
     )
     # A few others reach into a window once they are rounded.
-    assert kept.loss == pytest.approx(decoded.loss, rel=0.1)
+    assert kept.loss == pytest.approx(decoded.loss, rel=0.05)
     assert kept.windows == decoded.windows
 
 
@@ -165,7 +165,7 @@ def test_given_cameras_measure_in_held_out_views(still_life, cameras):
     true = true_loss(still_life, decode_as(Config(), data), held_out)
     assert loss.views == "given"
     assert true / 1.5 < loss.loss < 1.5 * true
-    assert loss.away is None  # this scene does not show where cameras were
+    assert 0 < loss.away < 4
 
 
 def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
@@ -174,7 +174,7 @@ def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
     assert data == b"".join(encode_camera_free(still_life, Config())[0])
     assert report.rendered.views == "likely"
     [record] = [r for r in caplog.records if r.levelno == logging.WARNING]
-    assert "of what they see is empty; encoded without them" in record.getMessage()
+    assert "cameras do not fit the scene: guided by them, views lose" in record.getMessage()
     with pytest.raises(InvalidInput, match="cameras do not fit the scene"):
         encode_by_plan(still_life, 1, Config(strict=True), Plan(cameras=flipped))
 

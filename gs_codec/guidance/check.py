@@ -84,13 +84,14 @@ class Check:
     """A scene in windows on likely places, and in those of given cameras if there are any.
 
     Given cameras measure the loss; likely places then show whether the cameras fit the scene, as
-    does the share of the cameras' windows that show nothing.
+    does the share of the cameras' windows that show nothing. `telling` is that of `Windows`.
     """
 
     scene: Scene
     likely: _Seen | None
     given: _Seen | None = None
     blank: float = 0.0
+    telling: bool = True
 
     @classmethod
     def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
@@ -108,8 +109,7 @@ class Check:
         from gs_codec.preparation.pipeline import checking_cameras
 
         given = windows_of(checking_cameras(scene, plan))
-        # Places anywhere around a scene say nothing of cameras.
-        return cls.of(scene, windows.checking if windows.telling else (), given)
+        return replace(cls.of(scene, windows.checking, given), telling=windows.telling)
 
     @property
     def _all(self) -> list[_Seen]:

@@ -135,7 +135,7 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
     loss = report.rendered
     assert loss.encodings > 1
     assert report.coarseness < 4
-    assert loss.remedy == f"steps {report.coarseness:.2f}x those of the profile"
+    assert loss.remedy == f"{report.coarseness:.2f}x those of the profile"
     assert loss.loss <= 2 * loss.aimed
     assert not caplog.records
 
@@ -268,3 +268,11 @@ def test_cameras_of_another_scale_do_not_guide(captured, caplog):
     _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=scaled))
     assert report.rendered.views == "likely"
     assert "cameras do not fit the scene: guided by them, views lose" in caplog.text
+
+
+def test_cameras_that_see_nothing_do_not_guide(captured, caplog):
+    away = [replace(c, position=c.position - 1e3 * c.rotation[2]) for c in captured.cameras]
+    back = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in away]
+    _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=back))
+    assert report.rendered.views == "likely"
+    assert "they see 0% of the Gaussians; encoded without them" in caplog.text

@@ -197,10 +197,12 @@ def test_inspect_says_what_the_file_holds(folder, trio):
     assert {"x", "f_dc_2", "opacity", "scale_1", "rot_3", "f_rest_44"} <= rows
 
 
-def test_encode_prints_one_line(folder):
+def test_encode_prints_a_line_and_what_views_lose(folder):
     for options in ([], ["-p", "paper-m"], ["-p", "lossless"]):
         out = folder.run("encode", "scene.ply", "out.egs", "--overwrite", *options).out
-        assert len(out.splitlines()) == 1
+        first, *others = out.splitlines()
+        assert first.startswith("out.egs: 1,500 Gaussians, ")
+        assert others == ([] if "lossless" in options else ["rendered views: not measured"])
 
 
 def test_encode_of_what_comes_compressed_counts_from_the_floats(folder):

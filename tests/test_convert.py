@@ -111,7 +111,7 @@ def test_a_table_has_every_float_exactly(count, tmp_path):
     kept = {"label,x": np.arange(count, dtype="<i4") - 1, "w": np.linspace(0, 1, count)}
     scene = replace(scene, extra=kept, has_normals=True, comments=("one",))
     scene.opacity[:, :2] = [np.nan, -np.inf] if count > 1 else 0.25
-    lost = write_scene(tmp_path / "a.csv", scene, Config())
+    lost, _ = write_scene(tmp_path / "a.csv", scene, Config())
     assert lost == ("comments left out: 1 lines",)
     with open(tmp_path / "a.csv", newline="") as file:
         names, *rows = csv.reader(file)

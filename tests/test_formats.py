@@ -346,7 +346,7 @@ def test_splat_holds_rotations_by_nothing_and_half_turns_exactly(axis, sign, tmp
 def test_splat_says_what_it_cannot_hold(tmp_path):
     scene = random_scene(50, 2, seed=5)
     scene = replace(scene, comments=("one",), extra={"label": np.arange(50, dtype="<i4")})
-    lost = write_scene(tmp_path / "a.splat", scene, Config())
+    lost, _ = write_scene(tmp_path / "a.splat", scene, Config())
     assert [line.partition(" ")[0] for line in lost] == [
         *("opacity,", "colours", "SH", "properties", "comments")
     ]

@@ -397,9 +397,10 @@ def test_prepare_prints_what_went_and_the_table(folder):
     assert lines[1].startswith("pruned by leave-one-out: ")
     assert lines[1].endswith(" of 400")
     assert lines[2].split() == ["step", "Gaussians", "MB", "PSNR", "dB", "SSIM", "s"]
-    assert lines[-1].startswith("coding (m)")
+    assert lines[-2].startswith("coding (m)")
+    assert lines[-1].startswith("rendered views: ")
     result = run("prepare", folder / "scene.ply", folder / "p.ply", *options, "-p", "paper-s")
-    assert result.stdout.splitlines()[-1].startswith("geometry coding")
+    assert result.stdout.splitlines()[-2].startswith("geometry coding")
 
 
 @pytest.mark.parametrize("profile", [None, "s", "paper-s", "lossless"])
@@ -503,7 +504,8 @@ def test_encode_tells_what_preparation_did(folder, monkeypatch):
     lines = result.stdout.splitlines()
     assert lines[1] == "pruned by leave-one-out: 120 of 400"
     rows = ["step", "original", "leave-one-out pruning", "coding (m)"]
-    assert [line.split("  ")[0] for line in lines[2:]] == rows
+    assert [line.split("  ")[0] for line in lines[2:6]] == rows
+    assert lines[6].startswith("rendered views: ")
     told = json.loads(CliRunner().invoke(app, [*asked, "--overwrite", "--json"]).stdout)
     prepared = told["prepared"]
     assert [step["name"] for step in prepared["steps"]] == rows[1:]

@@ -119,14 +119,14 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
     )
     if levels := report.section_bytes.get("level"):
         print_text(f"coarser levels of detail: {size_text(levels)} of it")
-    if config.profile != LOSSLESS:
-        print_rendered(report.rendered)
     if report.prepared is not None:
         print_prepared(report.prepared)
     if report.rate is not None:
         _print_rate(report.rate)
-    elif report.coarseness != 1:
+    elif report.coarseness != 1 and (report.rendered is None or report.rendered.remedy is None):
         print_text(f"steps {report.coarseness:.2f} times the profile's")
+    if config.profile != LOSSLESS:
+        print_rendered(report.rendered)
 
 
 def _print_rate(rate: RateReport) -> None:

@@ -100,18 +100,19 @@ def print_rendered(loss: RenderedLoss | None) -> None:
         return
     text = (
         f"rendered views: {loss.psnr:.1f} dB to the original, "
-        f"a loss of {loss_text(loss.loss)} at 30 dB; worst window {loss_text(loss.worst)}"
+        f"a loss of {'about ' if loss.loss >= 0.01 else ''}{loss_text(loss.loss)} at 30 dB; "
+        f"worst window {loss_text(loss.worst)}"
     )
     if loss.away is not None:
         text += f"; away from the cameras {loss_text(loss.away)}"
     print_text(text)
     if loss.remedy is not None:
-        print_text(f"{loss.remedy}, because rendered views lost too much at first")
+        print_text(f"finer steps ({loss.remedy}), because rendered views lost too much at first")
 
 
 def loss_text(loss: float) -> str:
     """A loss of rendered views with its unit."""
-    return f"about {loss:.2f} dB" if loss >= 0.01 else "less than 0.01 dB"
+    return f"{loss:.2f} dB" if loss >= 0.01 else "less than 0.01 dB"
 
 
 @contextmanager

@@ -50,7 +50,7 @@ def decode_scene(
 def decode_as(config: Config, data: bytes, progress: Progress | None = None) -> Scene:
     """Decode what was encoded by a configuration, which names its format."""
     if config.format == EGS:
-        return decode_scene(data, config.threads, progress=progress)
+        return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
     return decode_interchange(data, config)
 
 

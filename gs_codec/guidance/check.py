@@ -60,44 +60,38 @@ def _draw(
         return draw_parts(scene.take(np.concatenate([np.empty(0, np.int64), *shown])), parts)
 
 
-def _look(scene: Scene, windows: Sequence[Camera]) -> tuple[_Seen | None, float]:
-    """Those of some windows that show enough of a scene, and the share that shows too little.
-
-    None if the former are too few.
-    """
-    found = list(zip(windows, find_shown(scene, windows), strict=True))
-    usable = [(window, own) for window, own in found if 0 < len(own) <= MOST_SHOWN]
-    blank = sum(len(own) == 0 for _, own in found)
+def _look(scene: Scene, windows: Sequence[Camera], most_left: float) -> _Seen | None:
+    """Those of some windows with a transmittance of at most `most_left`; None if too few are."""
+    found = zip(windows, find_shown(scene, windows), strict=True)
+    usable = [(window, own) for window, own in found if len(own) <= MOST_SHOWN]
     drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
     rows = [
         (window, own, image)
         for (window, own), (image, left) in zip(usable, drawn, strict=True)
-        if left <= MOST_LEFT
+        if left <= most_left
     ]
-    blank += len(usable) - len(rows)
-    seen = _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
-    return seen, blank / max(len(found), 1)
+    return _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
 
 
 @dataclass(frozen=True)
 class Check:
     """A scene in windows on likely places, and in those of given cameras if there are any.
 
-    Given cameras measure the loss; likely places then show whether the cameras fit the scene, as
-    does the share of the cameras' windows that show nothing. `telling` is that of `Windows`.
+    Given cameras measure the loss; likely places then show whether the cameras fit the scene.
+    `telling` is that of `Windows`.
     """
 
     scene: Scene
     likely: _Seen | None
     given: _Seen | None = None
-    blank: float = 0.0
     telling: bool = True
 
     @classmethod
     def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
         """Look at a scene without NaN or infinity."""
         plain = replace(scene, extra={})
-        return cls(plain, _look(plain, likely)[0], *_look(plain, given))
+        # Where given cameras see nothing, nothing is lost; holes on likely places are no views.
+        return cls(plain, _look(plain, likely, MOST_LEFT), _look(plain, given, 1.0))
 
     @classmethod
     def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:

@@ -40,10 +40,6 @@ _HELPS = 0.8
 #: 550 times and more (still lifes).
 _MISFIT, _MISFIT_ANYWHERE = 70.0, 250.0
 
-#: They also are if more than this share of their windows shows nothing. Right ones see the scene in
-#: nearly all of their views.
-_BLANK = 0.75
-
 #: Encodes with a configuration; keeps decoded values of the Gaussians that are given.
 Encode = Callable[[Config, Watched | None], Encoded]
 
@@ -89,19 +85,18 @@ def encode_checked(
         encoded = encode(chosen, watched)
         with times.stage("measure"):
             loss = _measure(encoded, config, check, watched)
-        if origin is not None and (misfit := _misfit(check, loss, aim)):
-            if config.strict:
-                raise InvalidInput(f"cameras do not fit the scene: {misfit}")
-            log.warning("cameras do not fit the scene: %s; encoded without them", misfit)
-            return None
         if loss is None:
             return encoded
+        if origin is not None and aim is not None and _misfits(check, loss, aim):
+            most = max(loss.loss, loss.away or 0.0)
+            warn_misfit(f"guided by them, views lose {most:.1f} dB", config)
+            return None
         error = error_of(loss.loss)
         loss = replace(loss, aimed=None if aim is None else psnr_loss(aim), encodings=encodings)
         if best is not None:
             if error > _HELPS * error_of(best[1].loss):
                 break
-            remedy = f"steps {chosen.coarseness / config.coarseness:.2f}x those of the profile"
+            remedy = f"{chosen.coarseness / config.coarseness:.2f}x those of the profile"
             loss = replace(loss, remedy=remedy)
         best = encoded, loss
         if aim is None or error <= allowed * aim:
@@ -116,15 +111,22 @@ def encode_checked(
     return parts, replace(report, rendered=loss)
 
 
-def _misfit(check: Check, loss: RenderedLoss | None, aim: float | None) -> str | None:
-    """Why cameras seem to be those of another scene, if so."""
-    if check.blank > _BLANK:
-        return f"{check.blank:.0%} of what they see is empty"
-    most = 0.0 if loss is None else max(loss.loss, loss.away or 0.0)
-    misfit = _MISFIT if check.telling else _MISFIT_ANYWHERE
-    if aim is not None and error_of(most) > misfit * aim:
-        return f"guided by them, views lose {most:.1f} dB"
-    return None
+def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
+    """Whether the cameras that guided an encoding are those of another scene."""
+    most = max(loss.loss, loss.away or 0.0)
+    return error_of(most) > aim * (_MISFIT if check.telling else _MISFIT_ANYWHERE)
+
+
+def warn_misfit(reason: str, config: Config) -> None:
+    """Say that cameras are those of another scene, scale or system; refuse them if strict.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if config.strict:
+        raise InvalidInput(f"cameras do not fit the scene: {reason}")
+    log.warning("cameras do not fit the scene: %s; encoded without them", reason)
 
 
 def _measure(

@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import (
     Encoded,
@@ -36,6 +38,11 @@ if TYPE_CHECKING:
     from gs_codec.codecs.adaptive.watched import Watched
     from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
     from gs_codec.preparation.steps import Plan
+
+
+#: Cameras that see a smaller share of the Gaussians are not those of the scene: what they do not see
+#: would be very coarse.
+_LEAST_SEEN = 0.1
 
 
 def encode_by_plan(
@@ -186,7 +193,7 @@ def _guided(
 ) -> tuple[bytes, EncodeReport] | None:
     """Encode a scene, guided by these views; None if they do not fit it."""
     from gs_codec.guidance.check import Check
-    from gs_codec.guidance.checked import encode_checked
+    from gs_codec.guidance.checked import encode_checked, warn_misfit
     from gs_codec.guidance.guide import guide
 
     times = StageTimes()
@@ -196,6 +203,10 @@ def _guided(
         return None
     with times.stage("views"):
         guidance = guide(clean, references, progress)
+    seen = float(np.mean(guidance.weights.max(axis=0) > 0))
+    if seen < _LEAST_SEEN:
+        warn_misfit(f"they see {seen:.0%} of the Gaussians", config)
+        return None
     with times.stage("measure"):
         check = Check.by_plan(clean, plan)
 

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
 
-#: Cameras that see a smaller share of the Gaussians are not those of the scene: what they do not see
-#: would be very coarse.
+#: Cameras that see a smaller share of the Gaussians are not those of the scene. The others would be
+#: very coarse.
 _LEAST_SEEN = 0.1
 
 
@@ -89,6 +89,8 @@ def _measured(
     if loss is not None:
         aimed = None if target is None else target.psnr_drop
         loss = replace(loss, aimed=aimed)
+        if (coded := report.rendered) is not None:
+            loss = replace(loss, encodings=coded.encodings, remedy=coded.remedy)
         tell(loss, config)
     taken = times.seconds["measure"] + report.seconds.get("measure", 0.0)
     return replace(report, rendered=loss, seconds=report.seconds | {"measure": taken})

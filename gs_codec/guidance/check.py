@@ -39,11 +39,15 @@ _LEAST = 1e-12
 
 
 class _Seen(NamedTuple):
-    """Windows on a scene, the Gaussians that each shows ``(n,)``, and its image ``(H, W, 3)``."""
+    """Windows on a scene, the Gaussians that each shows ``(n,)``, and its image ``(H, W, 3)``.
+
+    `left` is the mean transmittance of each.
+    """
 
     windows: list[Camera]
     shown: list[NDArray[np.int64]]
     images: list[NDArray[np.float32]]
+    left: list[float]
 
     def errors(self, coded: Scene, shown: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
         """Mean squared error of each window, which shows these Gaussians of a coded scene."""
@@ -66,7 +70,7 @@ def _look(scene: Scene, windows: Sequence[Camera], most_left: float) -> _Seen | 
     usable = [(window, own) for window, own in found if len(own) <= MOST_SHOWN]
     drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
     rows = [
-        (window, own, image)
+        (window, own, image, left)
         for (window, own), (image, left) in zip(usable, drawn, strict=True)
         if left <= most_left
     ]
@@ -104,6 +108,11 @@ class Check:
 
         given = windows_of(checking_cameras(scene, plan))
         return replace(cls.of(scene, windows.checking, given), telling=windows.telling)
+
+    @property
+    def covered(self) -> float:
+        """Mean opacity of what given cameras see, 0-1; 1 without them."""
+        return 1.0 if self.given is None else 1.0 - float(np.mean(self.given.left))
 
     @property
     def _all(self) -> list[_Seen]:

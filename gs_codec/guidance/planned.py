@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
     from gs_codec.preparation.steps import Plan
 
+
+log = logging.getLogger(__name__)
 
 #: Cameras that see a smaller share of the Gaussians are not those of the scene. The others would be
 #: very coarse.
@@ -183,7 +186,16 @@ def encode_planned(
         return _camera_free(scene, config, progress)
     with using_threads(config.threads):
         guided = _guided(scene, config, plan, references, progress)
-    return _camera_free(scene, config, progress) if guided is None else guided
+    if guided is None:
+        return _camera_free(scene, config, progress)
+    loss = guided[1].rendered
+    if references.origin == "estimated" and loss is not None and loss.encodings > 1:
+        # Where estimated cameras need much finer steps, they may save nothing.
+        free = _camera_free(scene, config, progress)
+        if len(free[0]) <= len(guided[0]):
+            log.warning("cameras 'auto': they save nothing here, encoded camera-free")
+            return free
+    return guided
 
 
 def _guided(

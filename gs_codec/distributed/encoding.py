@@ -49,8 +49,9 @@ def encode_distributed(
 ) -> EncodeReport:
     """Encode one scene by the workers of a Dask scheduler; it is never in memory as a whole.
 
-    The file is that of `encode_file`, or of `convert_file` for several sources, byte for byte. What
-    is done is kept in the folder ``TARGET.parts`` until the target is whole: the same call goes on
+    The file is that of `encode_file`, or of `convert_file` for several sources, byte for byte,
+    unless that makes steps finer because views lose too much: here views are not measured. What is
+    done is kept in the folder ``TARGET.parts`` until the target is whole: the same call goes on
     with what a run before it left. Workers read the sources and use that folder, so they need a
     storage that all machines share.
 
@@ -104,6 +105,8 @@ def _check(config: Config) -> None:
         raise InvalidInput(f"dask: profile '{config.profile}', expected {known} of an .egs")
     if config.depths:
         raise InvalidInput("dask: not with depths, which need the whole scene")
+    if config.strict:
+        raise InvalidInput("dask: strict: views are not measured")
     if config.extra == "keep":
         raise InvalidInput("dask: extra properties are not kept, expected --extra drop")
 

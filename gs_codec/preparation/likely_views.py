@@ -21,8 +21,8 @@ from gs_codec.scene import Scene
 _DIRECTIONS = 32
 
 #: Weight of these views, in units of that of the estimated ones. Chosen on fox, bonsai and captures
-#: of a wall: with 0.5, true views of the wall lose 0.11 dB instead of 0.08; with 8, files are larger
-#: for the same loss.
+#: of a wall: with 0.5, true views of the wall lose 0.11 dB instead of 0.08; with 8, files are
+#: larger for the same loss.
 _SHARE = 4.0
 
 #: Power of what a run shows in a direction, which differs by a factor of 3 between the best and the

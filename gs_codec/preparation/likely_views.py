@@ -63,6 +63,7 @@ def likely_views(scene: Scene, weights: NDArray[np.float32]) -> LikelyViews:
     Parameters
     ----------
     scene : Scene
+        At least one Gaussian.
     weights : ndarray, shape (views, N), float32
         `squared_weights` of the estimated cameras.
     """

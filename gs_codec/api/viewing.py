@@ -208,7 +208,8 @@ def prepare(
     open3d.t.geometry.PointCloud
         The smaller scene, with the attributes that `read` gives.
     PrepareReport
-        A label for each input Gaussian, and size and quality after each step.
+        A label for each input Gaussian, size and quality after each step, and what windows of
+        other views lose.
 
     Raises
     ------
@@ -224,12 +225,15 @@ def prepare(
     >>> [step.name for step in report.steps]
     ['original', 'leave-one-out pruning']
     """
+    from gs_codec.guidance.check import Check
+    from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.pipeline import prepare_scene
 
     with using_threads(None if config is None else config.threads):
         scene = scene_of(source, max_bytes)
-        scene, report = prepare_scene(scene, plan, progress)
-    return to_cloud(scene), report
+        prepared, report = prepare_scene(scene, plan, progress)
+        rendered = Check.by_plan(cleaned(scene), plan).measure(prepared)
+    return to_cloud(prepared), replace(report, rendered=rendered)
 
 
 def scene_of(source: PointCloud | str | Path, max_bytes: int | None = None) -> Scene:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.matching import without_order
-from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
 from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import PLAIN, config_for
@@ -80,6 +79,7 @@ def prepare_file(
         config = config_for(target, config)
     # Loaded here: encoding alone does without all that draws.
     from gs_codec.guidance.check import Check
+    from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene
     from gs_codec.preparation.report import save_report
@@ -96,7 +96,7 @@ def prepare_file(
             data, report = encode_planned(scene, config, coded_by, progress, views.renders)
             prepared = prepared.coded(scene, config, data, report)
             result = decode_as(config, data) if coded else scene
-            loss = Check.by_plan(clean_scene(original, config)[0], plan).measure(result)
+            loss = Check.by_plan(cleaned(original), plan).measure(result)
             prepared = replace(prepared, rendered=loss)
             if report_folder is not None:
                 save_report(report_folder, prepared)

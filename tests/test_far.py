@@ -42,9 +42,10 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.egs.levels import levels_of, open_level
-from gs_codec.errors import CorruptStream, InvalidInput
+from gs_codec.errors import CorruptStream, InvalidInput, MissingTool
 from gs_codec.files.coding import decode_file, encode_file
 from gs_codec.files.scenes import read_scene
+from gs_codec.files.sharing import page_of
 from gs_codec.formats.ply import read_ply
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free, encode_planned
 from gs_codec.preparation.steps import Plan, Steps
@@ -580,3 +581,14 @@ def test_memory_limits_do_not_change_the_file(tmp_path):
     encode_file(path, tmp_path / "a.egs", Config("m"))
     encode_file(path, tmp_path / "b.egs", Config("m"), max_memory=1 << 30)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
+
+
+def test_pages_read_them_as_they_are(tmp_path):
+    pytest.importorskip("viewer")
+    data = encode_scene(with_far(random_scene(3000, 1, seed=74), 5), Config("m"))[0]
+    (tmp_path / "far.egs").write_bytes(data)
+    try:
+        [shared], _ = page_of([tmp_path / "far.egs"], "auto", alone=True)
+    except MissingTool:
+        pytest.skip("the page is not built")
+    assert (shared.data, shared.encoded) == (data, False)

@@ -15,6 +15,7 @@ import numpy as np
 
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import EGS, LOSSLESS, Config
+from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.scenes import scene_in
 from gs_codec.formats.coordinates import CONVENTION
@@ -162,7 +163,7 @@ def _open(
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
         if file.format == EGS:
             info = inspect_bytes(file.data)
-            if info.profile != LOSSLESS and not info.features:
+            if info.profile != LOSSLESS and set(info.features) <= set(Feature.FAR.labels):
                 levels = len(info.levels)
                 return SharedScene(path.name, bytes(file.data), False, levels), scene
         with located(path):

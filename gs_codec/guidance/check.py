@@ -124,10 +124,7 @@ class Check:
         """What is lost by the values that an encoder kept of those from `watch`."""
         coded = watched.decoded()
         return self._loss(
-            [
-                seen.errors(coded, [np.searchsorted(watched.index, own) for own in seen.shown])
-                for seen in self._all
-            ]
+            [seen.errors(coded, [watched.find(own) for own in seen.shown]) for seen in self._all]
         )
 
     def measure(self, coded: Scene) -> RenderedLoss | None:

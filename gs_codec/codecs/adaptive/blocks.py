@@ -214,5 +214,5 @@ def _keep_decoded(
         rot=rot,
         opacity=to_float(shaped.shape.opacity[at])[None].astype(np.float32),
         f_dc=from_ycocg(to_float(colours[:, at])),
-        f_rest=f_rest.reshape(-1, len(at)),
+        f_rest=f_rest.reshape(3 * levels.shape[1], len(at)),
     )

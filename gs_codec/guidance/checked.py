@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
@@ -45,34 +45,49 @@ _BLANK = 0.75
 #: Encodes with a configuration; keeps decoded values of the Gaussians that are given.
 Encode = Callable[[Config, Watched | None], Encoded]
 
+#: An encoded scene, or what becomes one.
+Result = TypeVar("Result")
+
+#: Encodes with a configuration, and measures what views lose; None if the scene shows too little.
+Attempt = Callable[[Config], tuple[Result, RenderedLoss | None]]
+
+
+def measuring(
+    encode: Encode, config: Config, check: Check, times: StageTimes, keeps: bool = True
+) -> Attempt[Encoded]:
+    """Encode and measure; `keeps` says whether `encode` can keep decoded values."""
+
+    def attempt(chosen: Config) -> tuple[Encoded, RenderedLoss | None]:
+        watched = check.watch() if keeps else None
+        encoded = encode(chosen, watched)
+        with times.stage("measure"):
+            return encoded, _measure(encoded, config, check, watched)
+
+    return attempt
+
 
 def encode_checked(
-    encode: Encode,
+    attempt: Attempt[Result],
     config: Config,
     chosen: Config,
     check: Check,
-    times: StageTimes,
     origin: Origin | None = None,
-    keeps: bool = True,
-) -> Encoded | None:
-    """Encode a scene with what views lose in the report.
+) -> tuple[Result, RenderedLoss | None] | None:
+    """Encode a scene, again with finer steps if views lose too much.
 
     Parameters
     ----------
-    encode : callable
+    attempt : callable
     config, chosen : Config
         As asked for, and with the coarseness that suits the scene.
     check : Check
-    times : StageTimes
     origin : str, optional
         Where the cameras come from that guide the steps.
-    keeps : bool
-        Whether `encode` can keep decoded values.
 
     Returns
     -------
-    parts, report
-        None if the cameras do not fit the scene.
+    result, loss
+        Of the best attempt. None if the cameras do not fit the scene.
 
     Raises
     ------
@@ -81,19 +96,16 @@ def encode_checked(
     """
     aim = wanted_error(config) if config.has_steps and not config.depths else None
     allowed = _ALLOWED_ESTIMATED if origin == "estimated" else _ALLOWED
-    best: tuple[Encoded, RenderedLoss] | None = None
+    best: tuple[Result, RenderedLoss] | None = None
     for encodings in range(1, _MOST_ENCODINGS + 1):
-        watched = check.watch() if keeps else None
-        encoded = encode(chosen, watched)
-        with times.stage("measure"):
-            loss = _measure(encoded, config, check, watched)
+        result, loss = attempt(chosen)
         if origin is not None and (misfit := _misfit(check, loss, aim)):
             if config.strict:
                 raise InvalidInput(f"cameras do not fit the scene: {misfit}")
             log.warning("cameras do not fit the scene: %s; encoded without them", misfit)
             return None
         if loss is None:
-            return encoded
+            return result, None
         error = error_of(loss.loss)
         loss = replace(loss, aimed=None if aim is None else psnr_loss(aim), encodings=encodings)
         if best is not None:
@@ -101,7 +113,7 @@ def encode_checked(
                 break
             remedy = f"steps {chosen.coarseness / config.coarseness:.2f}x those of the profile"
             loss = replace(loss, remedy=remedy)
-        best = encoded, loss
+        best = result, loss
         if aim is None or error <= allowed * aim:
             break
         again = finer(chosen, aim / error)
@@ -109,9 +121,8 @@ def encode_checked(
             break
         chosen = again
     assert best is not None
-    (parts, report), loss = best
-    tell(loss, config)
-    return parts, replace(report, rendered=loss)
+    tell(best[1], config)
+    return best
 
 
 def _misfit(check: Check, loss: RenderedLoss | None, aim: float | None) -> str | None:
@@ -129,6 +140,8 @@ def _measure(
 ) -> RenderedLoss | None:
     if watched is not None:
         return check.measure_watched(watched)
+    if not check.windows:
+        return None
     if current().limit is not None:
         return None  # The decoded scene would have to fit into memory.
     return check.measure(_decoded(encoded, config))

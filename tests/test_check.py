@@ -69,7 +69,10 @@ def test_watched_values_are_those_that_a_decoder_returns(degree, guided, far):
     assert len(rows[0]) == len(index)
     assert len(rows[0][0]) == len(names)
     assert set(map(tuple, rows[0])) <= set(map(tuple, rows[1]))
-    # In the order of the index: next to where they were.
+    # In the order of the stream: next to where they were.
+    assert np.array_equal(np.sort(watched.index), index)
+    assert np.array_equal(watched.find(watched.index[1:3]), np.arange(1, 3))
+    index = watched.index
     near = np.abs(found.positions - scene.positions[:, index]).max(axis=0)
     assert np.median(near) < 0.01 * np.ptp(random_scene(3000, degree, seed=5).positions)
     if far:

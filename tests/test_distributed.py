@@ -17,6 +17,7 @@ from scenes import antialiased, edge_scenes, random_scene, thorough
 from gs_codec import decode_distributed, encode_distributed
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config
+from gs_codec.distributed import looking
 from gs_codec.distributed.decoding import decode_with
 from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.folder import Folder, work_folder
@@ -28,9 +29,18 @@ from gs_codec.files.coding import decode_file, encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import inspect_file
 from gs_codec.formats.ply import write_ply
+from gs_codec.guidance import calibrate, check, checked, windows
+from gs_codec.guidance.calibrate import wanted_error
 from gs_codec.scene import Scene
+from samples.generate import generate
 
 BLOCK = 1024
+
+
+@pytest.fixture(scope="module")
+def still_life() -> Scene:
+    """A scene that windows show."""
+    return generate(6000, 1, 1)
 
 
 class Lost(Exception):
@@ -65,11 +75,9 @@ def in_tasks(
 
 
 def whole(path: Path, target: Path, config: Config) -> tuple[bytes, dict]:
-    """The same of `encode_file`, with its first step sizes, as tasks do not measure views."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gs_codec.guidance.checked._MOST_ENCODINGS", 1)
-        report = encode_file(path, target, config)
-    return target.read_bytes(), {**asdict(report), "seconds": None, "rendered": None}
+    """The same of `encode_file`."""
+    report = encode_file(path, target, config)
+    return target.read_bytes(), {**asdict(report), "seconds": None}
 
 
 def saved(path: Path, scene: Scene) -> Path:
@@ -110,18 +118,71 @@ def test_levels_are_the_same(tmp_path, blended, size):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("bad", [0.0, 0.1, 1.0])
-def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, bad):
+def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, still_life, bad):
     rng = np.random.default_rng(1)
-    scene = random_scene(6000, 1, seed=4)
+    scene = replace(still_life, f_rest=still_life.f_rest.copy(), rot=still_life.rot.copy())
     scene.f_rest[3, rng.random(6000) < bad] = np.nan
     scene.rot[:, ::7] = 0
     path = saved(tmp_path / "a.ply", scene)
     config = Config("m", block_size=BLOCK, nonfinite="drop")
     expected = whole(path, tmp_path / "whole.egs", config)
+    assert (expected[1]["rendered"] is None) == (bad == 1)
     assert in_tasks([path], tmp_path / "tasks.egs", config, 999) == expected
     if bad:
         with pytest.raises(InvalidInput, match=r"a\.ply: values that are not finite: .* in f_rest"):
             in_tasks([path], tmp_path / "b.egs", replace(config, nonfinite="error"), 999)
+
+
+@pytest.fixture
+def aiming(monkeypatch):
+    """Makes encoders aim at a share of the error, and take what helps so much."""
+
+    def aim(share: float, helps: float = 0.8) -> None:
+        monkeypatch.setattr(checked, "wanted_error", lambda config: share * wanted_error(config))
+        monkeypatch.setattr(checked, "_HELPS", helps)
+
+    return aim
+
+
+@pytest.mark.parametrize("size", [900, thorough(10**6)])
+@pytest.mark.parametrize(
+    ("share", "helps", "lod", "encodings"),
+    [(0.05, 0.8, False, 2), thorough(0.05, 0.8, True, 2), (0.05, 0.0, False, 1)],
+)
+def test_finer_steps_are_the_same(tmp_path, still_life, aiming, size, share, helps, lod, encodings):
+    aiming(share, helps)
+    path = saved(tmp_path / "a.ply", still_life)
+    config = Config("s", block_size=BLOCK, lod=lod)
+    expected = whole(path, tmp_path / "whole.egs", config)
+    loss = expected[1]["rendered"]
+    assert (loss["encodings"], loss["remedy"] is None) == (encodings, encodings == 1)
+    here = Here()
+    assert in_tasks([path], tmp_path / "tasks.egs", config, size, here) == expected
+    coded = [task for task in here.done if "code-" in task and "level" not in task]
+    assert len(coded) == (2 if size == 900 else 1)  # once, by chunks of four blocks
+    assert len(here.done) == len(set(here.done))
+
+
+def test_strict_refuses_the_same(tmp_path, still_life, aiming):
+    aiming(0.05, 0.0)
+    path = saved(tmp_path / "a.ply", still_life)
+    config = Config("s", block_size=BLOCK, strict=True)
+    with pytest.raises(InvalidInput, match="rendered views lose") as expected:
+        encode_file(path, tmp_path / "whole.egs", config)
+    with pytest.raises(InvalidInput) as found:
+        in_tasks([path], tmp_path / "tasks.egs", config, 900)
+    assert str(expected.value).endswith(str(found.value))
+
+
+def test_windows_that_show_too_much_are_left_out_in_all_tasks(tmp_path, still_life, monkeypatch):
+    path = saved(tmp_path / "a.ply", still_life)
+    config = Config("m", block_size=BLOCK)
+    before = whole(path, tmp_path / "whole.egs", config)
+    for module in (calibrate, check, windows, looking):
+        monkeypatch.setattr(module, "MOST_SHOWN", 700)
+    expected = whole(path, tmp_path / "whole.egs", config)
+    assert expected[1]["rendered"]["windows"] < before[1]["rendered"]["windows"]
+    assert in_tasks([path], tmp_path / "tasks.egs", config, 900) == expected
 
 
 def test_tiles_are_one_scene(tmp_path):
@@ -133,8 +194,9 @@ def test_tiles_are_one_scene(tmp_path):
     encode_file(saved(tmp_path / "c.ply", third), tmp_path / "c.egs", Config("l", block_size=BLOCK))
     paths.append(tmp_path / "c.egs")
     config = Config("m", block_size=BLOCK)
-    convert_file(paths, tmp_path / "whole.egs", config)
+    done = convert_file(paths, tmp_path / "whole.egs", config)
     data, report = in_tasks(paths, tmp_path / "tasks.egs", config, 1500)
+    assert report["rendered"] == asdict(done.rendered)
     assert data == (tmp_path / "whole.egs").read_bytes()
     assert (report["count"], report["input_bytes"]) == (7001, sum(map(os.path.getsize, paths)))
 
@@ -195,8 +257,10 @@ def test_damaged_file_is_refused_by_a_task(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.rounds(3)
-def test_a_run_goes_on_where_one_before_it_ended(tmp_path, seed):
-    path = saved(tmp_path / "a.ply", random_scene(7000, 1, seed=6))
+@pytest.mark.parametrize("share", [1.0, 0.05])
+def test_a_run_goes_on_where_one_before_it_ended(tmp_path, still_life, aiming, share, seed):
+    aiming(share)
+    path = saved(tmp_path / "a.ply", still_life)
     config, target = Config("m", block_size=BLOCK), tmp_path / "tasks.egs"
     expected = whole(path, tmp_path / "whole.egs", config)
     rng, done = random.Random(seed), list[str]()

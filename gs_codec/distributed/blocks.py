@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,11 @@ class Chunks:
         return cls(header, max(size // (FANOUT * header.block_size), 1) * FANOUT)
 
     @property
+    def coefficients(self) -> int:
+        """SH-AC of each colour."""
+        return SH_COEFFICIENTS[self.header.sh_degree]
+
+    @property
     def number(self) -> int:
         """How many there are."""
         return -(-self.header.block_count // self.each)
@@ -47,6 +53,14 @@ class Chunks:
         """The Gaussian that each chunk begins with, and where the last ends."""
         step = self.each * self.header.block_size
         return [*range(0, self.header.count, step), self.header.count]
+
+
+class Quantised(NamedTuple):
+    """Chunks in a folder, on their lattices, by `save_quantised`."""
+
+    folder: Folder
+    chunks: Chunks
+    lattice: Lattice
 
 
 @dataclass(frozen=True)
@@ -72,20 +86,12 @@ class CodedBlocks:
     clamped: int
 
 
-def code_blocks(
-    workers: Workers,
-    folder: Folder,
-    chunks: Chunks,
-    lattice: Lattice,
-    quantise: Callable[[int], None],
-    times: StageTimes,
-) -> CodedBlocks:
-    """Code all chunks; `quantise` is the task that does `save_quantised` for one."""
-    with times.stage("quantise"):
-        do_all(workers, folder, "quantise", quantise, chunks.number)
+def code_blocks(workers: Workers, quantised: Quantised, times: StageTimes) -> CodedBlocks:
+    """Code all chunks."""
+    folder, chunks, lattice = quantised
     with times.stage("model"):
         extents, clamped, counted = _counted(folder, chunks)
-        models, _, costs = choose_models(passes(_coefficients(chunks.header)), counted)
+        models, _, costs = choose_models(passes(chunks.coefficients), counted)
         sections = index_section(extents)
         described = write_lattice(lattice, models)
         sections.append(Section(SectionId.LATTICE, 0, described))
@@ -93,10 +99,6 @@ def code_blocks(
         task = partial(_code, folder, described, chunks)
         do_all(workers, folder, "code", task, chunks.number)
     return CodedBlocks(folder, chunks, sections, costs, clamped)
-
-
-def _coefficients(header: Header) -> int:
-    return SH_COEFFICIENTS[header.sh_degree]
 
 
 def _counted(
@@ -116,7 +118,7 @@ def _counted(
 
 def _code(folder: Folder, described: bytes, chunks: Chunks, number: int) -> None:
     first = number * chunks.each
-    save_coded(folder, number, first, described, _coefficients(chunks.header))
+    save_coded(folder, number, first, described, chunks.coefficients)
 
 
 def write_blocks(

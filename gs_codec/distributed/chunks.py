@@ -15,6 +15,7 @@ from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.encode import block_sections, count_tokens
 from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.section import read_lattice
+from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.context_rans import PassTables
 from gs_codec.distributed.folder import Arrays, Folder
 from gs_codec.egs.file import Listed, Section, padded_parts, place_in_file
@@ -27,23 +28,29 @@ _PASS = tuple(field.name for field in fields(PassData))
 _BYTES = ("tree", "low_bits", "far")
 
 
-def save_quantised(
-    folder: Folder,
-    number: int,
+def quantise(
     scene: Scene,
     codes: NDArray[np.int64],
     lattice: Lattice,
     block_size: int,
-) -> None:
+    watched: Watched | None = None,
+) -> list[Block]:
     """Quantise the Gaussians of a chunk, which are in stream order, without cameras."""
     order = np.arange(scene.count, dtype=np.uint32)
     classes = np.zeros((2, scene.count), np.uint8)
-    arranged = Arranged(scene, order, lattice, codes, classes)
+    if watched is not None:
+        watched.settle(order)
+    arranged = Arranged(scene, order, lattice, codes, classes, watched)
     blocks = []
     for start in range(0, scene.count, block_size):
         shaped = shape_block(arranged, start, min(start + block_size, scene.count))
         blocks.append(colour_block(arranged, shaped, diffusing=True))
-    counted = count_tokens(passes(len(scene.f_rest) // 3), blocks)
+    return blocks
+
+
+def save_quantised(folder: Folder, number: int, blocks: list[Block], coefficients: int) -> None:
+    """Keep the quantised blocks of a chunk."""
+    counted = count_tokens(passes(coefficients), blocks)
     folder.save(f"blocks-{number}", _packed(blocks))
     extents = np.stack([block.extent for block in blocks])
     clamped = np.array(sum(block.clamped for block in blocks))

@@ -1,8 +1,9 @@
 """A giant scene encoded by many workers, none of which holds it.
 
 The file is that of `encode_file`, byte for byte, whatever the workers. All Gaussians are looked at
-(`looking`) and sorted (`sorting`); blocks are quantised and, with tables from the counts of all,
-coded (`blocks`); coarser levels are made from what they decode to (`levels`).
+(`looking`) and sorted (`sorting`). Blocks are quantised, again with finer steps if views lose too
+much, and, with tables from the counts of all, coded (`blocks`). Coarser levels are made from what
+they decode to (`levels`).
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
-from gs_codec.distributed.blocks import Chunks, code_blocks, write_blocks
-from gs_codec.distributed.chunks import save_quantised
+from gs_codec.distributed.blocks import Chunks, Quantised, code_blocks, write_blocks
+from gs_codec.distributed.chunks import quantise, save_quantised
 from gs_codec.distributed.folder import identity_of, work_folder
 from gs_codec.distributed.levels import code_levels
-from gs_codec.distributed.looking import Job, choose_lattice, look
+from gs_codec.distributed.looking import Job, Looked, choose_lattice, look
 from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run
 from gs_codec.distributed.sources import Sources, open_sources
 from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
@@ -32,7 +34,11 @@ from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.sections import carried_sections
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, write_parts
-from gs_codec.report import EncodeReport, Progress, StageTimes
+from gs_codec.guidance.check import Check
+from gs_codec.guidance.checked import encode_checked
+from gs_codec.guidance.windows import find_shown
+from gs_codec.rendering.camera import Camera
+from gs_codec.report import EncodeReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.mapped import opened
 from gs_codec.runtime.threads import using_threads
 
@@ -49,9 +55,8 @@ def encode_distributed(
 ) -> EncodeReport:
     """Encode one scene by the workers of a Dask scheduler; it is never in memory as a whole.
 
-    The file is that of `encode_file`, or of `convert_file` for several sources, byte for byte,
-    unless that makes steps finer because views lose too much: here views are not measured. What is
-    done is kept in the folder ``TARGET.parts`` until the target is whole: the same call goes on
+    The file is that of `encode_file`, or of `convert_file` for several sources, byte for byte. What
+    is done is kept in the folder ``TARGET.parts`` until the target is whole: the same call goes on
     with what a run before it left. Workers read the sources and use that folder, so they need a
     storage that all machines share.
 
@@ -105,8 +110,6 @@ def _check(config: Config) -> None:
         raise InvalidInput(f"dask: profile '{config.profile}', expected {known} of an .egs")
     if config.depths:
         raise InvalidInput("dask: not with depths, which need the whole scene")
-    if config.strict:
-        raise InvalidInput("dask: strict: views are not measured")
     if config.extra == "keep":
         raise InvalidInput("dask: extra properties are not kept, expected --extra drop")
 
@@ -127,14 +130,8 @@ def encode_with(
         count = sources.count - len(looked.dropped)
         if not count:
             return _encode_nothing(sources, target, looked.config, sources.count)
-        with times.stage("sort"):
-            lattice = choose_lattice(workers, job, looked)
-            header = Header.of(sources.head, config, count)
-            chunks = Chunks.of(header.with_far(lattice.grid.has_far), size)
-            cuts = _sort(workers, job, lattice, chunks)
-        task = partial(_quantise, job, lattice, chunks, cuts)
-        coded = code_blocks(workers, folder, chunks, lattice, task, times)
-        folder.remove_mapped()
+        quantised, chosen, loss = _quantise_all(workers, job, looked, size, times)
+        coded = code_blocks(workers, quantised, times)
         beside = carried_sections(sources.head, np.empty(0, np.int64))
         if config.lod:
             with times.stage("levels"):
@@ -146,17 +143,50 @@ def encode_with(
             sized = write_blocks(target, coded, beside)
     report = EncodeReport(
         count=count,
-        raw_bytes=chunks.header.float_bytes,
+        raw_bytes=coded.chunks.header.float_bytes,
         section_bytes=section_sizes(sized),
         costs=coded.costs,
         rectified=coded.clamped,
         zero_quaternions=looked.zero_quaternions,
         dropped=len(looked.dropped),
         seconds=times.seconds,
-        coarseness=looked.config.coarseness,
+        coarseness=chosen.coarseness,
+        rendered=loss,
     )
     ratio = sources.ratio_bytes / report.file_bytes
     return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)
+
+
+def _quantise_all(
+    workers: Workers, job: Job, looked: Looked, size: int, times: StageTimes
+) -> tuple[Quantised, Config, RenderedLoss | None]:
+    """Quantise all Gaussians; also the configuration that suits them, and what views then lose."""
+    with times.stage("measure"):
+        scene, shown = job.load_shown("check", len(job.spans))
+        check = Check.by_shown(scene, looked.windows.checking, shown)
+    count = job.gaussians.count - len(looked.dropped)
+
+    def attempt(config: Config) -> tuple[tuple[Quantised, Config], RenderedLoss | None]:
+        own = job
+        if config != looked.config:
+            own = replace(job, folder=job.folder.within(f"coarseness-{config.coarseness}"))
+        with times.stage("sort"):
+            lattice = choose_lattice(workers, job, looked._replace(config=config))
+            header = Header.of(job.gaussians.head, config, count)
+            chunks = Chunks.of(header.with_far(lattice.grid.has_far), size)
+            cuts = _sort(workers, own, lattice, chunks)
+        with times.stage("quantise"):
+            task = partial(_quantise, own, lattice, chunks, cuts, check.windows)
+            do_all(workers, own.folder, "quantise", task, chunks.number)
+            own.folder.remove_mapped()
+        with times.stage("measure"):
+            loss = check.measure_shown(*own.load_shown("decoded", chunks.number))
+        return (Quantised(own.folder, chunks, lattice), config), loss
+
+    found = encode_checked(attempt, job.config, looked.config, check)
+    assert found is not None
+    (quantised, chosen), loss = found
+    return quantised, chosen, loss
 
 
 def _sort(workers: Workers, job: Job, lattice: Lattice, chunks: Chunks) -> NDArray[np.int64]:
@@ -175,11 +205,21 @@ def _sort_span(job: Job, lattice: Lattice, number: int) -> None:
 
 
 def _quantise(
-    job: Job, lattice: Lattice, chunks: Chunks, cuts: NDArray[np.int64], number: int
+    job: Job,
+    lattice: Lattice,
+    chunks: Chunks,
+    cuts: NDArray[np.int64],
+    windows: Sequence[Camera],
+    number: int,
 ) -> None:
     begins, ends = cuts[:, number], cuts[:, number + 1]
     scene, codes = load_chunk(job.folder, begins, ends, job.gaussians.head)
-    save_quantised(job.folder, number, scene, codes, lattice, chunks.header.block_size)
+    shown = find_shown(scene, windows)
+    watched = Watched(scene, np.unique(np.concatenate([np.empty(0, np.int64), *shown])))
+    blocks = quantise(scene, codes, lattice, chunks.header.block_size, watched)
+    found = [watched.find(own) for own in shown]
+    job.save_shown(f"decoded-{number}", watched.decoded(), found)
+    save_quantised(job.folder, number, blocks, chunks.coefficients)
 
 
 def _encode_nothing(sources: Sources, target: Path, config: Config, dropped: int) -> EncodeReport:

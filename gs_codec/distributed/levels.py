@@ -15,8 +15,8 @@ from gs_codec.codecs.adaptive.lattice import Lattice, grid_codes
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import Config
-from gs_codec.distributed.blocks import Chunks, CodedBlocks, code_blocks, write_blocks
-from gs_codec.distributed.chunks import save_quantised
+from gs_codec.distributed.blocks import Chunks, CodedBlocks, Quantised, code_blocks, write_blocks
+from gs_codec.distributed.chunks import quantise, save_quantised
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.looking import Job, choose_lattice, look
 from gs_codec.distributed.sorting import planes_of, scene_of_rows
@@ -94,7 +94,8 @@ def code_levels(
         lattice = choose_lattice(workers, job, looked._replace(config=config), may_have_far)
         own = Chunks(header.with_far(lattice.grid.has_far), chunks.each)
         task = partial(_quantise, merged, lattice, own)
-        level = code_blocks(workers, folder, own, lattice, task, StageTimes())
+        do_all(workers, folder, "quantise", task, own.number)
+        level = code_blocks(workers, Quantised(folder, own, lattice), StageTimes())
         paths.append(folder.path / "level.egs")
         write_blocks(paths[-1], level, [errors_section(errors)])
         read = partial(_kept, merged, errors, header.block_size)
@@ -139,4 +140,5 @@ def _quantise(merged: Merged, lattice: Lattice, chunks: Chunks, number: int) -> 
     codes = grid_codes(scene.positions, lattice.grid)
     size = chunks.header.block_size
     order = order_within(codes, size)
-    save_quantised(merged.folder, number, scene.take(order), codes[order], lattice, size)
+    blocks = quantise(scene.take(order), codes[order], lattice, size)
+    save_quantised(merged.folder, number, blocks, chunks.coefficients)

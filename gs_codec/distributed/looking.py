@@ -19,8 +19,13 @@ from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.sources import Gaussians, Span
 from gs_codec.distributed.workers import Workers, do_all
 from gs_codec.guidance.calibrate import calibrated_by
-from gs_codec.guidance.windows import choose_windows, find_shown, sample_stride
-from gs_codec.rendering.camera import Camera
+from gs_codec.guidance.windows import (
+    MOST_SHOWN,
+    Windows,
+    choose_windows,
+    find_shown,
+    sample_stride,
+)
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import GROUPS, Scene, join_scenes
 
@@ -44,10 +49,33 @@ class Job:
         """Keep the floats of a scene, and more, as a result."""
         self.folder.save(name, {group: getattr(scene, group) for group in GROUPS} | others)
 
+    def save_shown(
+        self, name: str, scene: Scene, shown: Sequence[NDArray[np.int64]], **others: NDArray
+    ) -> None:
+        """Keep what each window shows of a scene, and more, as a result."""
+        sizes = np.array([len(own) for own in shown], np.int64)
+        index = np.concatenate([np.empty(0, np.int64), *shown])
+        self.save_scene(name, scene.take(index), sizes=sizes, **others)
+
     def load_scene(self, name: str) -> Scene:
         """The scene of a result."""
         planes: dict[str, Any] = self.folder.load(name, *GROUPS)
         return replace(self.gaussians.head, **planes)
+
+    def load_shown(self, stage: str, number: int) -> tuple[Scene, list[NDArray[np.int64]]]:
+        """What windows show of all parts of a scene, and which of it each shows.
+
+        It is that of one part after another, without windows that show too many of all.
+        """
+        sizes = np.array(
+            [self.folder.load(f"{stage}-{k}", "sizes")["sizes"] for k in range(number)]
+        )
+        few = sizes.sum(axis=0) <= MOST_SHOWN
+        window = np.concatenate([np.repeat(np.arange(len(few)), each * few) for each in sizes])
+        parts = [
+            self.load_scene(f"{stage}-{k}").take(np.repeat(few, sizes[k])) for k in range(number)
+        ]
+        return join_scenes(parts), [np.flatnonzero(window == k) for k in range(len(few))]
 
 
 class Looked(NamedTuple):
@@ -55,6 +83,8 @@ class Looked(NamedTuple):
 
     Attributes
     ----------
+    windows : Windows
+        Some of them, if they were looked at through windows.
     config : Config
         With the coarseness that they need.
     dropped : ndarray, shape (D,), int64
@@ -64,6 +94,7 @@ class Looked(NamedTuple):
         Lowest and highest x, y, z of the others.
     """
 
+    windows: Windows
     config: Config
     dropped: NDArray[np.int64]
     zero_quaternions: int
@@ -73,20 +104,20 @@ class Looked(NamedTuple):
 def look(workers: Workers, job: Job, calibrates: bool = True) -> Looked:
     """Look at all Gaussians; without `calibrates`, the coarseness is kept."""
     number = len(job.spans)
-    windows: list[Camera] = []
+    windows = Windows([], [], False)
     if calibrates:
         do_all(workers, job.folder, "sample", partial(_sample, job), number)
         sample = join_scenes([job.load_scene(f"sample-{k}") for k in range(number)])
-        windows = choose_windows(sample, job.gaussians.count).choosing
+        windows = choose_windows(sample, job.gaussians.count)
     do_all(workers, job.folder, "scan", partial(_look, job, windows), number)
     names = ("dropped", "zeros", "bounds")
     seen = [job.folder.load(f"scan-{k}", *names) for k in range(number)]
     config = job.config
-    if windows:
-        shown = _shown(job, number, len(windows))
-        config = calibrated_by(sample, windows, shown, config)
+    if windows.choosing:
+        config = calibrated_by(sample, windows.choosing, *job.load_shown("scan", number), config)
     bounds = np.stack([each["bounds"] for each in seen])
     return Looked(
+        windows,
         config,
         np.concatenate([each["dropped"] for each in seen]),
         int(sum(each["zeros"] for each in seen)),
@@ -122,7 +153,7 @@ def _sample(job: Job, number: int) -> None:
     job.save_scene(f"sample-{number}", job.gaussians.pick(job.spans[number], index))
 
 
-def _look(job: Job, windows: Sequence[Camera], number: int) -> None:
+def _look(job: Job, windows: Windows, number: int) -> None:
     """Bounds of a span, what is changed in it, and what of it windows show."""
     scene, clean, changed = job.clean(number)
     gone = np.empty(0, np.int64)
@@ -130,26 +161,15 @@ def _look(job: Job, windows: Sequence[Camera], number: int) -> None:
         gone = job.spans[number].first + np.flatnonzero(~finite_gaussians(scene))
     low = clean.positions.min(axis=1, initial=np.inf)
     high = clean.positions.max(axis=1, initial=-np.inf)
-    found = find_shown(scene, windows)
-    job.save_scene(
+    job.save_shown(f"check-{number}", clean, find_shown(clean, windows.checking))
+    job.save_shown(
         f"scan-{number}",
-        scene.take(np.concatenate([np.empty(0, np.int64), *found])),
-        sizes=np.array([len(each) for each in found], np.int64),
+        scene,
+        find_shown(scene, windows.choosing),
         bounds=np.stack([low, high]),
         dropped=gone,
         zeros=np.array(changed["zero_quaternions"]),
     )
-
-
-def _shown(job: Job, spans: int, windows: int) -> list[Scene]:
-    """What each window shows of all spans."""
-    parts: list[list[Scene]] = [[] for _ in range(windows)]
-    for number in range(spans):
-        scene = job.load_scene(f"scan-{number}")
-        ends = np.cumsum(job.folder.load(f"scan-{number}", "sizes")["sizes"]).tolist()
-        for part, start, stop in zip(parts, [0, *ends], ends, strict=False):
-            part.append(scene.between(start, stop))
-    return [join_scenes(part) for part in parts]
 
 
 def _pick(job: Job, stride: int, dropped: NDArray[np.int64], number: int) -> None:

@@ -38,7 +38,7 @@ from gs_codec.guidance.windows import (
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import GROUPS, Scene, join_scenes, sh_bands
+from gs_codec.scene import GROUPS, Scene, sh_bands
 
 #: A few windows have most of the error, so their mean is uncertain: this share of them have less
 #: than the error that is looked at.
@@ -78,28 +78,28 @@ def calibrated(
     plain = replace(scene, extra={})
     sample = sample_of(plain)
     choosing = (windows or choose_windows(sample, scene.count)).choosing
-    shown = [plain.take(members) for members in find_shown(plain, choosing)]
-    return calibrated_by(sample, choosing, shown, config, progress)
+    return calibrated_by(sample, choosing, plain, find_shown(plain, choosing), config, progress)
 
 
 def calibrated_by(
     sample: Scene,
     windows: Sequence[Camera],
-    shown: Sequence[Scene],
+    scene: Scene,
+    shown: Sequence[NDArray[np.int64]],
     config: Config,
     progress: Progress | None = None,
 ) -> Config:
-    """See `calibrated`; `shown` are the Gaussians that each window shows."""
+    """See `calibrated`; `shown` are the indices of the Gaussians that each window shows."""
     chosen = [
         (window, own)
         for window, own in zip(windows, shown, strict=True)
-        if 0 < own.count <= MOST_SHOWN
+        if 0 < len(own) <= MOST_SHOWN
     ]
     if not chosen:
         return config
-    parts = parts_of([window for window, _ in chosen], [own.count for _, own in chosen])
+    parts = parts_of([window for window, _ in chosen], [len(own) for _, own in chosen])
     with np.errstate(all="ignore"):
-        scene = join_scenes([own for _, own in chosen])
+        scene = scene.take(np.concatenate([own for _, own in chosen]))
         octaves = _octaves(scene, parts, cleaned(sample), progress)
     return replace(config, coarseness=_in_range(config.coarseness * 2.0**octaves))
 

@@ -64,9 +64,14 @@ def _draw(
         return draw_parts(scene.take(np.concatenate([np.empty(0, np.int64), *shown])), parts)
 
 
-def _look(scene: Scene, windows: Sequence[Camera], most_left: float) -> _Seen | None:
+def _look(
+    scene: Scene,
+    windows: Sequence[Camera],
+    shown: Sequence[NDArray[np.int64]],
+    most_left: float = MOST_LEFT,
+) -> _Seen | None:
     """Those of some windows with a transmittance of at most `most_left`; None if too few are."""
-    found = zip(windows, find_shown(scene, windows), strict=True)
+    found = zip(windows, shown, strict=True)
     usable = [(window, own) for window, own in found if len(own) <= MOST_SHOWN]
     drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
     rows = [
@@ -95,7 +100,18 @@ class Check:
         """Look at a scene without NaN or infinity."""
         plain = replace(scene, extra={})
         # Where given cameras see nothing, nothing is lost; holes on likely places are no views.
-        return cls(plain, _look(plain, likely, MOST_LEFT), _look(plain, given, 1.0))
+        return cls(
+            plain,
+            _look(plain, likely, find_shown(plain, likely)),
+            _look(plain, given, find_shown(plain, given), most_left=1.0),
+        )
+
+    @classmethod
+    def by_shown(
+        cls, scene: Scene, likely: Sequence[Camera], shown: Sequence[NDArray[np.int64]]
+    ) -> Check:
+        """As `of`, by indices of the Gaussians that each window shows; others may be left out."""
+        return cls(scene, _look(scene, likely, shown))
 
     @classmethod
     def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:
@@ -115,30 +131,37 @@ class Check:
         return 1.0 if self.given is None else 1.0 - float(np.mean(self.given.left))
 
     @property
-    def _all(self) -> list[_Seen]:
+    def _seen(self) -> list[_Seen]:
         return [seen for seen in (self.likely, self.given) if seen is not None]
+
+    @property
+    def windows(self) -> list[Camera]:
+        """All windows; none if the scene shows too little."""
+        return [window for seen in self._seen for window in seen.windows]
 
     def watch(self) -> Watched | None:
         """The Gaussians that the windows show, for an encoder to keep."""
-        shown = [own for seen in self._all for own in seen.shown]
+        shown = [own for seen in self._seen for own in seen.shown]
         return Watched(self.scene, np.unique(np.concatenate(shown))) if shown else None
 
     def measure_watched(self, watched: Watched) -> RenderedLoss | None:
         """What is lost by the values that an encoder kept of those from `watch`."""
-        coded = watched.decoded()
+        found = [watched.find(own) for seen in self._seen for own in seen.shown]
+        return self.measure_shown(watched.decoded(), found)
+
+    def measure_shown(
+        self, coded: Scene, shown: Sequence[NDArray[np.int64]]
+    ) -> RenderedLoss | None:
+        """What is lost in coded Gaussians, of which each of `windows` shows some."""
+        left = iter(shown)
         return self._loss(
-            [
-                seen.errors(coded, [np.searchsorted(watched.index, own) for own in seen.shown])
-                for seen in self._all
-            ]
+            [seen.errors(coded, [next(left) for _ in seen.windows]) for seen in self._seen]
         )
 
     def measure(self, coded: Scene) -> RenderedLoss | None:
         """What is lost in a coded scene, in any order; None if the scene shows too little."""
         plain = replace(coded, extra={})
-        return self._loss(
-            [seen.errors(plain, find_shown(plain, seen.windows)) for seen in self._all]
-        )
+        return self.measure_shown(plain, find_shown(plain, self.windows))
 
     def _loss(self, errors: list[NDArray[np.float64]]) -> RenderedLoss | None:
         if not errors:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
@@ -46,34 +46,49 @@ _MISFIT_ANYWHERE = 250.0
 #: Encodes with a configuration; keeps decoded values of the Gaussians that are given.
 Encode = Callable[[Config, Watched | None], Encoded]
 
+#: An encoded scene, or what becomes one.
+Result = TypeVar("Result")
+
+#: Encodes with a configuration, and measures what views lose; None if the scene shows too little.
+Attempt = Callable[[Config], tuple[Result, RenderedLoss | None]]
+
+
+def measuring(
+    encode: Encode, config: Config, check: Check, times: StageTimes, keeps: bool = True
+) -> Attempt[Encoded]:
+    """Encode and measure; `keeps` says whether `encode` can keep decoded values."""
+
+    def attempt(chosen: Config) -> tuple[Encoded, RenderedLoss | None]:
+        watched = check.watch() if keeps else None
+        encoded = encode(chosen, watched)
+        with times.stage("measure"):
+            return encoded, _measure(encoded, config, check, watched)
+
+    return attempt
+
 
 def encode_checked(
-    encode: Encode,
+    attempt: Attempt[Result],
     config: Config,
     chosen: Config,
     check: Check,
-    times: StageTimes,
     origin: Origin | None = None,
-    keeps: bool = True,
-) -> Encoded | None:
-    """Encode a scene with what views lose in the report.
+) -> tuple[Result, RenderedLoss | None] | None:
+    """Encode a scene, again with finer steps if views lose too much.
 
     Parameters
     ----------
-    encode : callable
+    attempt : callable
     config, chosen : Config
         As asked for, and with the coarseness that suits the scene.
     check : Check
-    times : StageTimes
     origin : str, optional
         Where the cameras come from that guide the steps.
-    keeps : bool
-        Whether `encode` can keep decoded values.
 
     Returns
     -------
-    parts, report
-        None if the cameras do not fit the scene.
+    result, loss
+        Of the best attempt. None if the cameras do not fit the scene.
 
     Raises
     ------
@@ -82,14 +97,11 @@ def encode_checked(
     """
     aim = wanted_error(config) if config.has_steps and not config.depths else None
     allowed = _ALLOWED_ESTIMATED if origin == "estimated" else _ALLOWED
-    best: tuple[Encoded, RenderedLoss] | None = None
+    best: tuple[Result, RenderedLoss] | None = None
     for encodings in range(1, _MOST_ENCODINGS + 1):
-        watched = check.watch() if keeps else None
-        encoded = encode(chosen, watched)
-        with times.stage("measure"):
-            loss = _measure(encoded, config, check, watched)
+        result, loss = attempt(chosen)
         if loss is None:
-            return encoded
+            return result, None
         if origin is not None and aim is not None and _misfits(check, loss, aim):
             most = max(loss.loss, loss.away or 0.0)
             warn_misfit(f"guided by them, views lose {most:.1f} dB", config)
@@ -101,7 +113,7 @@ def encode_checked(
                 break
             remedy = f"{chosen.coarseness / config.coarseness:.2f}x those of the profile"
             loss = replace(loss, remedy=remedy)
-        best = encoded, loss
+        best = result, loss
         if aim is None or error <= allowed * aim:
             break
         again = finer(chosen, aim / error)
@@ -109,9 +121,8 @@ def encode_checked(
             break
         chosen = again
     assert best is not None
-    (parts, report), loss = best
-    tell(loss, config)
-    return parts, replace(report, rendered=loss)
+    tell(best[1], config)
+    return best
 
 
 def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
@@ -139,6 +150,8 @@ def _measure(
 ) -> RenderedLoss | None:
     if watched is not None:
         return check.measure_watched(watched)
+    if not check.windows:
+        return None
     if current().limit is not None:
         return None  # The decoded scene would have to fit into memory.
     return check.measure(_decoded(encoded, config))

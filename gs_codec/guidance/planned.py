@@ -207,7 +207,7 @@ def _guided(
 ) -> tuple[bytes, EncodeReport] | None:
     """Encode a scene, guided by these views; None if they do not fit it."""
     from gs_codec.guidance.check import Check
-    from gs_codec.guidance.checked import encode_checked, warn_misfit
+    from gs_codec.guidance.checked import encode_checked, measuring, warn_misfit
     from gs_codec.guidance.guide import guide
 
     times = StageTimes()
@@ -232,12 +232,13 @@ def _guided(
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))
         return encode_shaped(shaped, times, progress)
 
-    keeps = config.format == EGS
-    encoded = encode_checked(encode, config, config, check, times, references.origin, keeps)
-    if encoded is None:
+    attempt = measuring(encode, config, check, times, keeps=config.format == EGS)
+    found = encode_checked(attempt, config, config, check, references.origin)
+    if found is None:
         return None
-    parts, report = encoded
-    return b"".join(parts), replace(report, **changed, seconds=times.seconds)
+    (parts, report), loss = found
+    report = replace(report, **changed, rendered=loss, seconds=times.seconds)
+    return b"".join(parts), report
 
 
 def _camera_free(
@@ -263,7 +264,7 @@ def encode_camera_free(
         return encode_parts(scene, config, progress)
     from gs_codec.guidance.calibrate import calibrated
     from gs_codec.guidance.check import Check
-    from gs_codec.guidance.checked import encode_checked
+    from gs_codec.guidance.checked import encode_checked, measuring
     from gs_codec.guidance.windows import choose_windows, sample_of
 
     times = StageTimes()
@@ -283,7 +284,8 @@ def encode_camera_free(
             return encode_clean(clean, config, times, progress, device=device, watched=watched)
 
         keeps = config.profile in ADAPTIVE_PROFILES and config.format == EGS and device == "cpu"
-        encoded = encode_checked(encode, config, chosen, check, times, keeps=keeps)
-        assert encoded is not None
-        parts, report = encoded
-    return parts, replace(report, **changed, seconds=times.seconds)
+        attempt = measuring(encode, config, check, times, keeps)
+        found = encode_checked(attempt, config, chosen, check)
+        assert found is not None
+        (parts, report), loss = found
+    return parts, replace(report, **changed, rendered=loss, seconds=times.seconds)

@@ -22,21 +22,23 @@ class Watched:
     ----------
     scene : Scene
     index : ndarray, shape (M,), int64
-        Their indices in it.
+        Their indices in it; in stream order once they are settled.
     """
 
     def __init__(self, scene: Scene, index: NDArray[np.int64]) -> None:
-        self._source, self.index = scene.take(index), index
-        self._places, self._slots = np.empty((2, 0), np.int64)
-        self._planes: dict[str, Any] = {g: np.empty_like(getattr(self._source, g)) for g in GROUPS}
+        self._head, self.index = replace(scene.between(0, 0), extra={}), index
+        self._places = np.empty(0, np.int64)
+        self._planes: dict[str, Any] = {
+            group: np.empty((len(getattr(scene, group)), len(index)), np.float32)
+            for group in GROUPS
+        }
 
     def settle(self, order: NDArray[np.integer]) -> None:
         """Find them in the stream, which has the Gaussians ``order (N,)`` of the scene."""
-        rank = np.empty(len(order), np.int64)
-        rank[order] = np.arange(len(order))
-        places = rank[self.index]
-        self._slots = np.argsort(places)
-        self._places = places[self._slots]
+        wanted = np.zeros(len(order), np.bool_)
+        wanted[self.index] = True
+        self._places = np.flatnonzero(wanted[order])
+        self.index = order[self._places].astype(np.int64)
 
     def within(self, start: int, stop: int) -> NDArray[np.int64]:
         """Those in a range of the stream, counted from its start."""
@@ -47,8 +49,12 @@ class Watched:
         """Keep decoded attribute groups ``(C, m)`` of those `within` a range."""
         first, end = np.searchsorted(self._places, [start, stop])
         for group, values in planes.items():
-            self._planes[group][:, self._slots[first:end]] = values
+            self._planes[group][:, first:end] = values
 
     def decoded(self) -> Scene:
-        """Their decoded values, once all blocks are coded."""
-        return replace(self._source, **self._planes)
+        """Their decoded values in stream order, once all blocks are coded."""
+        return replace(self._head, **self._planes)
+
+    def find(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Where some of them, given by their indices in the scene, are in `decoded`; ascending."""
+        return np.flatnonzero(np.isin(self.index, members))

@@ -15,6 +15,7 @@ from gs_codec.cli.main import describe_error
 from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
+from gs_codec.rendering.upright import UPS
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -24,7 +25,6 @@ from viewer.scenes.choice import (
     SCALES,
     OctreeChoice,
 )
-from viewer.scenes.pose import UPS
 
 if TYPE_CHECKING:
     from viewer.pictures.film import Film

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import http.server
 import json
+import re
 import shutil
 import subprocess
 import threading
@@ -720,9 +721,27 @@ def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, cap
         assert run(monkeypatch, "share", *arguments, "--overwrite") == 0
         out = capsys.readouterr().out
         assert f"folder: {name}, " in out
-        assert out.endswith(" MB, encoded for the page by profile l\n")
+        shared, rendered = out.splitlines()
+        assert shared.endswith(" MB, encoded for the page by profile l")
+        assert re.match(r"rendered views: \d+\.\d dB to the original, a loss of ", rendered)
         info = sharing.inspect_bytes((tmp_path / "folder" / "a.egs").read_bytes())
         assert (info.profile, info.count) == ("l", files.a.count)
+
+
+@in_browser
+def test_pages_show_what_their_encoding_lost(files, tmp_path):
+    write_ply(tmp_path / "a.ply", files.a)
+    sources = [tmp_path / "a.ply", files.folder / "b.egs"]
+    shared = share(sources, tmp_path / "page.html", files.folder / "cameras.json")
+    assert shared[0].rendered is not None
+    assert shared[1].rendered is None
+    lines = "[...document.querySelectorAll('#scenes li')].map((li) => li.children[0].textContent)"
+    job = Job((tmp_path / "page.html").as_uri(), [("drawn",), ("value", lines)])
+    [told] = open_pages(job)
+    a, b = told.values[1]
+    lost = f"encoded for this page, profile l, views: {shared[0].rendered.psnr:.1f} dB"
+    assert a.endswith(f", {lost} to the original")
+    assert b.endswith(" MB, profile s")
 
 
 def test_two_files_of_one_name_are_kept_apart(files, tmp_path):

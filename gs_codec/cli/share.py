@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import SCENES, print_text, progress_bar
+from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.rendering.upright import UPS
 
@@ -50,3 +50,5 @@ def command(
     for one in shared:
         how = ", encoded for the page by profile l" if one.encoded else ""
         print_text(f"{out}: {one.name}, {len(one.data) / 1e6:.2f} MB{how}")
+        if one.encoded:
+            print_rendered(one.rendered)

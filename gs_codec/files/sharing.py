@@ -26,7 +26,7 @@ from gs_codec.rendering.auto_cameras import COUNT, estimate_views
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.inria import as_entry
 from gs_codec.rendering.upright import BY_CAMERAS, UPS, up_axis, up_of
-from gs_codec.report import Progress
+from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
@@ -54,12 +54,15 @@ class SharedScene:
         Whether it was encoded for the page, as pages do not read the file itself.
     levels : int
         How many levels of detail it has beside the scene: then the page fetches what it shows.
+    rendered : RenderedLoss, optional
+        What rendered views lose by encoding it for the page; None if that was not measured.
     """
 
     name: str
     data: bytes
     encoded: bool
     levels: int = 0
+    rendered: RenderedLoss | None = None
 
 
 def share(
@@ -166,7 +169,8 @@ def page_of(
 
 def _entry(one: SharedScene) -> dict[str, Any]:
     """What a page is told of a scene, beside where it is."""
-    return {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
+    entry = {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
+    return entry if one.rendered is None else entry | {"psnr": one.rendered.psnr}
 
 
 def _views(
@@ -205,8 +209,8 @@ def _open(
                 levels = len(info.levels)
                 return SharedScene(path.name, bytes(file.data), False, levels), scene
         with located(path):
-            parts, _ = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
-        return SharedScene(path.name, b"".join(parts), True), scene
+            parts, report = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
+        return SharedScene(path.name, b"".join(parts), True, rendered=report.rendered), scene
 
 
 def _file_names(shared: Sequence[SharedScene]) -> list[str]:

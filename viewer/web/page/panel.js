@@ -157,8 +157,9 @@ export class Panel {
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;
       const profile = `${entry.encoded ? 'encoded for this page, ' : ''}profile ${scene.profile}`;
+      const lost = entry.psnr ? [`views: ${number(entry.psnr, 1)} dB to the original`] : [];
       const parts = [`${number(scene.count, 0)} Gaussians`, `SH degree ${scene.degree}`, size];
-      told.textContent = [...parts, profile].join(', ');
+      told.textContent = [...parts, profile, ...lost].join(', ');
       this.#list(scenes);
     });
   }

@@ -134,6 +134,49 @@ def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
     np.testing.assert_array_equal(found.up, gather_evidence(table).up)
 
 
+def flat_scene(planes: dict[int, int], places: np.ndarray) -> Scene:
+    """Planes through 0, so many Gaussians across each axis, and a small ball at 0."""
+    rng = np.random.default_rng(56)
+    across = np.repeat(list(planes), list(planes.values()))
+    count = len(across) + 500
+    positions = rng.uniform(-3, 3, (3, count))
+    positions[:, len(across) :] = 0.1 * rng.standard_normal((3, 500))
+    positions[across, np.arange(len(across))] = 0
+    scene = trained(count, positions, places, 57)
+    scene.rot[:] = np.array([[1.0], [0.0], [0.0], [0.0]])
+    scene.log_scale[across, np.arange(len(across))] = -6.0
+    scene.log_scale[:, len(across) :] = -3.5
+    return scene
+
+
+def directions_near(axis: list[float], spread: float) -> np.ndarray:
+    """40 places, 4 from 0, about an axis."""
+    rng = np.random.default_rng(58)
+    places = np.array(axis) + spread * rng.standard_normal((40, 3))
+    return 4 * places / np.linalg.norm(places, axis=1)[:, None]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("sign", [1, -1])
+def test_up_is_uncertain_before_what_may_be_a_wall(sign, table):
+    assert gather_evidence(table).up_certain
+    found = gather_evidence(flat_scene({0: 3000}, directions_near([sign, 0.0, 0.0], 0.3)))
+    assert found.telling
+    assert sign * found.up[0] > 0.95
+    assert not found.up_certain
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("flat", "up"), [(3000, [0, -1, 0]), (4000, [1, 0, 0])])
+def test_of_two_axes_as_likely_up_is_that_of_captures(flat, up):
+    """With 3,000 Gaussians across x, that axis is a little likelier than y; with more, clearly."""
+    places = directions_near([1.0, -1.0, 0.0], 0.2)
+    found = gather_evidence(flat_scene({0: flat, 1: 2000}, places))
+    assert found.telling
+    np.testing.assert_array_equal(found.up, up)
+    assert not found.up_certain
+
+
 def slab(normal: np.ndarray, share: float) -> Scene:
     """Gaussians without SH-AC, a share of them flat on a floor, the others turned anyhow."""
     rng = np.random.default_rng(54)
@@ -170,6 +213,7 @@ def test_where_nothing_tells_up_is_that_of_a_floor_or_of_trainers(normal, share,
     found = gather_evidence(slab(np.array(normal), share))
     assert not found.telling
     np.testing.assert_allclose(found.up, up, atol=0.05)
+    assert found.up_certain == (share > 0.1)
 
 
 @pytest.mark.thorough

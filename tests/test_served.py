@@ -125,6 +125,14 @@ def test_a_browser_shows_it(scene):
 
 
 @built
+def test_the_page_turns_about_the_axis_asked_for(scene):
+    page = serve([scene], "auto", None, None, None, "-x")
+    page.server_close()
+    [text] = [data for path, data in page.contents.items() if path.endswith("/")]
+    assert b'"up": "-x"' in text
+
+
+@built
 def test_it_serves_until_it_is_interrupted(scene):
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     process = subprocess.Popen(
@@ -154,6 +162,7 @@ def test_it_serves_until_it_is_interrupted(scene):
         (["a.egs", "--web", "--mode", "wipe"], "--mode: has no effect on --web"),
         (["a.egs", "--web", "--screenshot", "a.png"], "--screenshot: has no effect on --web"),
         (["a.egs", "--web", "--overwrite"], "--overwrite: has no effect on --web"),
+        (["a.egs", "--web", "--up", "w"], "up 'w': expected -y, y, -z"),
         (["--web"], "web: needs a scene"),
         (["a.egs", "--port", "8000"], "port: needs --web"),
         (["a.egs", "--web", "--port", "0"], "port 0: expected 1 to 65535"),

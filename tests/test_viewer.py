@@ -26,6 +26,7 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.rendering.upright import UPS, up_of
 from viewer.main import app, main
 from viewer.pictures import screenshot
 from viewer.pictures.centres import centres, pruned_centres
@@ -50,7 +51,7 @@ from viewer.pictures.splats import measure
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, open_scene, read_pruned, thinned, turned
-from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of
+from viewer.scenes.pose import Pose, look_at, of_camera, overview
 from viewer.scenes.request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
 from viewer.window.worker import Worker

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import http.server
 import json
+import re
 import shutil
 import subprocess
 import threading
@@ -29,9 +30,10 @@ from gs_codec.files.sharing import share
 from gs_codec.formats.ply import write_ply
 from gs_codec.metrics.images import psnr
 from gs_codec.rendering.auto_cameras import auto_cameras
-from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.cameras import write_cameras
 from gs_codec.rendering.renderer import render
+from gs_codec.rendering.upright import UPS, up_of
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 from viewer.pictures.layers import error_image
@@ -397,6 +399,129 @@ def test_a_drag_there_and_back_changes_nothing_and_to_the_right_goes_right(files
         assert (pictures[name].sum(axis=2) > 0.1).mean() > (start.sum(axis=2) > 0.1).mean(), name
 
 
+def described(page: Path) -> dict[str, Any]:
+    """What a page is told of its scenes and views."""
+    return json.loads(page.read_text().split('id="scene-list">')[1].split("</script>")[0])
+
+
+def upright(camera: Camera, up: str) -> Camera:
+    return replace(camera, rotation=facing(camera.rotation[2], UPS[up]))
+
+
+@in_browser
+def test_up_is_that_of_cameras_or_an_axis_and_rolls_the_picture(files, pages, tmp_path):
+    job = Job(pages["one"].as_uri(), [("key", "n"), ("key", "u")], panel=True)
+    camera = files.cameras[1]
+    expected = {"key": upright(camera, "-y")}
+    job.shot(str(tmp_path / "key.png"))
+    job.steps.append(("choose", "#ups", "z"))
+    expected["list"] = upright(camera, "z")
+    job.shot(str(tmp_path / "list.png"))
+    job.steps += [("focus", "#save"), ("key", "n")]
+    expected["next"] = upright(files.cameras[2], "z")
+    job.shot(str(tmp_path / "next.png"))
+    job.steps += [("key", "u")] * 3 + [("value", "document.getElementById('ups').value")]
+    job.steps.append(("key", "r"))
+    expected["given"] = files.cameras[2]
+    job.shot(str(tmp_path / "given.png"))
+    job.steps.append(("value", "[...document.getElementById('ups')].map((o) => o.value)"))
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    assert "cameras" in told.values
+    assert told.values[-1] == ["cameras", *UPS]
+    for name, view in expected.items():
+        assert decibels(seen(tmp_path / f"{name}.png"), drawn(files.a, view)) > 45, name
+
+
+@in_browser
+def test_pages_turn_about_the_axis_asked_for(files, tmp_path):
+    """By mouse and by touch: a half circle about z, which is up."""
+    share([files.folder / "a.egs"], tmp_path / "z.html", files.folder / "cameras.json", up="z")
+    first = upright(files.cameras[0], "z")
+    middle = np.median(files.a.positions.astype(np.float64), axis=1)
+    distance = (middle - first.position) @ first.rotation[2]
+    angle = -0.005 * 80
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    about = np.eye(3)
+    about[:2, :2] = turn
+    rotation = first.rotation @ about.T
+    target = first.position + distance * first.rotation[2]
+    turned = replace(first, rotation=rotation, position=target - distance * rotation[2])
+    line = [[100, 100], [180, 100]]
+    job = Job((tmp_path / "z.html").as_uri(), [])
+    job.shot(str(tmp_path / "first.png"))
+    job.steps.append(("drag", line, 8))
+    job.shot(str(tmp_path / "drag.png"))
+    job.steps += [("key", "r"), ("touch", [line])]
+    job.shot(str(tmp_path / "touch.png"))
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    expected = {"first": first, "drag": turned, "touch": turned}
+    for name, view in expected.items():
+        assert decibels(seen(tmp_path / f"{name}.png"), drawn(files.a, view)) > 45, name
+
+
+def test_pages_hold_what_may_be_up(files, tmp_path):
+    cameras = files.folder / "cameras.json"
+    for up in (None, "-x"):
+        share([files.folder / "a.egs"], tmp_path / "page.html", cameras, up=up)
+        told = described(tmp_path / "page.html")
+        assert told["up"] == (up or "cameras")
+        assert list(told["ups"]) == ["cameras", *UPS]
+        by_cameras = up_of([camera.rotation for camera in files.cameras])
+        np.testing.assert_allclose(told["ups"]["cameras"], by_cameras, atol=1e-12)
+        assert told["ups"]["-z"] == [0, 0, -1]
+        assert len(told["views"]) == 3
+
+
+@pytest.mark.usefixtures("few_cameras")
+def test_estimated_cameras_are_upright_by_the_axis_asked_for(files, tmp_path, caplog):
+    # Of a scene without SH-AC, which says nothing of up.
+    scene = replace(random_scene(3000, 0, seed=8), comments=[])
+    (tmp_path / "a.egs").write_bytes(encode_scene(scene, Config("l"))[0])
+    share([tmp_path / "a.egs"], tmp_path / "page.html", up="z")
+    for view in described(tmp_path / "page.html")["views"]:
+        right, down, _ = np.array(view["rotation"]).T
+        assert right[2] == pytest.approx(0, abs=1e-9)
+        assert down[2] < 0
+    assert not caplog.records
+    share([tmp_path / "a.egs"], tmp_path / "page.html")
+    assert [record.getMessage() for record in caplog.records] == [
+        "cameras 'auto': the scene does not show which way is up; "
+        "choose an axis (up), or give its cameras"
+    ]
+
+
+ROLLED = """
+import { Pose } from POSE;
+const pose = new Pose([1, 2, 3], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], 2);
+const told = [];
+for (const up of [[0, -1, 0], [1, 0, 0], [0, 0, 1], [0, 0, -1]]) {
+    pose.roll(up);
+    told.push([pose.turn.flat(), pose.eye, pose.target]);
+}
+console.log(JSON.stringify(told));
+"""
+
+
+@pytest.mark.skipif(NODE is None, reason="needs Node")
+def test_poses_are_rolled_upright_unless_they_look_straight_up_or_down():
+    pose = (ROOT / "viewer" / "web" / "page" / "pose.js").as_uri()
+    script = ROLLED.replace("POSE", json.dumps(pose))
+    done = subprocess.run(
+        [str(NODE), "--input-type=module", "-e", script],
+        capture_output=True, text=True, check=True, timeout=60,
+    )  # fmt: skip
+    upright, aside, *steep = json.loads(done.stdout)
+    np.testing.assert_allclose(np.reshape(upright[0], (3, 3)), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        np.reshape(aside[0], (3, 3)), facing([0, 0, 1], [1, 0, 0]), atol=1e-12
+    )
+    assert steep == [aside, aside]
+    for told in (upright, aside):
+        assert told[1:] == [[1, 2, 3], [1, 2, 5]]
+
+
 SLOW = """(() => {
     const device = WebGL2RenderingContext.prototype;
     const { fenceSync, clientWaitSync } = device;
@@ -596,9 +721,27 @@ def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, cap
         assert run(monkeypatch, "share", *arguments, "--overwrite") == 0
         out = capsys.readouterr().out
         assert f"folder: {name}, " in out
-        assert out.endswith(" MB, encoded for the page by profile l\n")
+        shared, rendered = out.splitlines()
+        assert shared.endswith(" MB, encoded for the page by profile l")
+        assert re.match(r"rendered views: \d+\.\d dB to the original, a loss of ", rendered)
         info = sharing.inspect_bytes((tmp_path / "folder" / "a.egs").read_bytes())
         assert (info.profile, info.count) == ("l", files.a.count)
+
+
+@in_browser
+def test_pages_show_what_their_encoding_lost(files, tmp_path):
+    write_ply(tmp_path / "a.ply", files.a)
+    sources = [tmp_path / "a.ply", files.folder / "b.egs"]
+    shared = share(sources, tmp_path / "page.html", files.folder / "cameras.json")
+    assert shared[0].rendered is not None
+    assert shared[1].rendered is None
+    lines = "[...document.querySelectorAll('#scenes li')].map((li) => li.children[0].textContent)"
+    job = Job((tmp_path / "page.html").as_uri(), [("drawn",), ("value", lines)])
+    [told] = open_pages(job)
+    a, b = told.values[1]
+    lost = f"encoded for this page, profile l, views: {shared[0].rendered.psnr:.1f} dB"
+    assert a.endswith(f", {lost} to the original")
+    assert b.endswith(" MB, profile s")
 
 
 def test_two_files_of_one_name_are_kept_apart(files, tmp_path):
@@ -614,11 +757,9 @@ def test_two_files_of_one_name_are_kept_apart(files, tmp_path):
 @pytest.mark.usefixtures("few_cameras")
 def test_cameras_are_estimated_without_a_file(files, tmp_path):
     share([files.folder / "a.egs"], tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    listed = page.split('id="scene-list">')[1].split("</script>")[0]
-    described = json.loads(listed)
-    assert len(described["views"]) == 24
-    assert {"img_name", "fx", "rotation"} <= set(described["views"][0])
+    views = described(tmp_path / "page.html")["views"]
+    assert len(views) == 24
+    assert {"img_name", "fx", "rotation"} <= set(views[0])
 
 
 @pytest.mark.parametrize(
@@ -630,6 +771,7 @@ def test_cameras_are_estimated_without_a_file(files, tmp_path):
         (["none.egs", "--out", "page.html"], "none.egs: No such file"),
         (["a.egs", "--out", "nowhere/page.html"], "nowhere"),
         (["a.egs", "--out", "page.html", "--max-bytes", "999"], "the limit is 999"),
+        (["a.egs", "--out", "page.html", "--up", "w"], "up 'w': expected -y, y, -z, z, -x, x"),
         (["a.egs", "--out", "page.html", "--cameras", "none.json"], "none.json: no such file"),
     ],
 )

@@ -15,6 +15,7 @@ from gs_codec.cli.main import describe_error
 from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
+from gs_codec.rendering.upright import UPS
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -24,7 +25,6 @@ from viewer.scenes.choice import (
     SCALES,
     OctreeChoice,
 )
-from viewer.scenes.pose import UPS
 
 if TYPE_CHECKING:
     from viewer.pictures.film import Film
@@ -42,7 +42,7 @@ _INPUT, _SHOWN, _OUTPUT = "What to open", "What to show", "Pictures and films; n
 _BROWSER = "In a browser, in place of a window"
 
 #: What may be asked for with ``--web``.
-_OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes"}
+_OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes", "up"}
 
 
 @app.command(epilog="Without a scene, the window opens empty. H in it lists the keys.")
@@ -216,7 +216,7 @@ def command(
         print_text(f"gs-viewer {gs_codec.__version__}")
         return
     if web:
-        _serve(ctx, a, b, cameras, port, max_bytes)
+        _serve(ctx, a, b, cameras, port, max_bytes, up)
         return
     if port is not None:
         raise gs_codec.GsCodecError("port: needs --web")
@@ -268,6 +268,7 @@ def _serve(
     cameras: str | None,
     port: int | None,
     max_bytes: int | None,
+    up: str | None,
 ) -> None:
     """Show a page in a browser; options without effect on it are refused."""
     for name in ctx.params:
@@ -278,7 +279,7 @@ def _serve(
     from viewer.served import serve
 
     with progress_bar() as progress:
-        page = serve([a] if b is None else [a, b], cameras or "auto", port, max_bytes, progress)
+        page = serve([a] if b is None else [a, b], cameras or "auto", port, max_bytes, progress, up)
     page.run()
 
 

@@ -16,6 +16,7 @@ from urllib.parse import quote
 import gs_codec
 from gs_codec.cli.output import print_text
 from gs_codec.files.sharing import PAGE, page_of
+from gs_codec.rendering.upright import up_axis
 from gs_codec.report import Progress
 
 #: This machine alone.
@@ -129,6 +130,7 @@ def serve(
     port: int | None,
     max_bytes: int | None,
     progress: Progress | None,
+    up: str | None = None,
 ) -> Page:
     """A server of a page that shows one scene or two; see `gs_codec.files.sharing.share`.
 
@@ -139,7 +141,9 @@ def serve(
     """
     if port is not None and not 1 <= port <= 65535:
         raise gs_codec.GsCodecError(f"port {port}: expected 1 to 65535")
-    files = page_of(sources, cameras, alone=False, progress=progress, max_bytes=max_bytes)[1]
+    if up is not None:
+        up_axis(up)
+    files = page_of(sources, cameras, alone=False, progress=progress, max_bytes=max_bytes, up=up)[1]
     try:
         return Page(files, port or 0)
     except OSError as error:

@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import SCENES, print_text, progress_bar
+from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
+from gs_codec.rendering.upright import UPS
 
 
 @takes("max_bytes", "overwrite")
@@ -29,6 +30,13 @@ def command(
     cameras: Annotated[
         str, typer.Option(metavar="C", help=f"Views to choose from: {CAMERAS}")
     ] = "auto",
+    up: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AXIS",
+            help=f"Up axis: {', '.join(UPS)}; by default from cameras, given or estimated.",
+        ),
+    ] = None,
 ) -> None:
     """Write a page that shows a scene, or compares two, in any browser."""
     from gs_codec.files.sharing import share
@@ -37,8 +45,10 @@ def command(
     with progress_bar() as progress:
         shared = share(
             sources, out, cameras, progress=progress, max_bytes=asked["max_bytes"],
-            overwrite=asked["overwrite"],
+            overwrite=asked["overwrite"], up=up,
         )  # fmt: skip
     for one in shared:
         how = ", encoded for the page by profile l" if one.encoded else ""
         print_text(f"{out}: {one.name}, {len(one.data) / 1e6:.2f} MB{how}")
+        if one.encoded:
+            print_rendered(one.rendered)

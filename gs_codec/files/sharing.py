@@ -6,9 +6,11 @@ import base64
 import html
 import importlib.util
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -21,12 +23,16 @@ from gs_codec.files.scenes import scene_in
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
 from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.rendering.auto_cameras import COUNT, estimate_views
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.inria import as_entry
-from gs_codec.report import Progress
+from gs_codec.rendering.upright import BY_CAMERAS, UPS, up_axis, up_of
+from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
+
+log = logging.getLogger(__name__)
 
 #: What scenes are encoded by that pages cannot read as they are.
 _PROFILE = "l"
@@ -49,12 +55,15 @@ class SharedScene:
         Whether it was encoded for the page, as pages do not read the file itself.
     levels : int
         How many levels of detail it has beside the scene: then the page fetches what it shows.
+    rendered : RenderedLoss, optional
+        What rendered views lose by encoding it for the page; None if that was not measured.
     """
 
     name: str
     data: bytes
     encoded: bool
     levels: int = 0
+    rendered: RenderedLoss | None = None
 
 
 def share(
@@ -65,6 +74,7 @@ def share(
     progress: Progress | None = None,
     max_bytes: int | None = None,
     overwrite: bool = True,
+    up: str | None = None,
 ) -> list[SharedScene]:
     """Write a page that shows a scene, or two versions of it, in a browser.
 
@@ -85,6 +95,9 @@ def share(
         As for `read`.
     overwrite : bool
         As for `encode_file`; of a folder, whether it may have files.
+    up : {"-y", "y", "-z", "z", "-x", "x"}, optional
+        Which axis is up: estimated cameras are chosen to be upright by it, all views are shown so,
+        and the page turns about it. By default, cameras say what is up, given or estimated.
 
     Raises
     ------
@@ -94,6 +107,8 @@ def share(
         If the page has not been built (``make web``).
     """
     target = Path(target)
+    if up is not None:
+        up_axis(up)
     if len(sources) not in (1, 2):
         raise InvalidInput(f"{len(sources)} scenes, expected one or two")
     alone = target.suffix.lower() == ".html"
@@ -103,7 +118,7 @@ def share(
         raise InvalidInput(f"{target}: expected a .html file or a folder")
     else:
         check_folder(target, overwrite)
-    shared, files = page_of(sources, cameras, alone, progress=progress, max_bytes=max_bytes)
+    shared, files = page_of(sources, cameras, alone, progress=progress, max_bytes=max_bytes, up=up)
     if alone:
         with atomic_writer(target) as file:
             file.write(files[PAGE])
@@ -119,6 +134,7 @@ def page_of(
     *,
     progress: Progress | None = None,
     max_bytes: int | None = None,
+    up: str | None = None,
 ) -> tuple[list[SharedScene], dict[str, bytes]]:
     """The scenes of a page, and its files by name, `PAGE` last; `alone`, that is the only one.
 
@@ -131,7 +147,7 @@ def page_of(
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
     files, entries, blocks = {}, [], []
     for k, (one, name) in enumerate(zip(shared, _file_names(shared), strict=True)):
-        entry = {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
+        entry = _entry(one)
         if alone:
             entries.append(entry | {"data": f"scene-{k}"})
             text = base64.b64encode(one.data).decode()
@@ -140,10 +156,7 @@ def page_of(
             entries.append(entry | {"url": quote(name)})
             files[name] = one.data
     described = {
-        "views": [
-            as_entry(index, camera)
-            for index, camera in enumerate(find_cameras(cameras, first, progress=progress))
-        ],
+        **_views(cameras, first, up, progress),
         "middle": np.median(finite, axis=1).tolist() if finite.size else [0.0, 0.0, 0.0],
         "scenes": entries,
     }
@@ -153,6 +166,36 @@ def page_of(
     data = "\n".join([_block("scene-list", "application/json", listed), *blocks])
     files[PAGE] = _fill(template, title=title, data=data).encode()
     return shared, files
+
+
+def _entry(one: SharedScene) -> dict[str, Any]:
+    """What a page is told of a scene, beside where it is."""
+    entry = {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
+    return entry if one.rendered is None else entry | {"psnr": one.rendered.psnr}
+
+
+def _views(
+    cameras: str | Path, scene: Scene, up: str | None, progress: Progress | None
+) -> dict[str, Any]:
+    """The views of a page, what may be up in them, by name, and which of these is."""
+    if str(cameras) == "auto":
+        asked = None if up is None else up_axis(up)
+        found = estimate_views(scene, COUNT, asked, progress)
+        views, by_cameras = found.cameras, found.up
+        if up is None and not found.up_certain:
+            log.warning(
+                "cameras 'auto': the scene does not show which way is up; "
+                "choose an axis (up), or give its cameras"
+            )
+    else:
+        views = find_cameras(cameras, scene)
+        by_cameras = up_of([view.rotation for view in views])
+    ups = {BY_CAMERAS: by_cameras} | UPS
+    return {
+        "views": [as_entry(index, camera) for index, camera in enumerate(views)],
+        "ups": {name: axis.tolist() for name, axis in ups.items()},
+        "up": up or BY_CAMERAS,
+    }
 
 
 def _open(
@@ -167,8 +210,8 @@ def _open(
                 levels = len(info.levels)
                 return SharedScene(path.name, bytes(file.data), False, levels), scene
         with located(path):
-            parts, _ = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
-        return SharedScene(path.name, b"".join(parts), True), scene
+            parts, report = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
+        return SharedScene(path.name, b"".join(parts), True, rendered=report.rendered), scene
 
 
 def _file_names(shared: Sequence[SharedScene]) -> list[str]:

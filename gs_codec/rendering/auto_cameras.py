@@ -66,6 +66,8 @@ class Estimate(NamedTuple):
         Those that together see most come first, after an overview.
     up : ndarray, shape (3,)
         Unit vector: what is up in the scene.
+    up_certain : bool
+        As for `Evidence`: whether the scene tells what is up.
     telling : bool
         As for `Evidence`: whether cameras are near those that the scene was trained with.
     shown : float
@@ -74,6 +76,7 @@ class Estimate(NamedTuple):
 
     cameras: list[Camera]
     up: NDArray[np.float64]
+    up_certain: bool
     telling: bool
     shown: float
 
@@ -120,7 +123,7 @@ def estimate_views(
     if found is None or not chosen:
         raise InvalidInput("cameras 'auto': no view shows anything of the scene")
     cameras = [replace(view, name=f"auto_{n:02d}") for n, view in enumerate(chosen)]
-    return Estimate(cameras, found.up, found.telling, shown)
+    return Estimate(cameras, found.up, found.up_certain, found.telling, shown)
 
 
 def guiding_cameras(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.rendering.camera import facing
+from gs_codec.rendering.upright import UPS
 from viewer.scenes.opened import thinned
 
 #: Default camera: focal length in heights of the frame (60 degrees vertically); frame in pixels.
@@ -18,18 +18,8 @@ _FOCAL, _FRAME = 0.866, (600, 400)
 #: Wider frames are measured at this width, pixels, because the trainer shrinks photographs to it.
 _MEASURED_WIDTH = 1600
 
-#: Least mean square of right axes along a direction that is not level.
-_LOOSE = 1e-3
-
 #: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
 _AHEAD, _SAMPLES = 0.25, 20_000
-
-#: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
-UPS = {
-    sign + axis: np.eye(3)[k] * (-1 if sign else 1)
-    for k, axis in ((1, "y"), (2, "z"), (0, "x"))
-    for sign in ("-", "")
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +148,3 @@ def distance_ahead(pose: Pose, positions: NDArray) -> float:
     if not len(some):
         return 1.0
     return float(np.linalg.norm(np.median(some, axis=0) - pose.position)) or 1.0
-
-
-def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
-    """The up vector of upright cameras with these rotations: orthogonal to their right axes.
-
-    Where these leave several, as cameras that look one way do, it is the nearest to their own.
-    """
-    right, down, _ = np.moveaxis(np.array(rotations), 1, 0)
-    level = right.T @ right / len(right)
-    up = -np.linalg.solve(level + _LOOSE * np.eye(3), down.mean(axis=0))
-    if not np.linalg.norm(up) > _LOOSE:
-        up = np.linalg.eigh(level)[1][:, 0]
-    return up / np.linalg.norm(up)

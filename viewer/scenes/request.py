@@ -9,6 +9,7 @@ from typing import Any
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
 from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.upright import up_axis
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -20,7 +21,6 @@ from viewer.scenes.choice import (
     OctreeChoice,
 )
 from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
-from viewer.scenes.pose import UPS
 from viewer.scenes.viewpoints import Views, choose_views, given_views
 
 #: Largest side of a picture, pixels.
@@ -48,7 +48,7 @@ class Request:
     max_bytes : int or None
         As for `gs_codec.read`.
     up : str or None
-        Which axis of the scene is up, of `UPS`.
+        Which axis of the scene is up, of `gs_codec.rendering.upright.UPS`.
     octree : OctreeChoice
     scale : str or None
         One of `SCALES`, for the colours of centres; None is that of the quantity.
@@ -85,7 +85,8 @@ class Request:
         if self.colouring == "error" and self.a is not None and self.b is None:
             raise gs_codec.GsCodecError("colour error: expected two scenes")
         _check_among("mode", [self.mode], MODES)
-        _check_among("up", [self.up or "-y"], tuple(UPS))
+        if self.up is not None:
+            up_axis(self.up)
         _check_among("octree-colour", [self.octree.colouring], CELL_COLOURINGS)
         if self.octree.depth not in DEPTHS:
             raise gs_codec.GsCodecError(

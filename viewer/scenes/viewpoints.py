@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT, estimate_views
+from gs_codec.rendering.upright import BY_CAMERAS, UPS, up_of
 from viewer.scenes.opened import Opened
-from viewer.scenes.pose import UPS, Pose, of_camera, overview, up_of, upright
+from viewer.scenes.pose import Pose, of_camera, overview, upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +65,6 @@ class Viewpoint:
     name: str
     pose: Pose
     camera: Any = None
-
-
-#: Name of the up axis that is taken from the cameras.
-BY_CAMERAS = "cameras"
 
 
 def given_views(cameras: Sequence[Any]) -> Views:

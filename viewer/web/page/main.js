@@ -4,10 +4,13 @@ import { control } from './controls.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
-import { Pose, upOf } from './pose.js';
+import { Pose } from './pose.js';
 import { Renderer } from './renderer.js';
 
 const BACKGROUNDS = { black: [0, 0, 0], grey: [0.5, 0.5, 0.5], white: [1, 1, 1] };
+
+/** The up axis that cameras say; views are shown as these were. */
+const BY_CAMERAS = 'cameras';
 
 /** Gaussians of scenes with levels that this device holds at once, unless another number is given. */
 function defaultBudget() {
@@ -16,10 +19,11 @@ function defaultBudget() {
 }
 
 class Viewer {
-  constructor({ scenes, views, middle }) {
+  constructor({ scenes, views, middle, ups, up }) {
     this.views = views;
     this.middle = middle;
-    this.up = upOf(views);
+    this.ups = ups; // vectors by name, the cameras' first
+    this.axis = up;
     this.canvas = document.getElementById('view');
     this.abort = new AbortController();
     this.pace = new Pace();
@@ -31,6 +35,7 @@ class Viewer {
     this.panel = new Panel(this, scenes);
     this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
     this.choose(0);
+    this.panel.upright(this.axis);
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
@@ -123,8 +128,22 @@ class Viewer {
     const count = this.views.length;
     this.view = ((index % count) + count) % count;
     this.pose = Pose.of(this.views[this.view], this.middle);
+    if (this.axis !== BY_CAMERAS) this.pose.roll(this.up);
     this.panel.chosen(this.view);
     this.redraw();
+  }
+
+  /** What is up, of length 1. */
+  get up() {
+    return this.ups[this.axis];
+  }
+
+  /** Take another axis for up, by its name, and roll the picture upright. */
+  setUp(axis) {
+    this.axis = axis;
+    this.pose.roll(this.up);
+    this.panel.upright(axis);
+    this.moved();
   }
 
   /** The camera has moved, and may go on. */

@@ -37,6 +37,7 @@ export class Panel {
       return { told, bar, detail };
     });
     viewer.views.forEach(({ img_name: name }, k) => $('views').add(new Option(`${k}: ${name}`, k)));
+    for (const name of Object.keys(viewer.ups)) $('ups').add(new Option(name));
     $('shows').hidden = !this.two;
     $('stop').hidden = false;
     $('budget').parentElement.hidden = !entries.some(({ levels }) => levels);
@@ -51,6 +52,7 @@ export class Panel {
     $('retry').addEventListener('click', () => viewer.retry());
     $('save').addEventListener('click', () => viewer.save());
     $('views').addEventListener('change', ({ target }) => viewer.choose(Number(target.value)));
+    $('ups').addEventListener('change', ({ target }) => viewer.setUp(target.value));
     $('degree').addEventListener('change', ({ target }) =>
       viewer.set({ degree: Number(target.value) }),
     );
@@ -91,6 +93,7 @@ export class Panel {
       n: () => viewer.choose(viewer.view + 1),
       p: () => viewer.choose(viewer.view - 1),
       r: () => viewer.choose(viewer.view),
+      u: () => viewer.setUp(this.#nextUp),
       1: () => show('a'),
       2: () => show('b'),
       3: () => show('wipe'),
@@ -105,6 +108,12 @@ export class Panel {
     actions[event.key.toLowerCase()]?.();
   }
 
+  /** The axis after the one that is up. */
+  get #nextUp() {
+    const names = Object.keys(this.viewer.ups);
+    return names[(names.indexOf(this.viewer.axis) + 1) % names.length];
+  }
+
   /** Say something, below the picture; what connections have lost may be asked for again. */
   tell(text, isError, mayRetry) {
     // What is written anew is read out anew.
@@ -117,6 +126,11 @@ export class Panel {
   /** Which view is shown. */
   chosen(index) {
     $('views').value = index;
+  }
+
+  /** Which axis is up. */
+  upright(axis) {
+    $('ups').value = axis;
   }
 
   /** How it is shown. */
@@ -143,8 +157,9 @@ export class Panel {
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;
       const profile = `${entry.encoded ? 'encoded for this page, ' : ''}profile ${scene.profile}`;
+      const lost = entry.psnr ? [`views: ${number(entry.psnr, 1)} dB to the original`] : [];
       const parts = [`${number(scene.count, 0)} Gaussians`, `SH degree ${scene.degree}`, size];
-      told.textContent = [...parts, profile].join(', ');
+      told.textContent = [...parts, profile, ...lost].join(', ');
       this.#list(scenes);
     });
   }

@@ -20,6 +20,9 @@ function turned(vector, axis, angle) {
 /** How near to straight up or down one may look, as the sine of the angle. */
 const STEEP = 0.02;
 
+/** Sine of the angle to straight up or down below which a picture has no upper side. */
+const LEVEL = 1e-6;
+
 export class Pose {
   /**
    * @param {number[]} eye
@@ -78,6 +81,15 @@ export class Pose {
     this.eye = plus(target, this.turn[2], -this.distance);
   }
 
+  /** Roll until `up` points up in the picture; straight up or down, nothing does. */
+  roll(up) {
+    const [, , forward] = this.turn;
+    const level = cross(forward, up);
+    if (Math.hypot(...level) < LEVEL) return;
+    const right = unit(level);
+    this.turn = [right, cross(forward, right), forward];
+  }
+
   /** The same in other axes: rows of `axes` are those of the world, in the other's. */
   within(axes) {
     const given = (vector) =>
@@ -89,13 +101,6 @@ export class Pose {
       );
     return { eye: given(this.eye), turn: this.turn.map(given) };
   }
-}
-
-/** What is up for cameras, taken together. */
-export function upOf(views) {
-  const down = views.map(({ rotation }) => rotation.map((row) => row[1]));
-  const sum = down.reduce((all, one) => plus(all, one, -1), [0, 0, 0]);
-  return Math.hypot(...sum) > 1e-6 * views.length ? unit(sum) : times(down[0], -1);
 }
 
 /** The axes right, down, forward of the world in those of a file, three letters of RLUDBF. */

@@ -1,0 +1,49 @@
+"""Which way is up: an axis by its name, or by cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+
+#: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
+UPS: dict[str, NDArray[np.float64]] = {
+    sign + axis: np.eye(3)[k] * (-1 if sign else 1)
+    for k, axis in ((1, "y"), (2, "z"), (0, "x"))
+    for sign in ("-", "")
+}
+
+#: Name of the up axis that is taken from cameras, given or estimated.
+BY_CAMERAS = "cameras"
+
+#: Least mean square of right axes along a direction that is not level.
+_LOOSE = 1e-3
+
+
+def up_axis(name: str) -> NDArray[np.float64]:
+    """The unit vector of an up axis, by its name.
+
+    Raises
+    ------
+    InvalidInput
+        If there is none of that name.
+    """
+    if name not in UPS:
+        raise InvalidInput(f"up '{name}': expected {', '.join(UPS)}")
+    return UPS[name]
+
+
+def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
+    """The up vector of upright cameras with these rotations: orthogonal to their right axes.
+
+    Where these leave several, as cameras that look one way do, it is the nearest to their own.
+    """
+    right, down, _ = np.moveaxis(np.array(rotations), 1, 0)
+    level = right.T @ right / len(right)
+    up = -np.linalg.solve(level + _LOOSE * np.eye(3), down.mean(axis=0))
+    if not np.linalg.norm(up) > _LOOSE:
+        up = np.linalg.eigh(level)[1][:, 0]
+    return up / np.linalg.norm(up)

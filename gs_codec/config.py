@@ -187,6 +187,9 @@ PROFILE_CHOICES = (*ADAPTIVE_PROFILES, *PROFILES, LOSSLESS)
 #: Long names that are accepted for the short ones.
 PROFILE_WORDS: Mapping[str, str] = {"high": "l", "medium": "m", "low": "s"}
 
+#: Axes that may be up; the first is the default, as in trainers.
+UP_AXES = ("-y", "y", "-z", "z", "-x", "x")
+
 #: The profiles as help lists them.
 PROFILES_SHOWN = ", ".join(
     [f"{short} ({word})" for word, short in PROFILE_WORDS.items()] + [*PROFILES, LOSSLESS]

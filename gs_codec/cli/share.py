@@ -9,8 +9,8 @@ import typer
 
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
+from gs_codec.config import UP_AXES
 from gs_codec.preparation.steps import CAMERAS
-from gs_codec.rendering.upright import UPS
 
 
 @takes("max_bytes", "overwrite")
@@ -34,7 +34,7 @@ def command(
         str | None,
         typer.Option(
             metavar="AXIS",
-            help=f"Up axis: {', '.join(UPS)}; by default from cameras, given or estimated.",
+            help=f"Up axis: {', '.join(UP_AXES)}; by default from cameras, given or estimated.",
         ),
     ] = None,
 ) -> None:

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import UP_AXES
 from gs_codec.errors import InvalidInput
 
-#: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
+#: Unit vectors of `UP_AXES`, by name.
 UPS: dict[str, NDArray[np.float64]] = {
-    sign + axis: np.eye(3)[k] * (-1 if sign else 1)
-    for k, axis in ((1, "y"), (2, "z"), (0, "x"))
-    for sign in ("-", "")
+    name: np.eye(3)["xyz".index(name[-1])] * (-1 if len(name) > 1 else 1) for name in UP_AXES
 }
 
 #: Name of the up axis that is taken from cameras, given or estimated.

@@ -17,6 +17,9 @@ from gs_codec.api.splats import Splats, decode_tensors, encode_tensors
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError
 
+#: Types of arguments of each kernel.
+KINDS: dict = {}
+
 FIELDS = ("means", "quats", "log_scales", "logits", "sh")
 
 
@@ -29,7 +32,17 @@ def run(self, place: tuple, *arguments) -> None:
         raise thread.exception[0].with_traceback(thread.exception[1])
 
 
+def launch(self, *arguments) -> None:
+    """Run a kernel, which a device compiles for one list of types."""
+    types = [(getattr(a, "dtype", type(a)), getattr(a, "ndim", 0)) for a in arguments]
+    assert KINDS.setdefault(self.fn, types) == types, self.fn
+    launch_kernel(self, *arguments)
+
+
 kernel.BlockManager.run = run
+launch_kernel = kernel.FakeCUDAKernel.__call__
+kernel.FakeCUDAKernel.__call__ = launch
+Config.__post_init__ = lambda self: None  # type: ignore[method-assign] # smaller blocks
 for path in sorted(Path(sys.argv[1]).glob("*.egs")):
     try:
         splats = decode_tensors(path)
@@ -40,7 +53,5 @@ for path in sorted(Path(sys.argv[1]).glob("*.egs")):
 for path in sorted(Path(sys.argv[1]).glob("*.splats")):
     with np.load(path) as given:
         splats = Splats(*(torch.from_numpy(given[name]) for name in FIELDS))
-        config = Config(str(given["profile"]))
-        # Smaller blocks than may be asked for.
-        object.__setattr__(config, "block_size", int(given["block_size"]))
+        config = Config(str(given["profile"]), block_size=int(given["block_size"]))
     path.with_suffix(".made").write_bytes(encode_tensors(splats, config))

@@ -216,8 +216,9 @@ class _Decoder:
         self._each(fill_shapes, *shapes, found["logits"], found["log_scales"], found["quats"])
         bands = enumerate(sh_bands(coefficients), 1)
         units = [self.lattice.units[f"sh{number}"] for number, band in bands for _ in band]
-        packed = self._upload(np.array(units, np.float64)) if units else values
-        own = packed, shifts, coefficients, self.header.block_size, BAD_VALUE, self.faults
+        # A kernel wants numbers even where there are no coefficients.
+        steps = self._upload(np.array(units or [0], np.float64))
+        own = steps, shifts, coefficients, self.header.block_size, BAD_VALUE, self.faults
         self._each(fill_colours, values, levels, *own, found["sh"].view(-1))
         return found
 

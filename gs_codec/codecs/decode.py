@@ -47,11 +47,11 @@ def decode_scene(
     return decode_part(data, Part(), threads, max_bytes, progress)[0]
 
 
-def decode_as(config: Config, data: bytes, progress: Progress | None = None) -> Scene:
+def decode_as(config: Config, data: bytes | memoryview, progress: Progress | None = None) -> Scene:
     """Decode what was encoded by a configuration, which names its format."""
     if config.format == EGS:
         return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
-    return decode_interchange(data, config)
+    return decode_interchange(bytes(data), config)
 
 
 def decode_part(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gs_codec.codecs.entropygs.torchac_coder import is_torchac
-from gs_codec.config import ADAPTIVE_PROFILES, Config
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
 from gs_codec.egs.file import EgsFile
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import current
@@ -19,8 +19,11 @@ _ADAPTIVE, _OTHERS = 40, 55
 
 def least_memory(count: int, config: Config) -> int:
     """Lowest memory limit, in bytes, that a scene of `count` Gaussians can be encoded in."""
-    each = _ADAPTIVE if config.profile in ADAPTIVE_PROFILES else _OTHERS
-    return _working(config.coder == "torchac") + count * each
+    adaptive = config.profile in ADAPTIVE_PROFILES
+    growing = count * (_ADAPTIVE if adaptive else _OTHERS)
+    if not adaptive and config.profile != LOSSLESS:  # it is decoded to measure what views lose
+        growing = max(growing, config.block_size * _decoding(3))
+    return _working(config.coder == "torchac") + growing
 
 
 def check_encoding(count: int, config: Config) -> None:
@@ -41,12 +44,16 @@ def slab_within(file: EgsFile, degree: int, wanted: int) -> int:
     InvalidInput
         If one block does not fit.
     """
-    # A slab, and a copy of it that is being written.
-    each = 2 * float_bytes(1, degree)
+    each = _decoding(degree)
     working = _working(is_torchac(file))
     _check(working + file.header.block_size * each, "decoding")
     limit = current().limit
     return wanted if limit is None else min(wanted, (limit - working) // each)
+
+
+def _decoding(degree: int) -> int:
+    """Bytes for each Gaussian of a slab, and of a copy of it that is being written."""
+    return 2 * float_bytes(1, degree)
 
 
 def _working(torchac: bool) -> int:

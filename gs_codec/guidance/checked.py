@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import Encoded
@@ -15,7 +17,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.guidance.calibrate import finer, wanted_error
 from gs_codec.guidance.check import Check, error_of
 from gs_codec.report import RenderedLoss, StageTimes, psnr_loss
-from gs_codec.runtime.arrays import current
+from gs_codec.runtime.arrays import current, empty
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
@@ -150,15 +152,15 @@ def _measure(
 ) -> RenderedLoss | None:
     if watched is not None:
         return check.measure_watched(watched)
-    if not check.windows:
-        return None
-    if current().limit is not None:
-        return None  # The decoded scene would have to fit into memory.
-    return check.measure(_decoded(encoded, config))
+    return check.measure(_decoded(encoded, config)) if check.windows else None
 
 
 def _decoded(encoded: Encoded, config: Config) -> Scene:
-    return decode_as(config, b"".join(encoded[0]))
+    if current().limit is None:
+        return decode_as(config, b"".join(encoded[0]))
+    parts = [np.frombuffer(part, np.uint8) for part in encoded[0] if len(part)]
+    data = empty((sum(map(len, parts)),), np.uint8)
+    return decode_as(config, np.concatenate(parts, out=data).data)
 
 
 def tell(loss: RenderedLoss, config: Config) -> None:

@@ -31,6 +31,7 @@ from gs_codec.codecs import decode_part, decode_scene, encode_scene, slabs
 from gs_codec.codecs.adaptive.arrange import arrange_scene
 from gs_codec.codecs.adaptive.costs import block_costs
 from gs_codec.codecs.adaptive.decode import Blocks
+from gs_codec.codecs.adaptive.depths import mean_octaves
 from gs_codec.codecs.adaptive.grid import choose_grid
 from gs_codec.codecs.adaptive.lattice import grid_codes, outside
 from gs_codec.codecs.costs import describe_gaussian, gaussian_bits
@@ -248,15 +249,19 @@ def test_without_far_ones_files_are_of_version_1():
 
 def test_depths_and_coarseness():
     scene = with_far(random_scene(3000, 1, seed=72), 20)
-    for options in ({"coarseness": 4.0}, {"coarseness": 0.25}, {"depths": {"sh-ac": 6}}):
+    depths = {"depths": {"sh-ac": 6}}, {"depths": {"geometry": 12}}
+    for options in ({"coarseness": 4.0}, {"coarseness": 0.25}, *depths):
         data = encode_scene(scene, Config("m", **options))[0]
         decoded, original = matched(data, scene)
         far = inspect_bytes(data).far
         assert far >= 20
         assert np.array_equal(decoded.positions[:, -far:], original.positions[:, -far:])
-    # A depth is that of the range of all centres.
-    data = encode_scene(scene, Config("m", depths={"geometry": 12}))[0]
-    assert decode_scene(data).count == 3000
+
+
+def test_a_depth_of_geometry_is_over_the_range_of_the_near_ones():
+    near, depths = random_scene(3000, 1, seed=72), {"geometry": 12}
+    far = with_far(near, 20)
+    assert mean_octaves(far, depths) == pytest.approx(mean_octaves(near, depths), abs=0.1)
 
 
 def test_far_ones_do_not_change_how_coarse_a_scene_may_be():

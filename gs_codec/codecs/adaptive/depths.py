@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES, StepSizes
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.codecs.entropygs.symbols import fit_channel
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.linear import combine
 from gs_codec.scene import Scene
 
@@ -22,8 +23,10 @@ _OCTAVES = 64.0
 def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
     """Log2 of the geometric mean step size of each group in a paper profile of these depths.
 
-    Quaternions are normalised first. A constant group has no step size.
+    As there, far Gaussians are first moved nearer, and quaternions normalised. A constant group has
+    no step size.
     """
+    scene, _ = bring_nearer(scene)
     planes = {}
     if "rotation" in depths:
         # In float64, where the squares neither underflow nor overflow.

@@ -1,7 +1,7 @@
-"""Far centres: a few that are so far away that a grid over all centres is too coarse for the rest.
+"""Far centres: the few so far away that a grid over all centres is too coarse for the others.
 
-Training leaves such strays, some at 1e8 times the size of a scene. What is ordered or quantised
-over the range of all centres is then the same for all but the strays.
+Training leaves such strays, some at 1e8 times the size of the scene. On a grid over all centres,
+the others would fall into one cell.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from numpy.typing import NDArray
 from gs_codec.runtime.arrays import empty
 from gs_codec.scene import Scene
 
-#: Largest share of centres that may be far; with fewer than eight centres, none is.
+#: Maximum share of far centres; with fewer than eight centres, there are none.
 _MOST = 1 / 8
 
-#: A scene is cut off where a grid gains most: bits per coordinate, less this many for all centres
-#: that are outside, as a share of all: one for a hundredth of them.
+#: A cut at a distance gains bits per coordinate. It costs this many bits times the share of centres
+#: outside: one bit for a hundredth of them.
 _BITS = 100.0
 
-#: And less this many for the sum over those outside of squares of size by distance: a background
-#: of a few large Gaussians is no stray. At most so many bits, which make any grid too coarse.
+#: It also costs this many bits times the sum of (size / distance)^2 over the centres outside, so
+#: that a background of a few large Gaussians is kept; at most `_MOST_BITS_SEEN`.
 _BITS_SEEN, _MOST_BITS_SEEN = 200.0, 6.0
 
-#: Far is what is beyond this many times that distance: a scene's own outskirts are not.
+#: Centres beyond the best cut times this are far; those just beyond the cut are not.
 _OUTSKIRTS = 4.0
 
-#: On each axis the box reaches this share of its longest reach from the middle, to either side.
+#: Minimum half-width of the box on each axis, relative to the largest distance from the middle.
 _THINNEST = 1 / 8
 
-#: Standard deviations are not scaled below this share of the distance from the middle: a hundredth
+#: Minimum standard deviation after scaling, relative to the distance from the middle: a hundredth
 #: of a pixel.
 _FINEST = 1e-5
 
-#: Renderers draw what is smaller than a pixel as a dot of the pixel. Such dots would be seen in the
-#: wrong places, so they are as faint as Mip-Splatting makes them: with a low-pass of this variance
-#: for pixels of this angle, radians; but not fainter than what no 8 bits hold (logit).
+#: Renderers draw a Gaussian smaller than a pixel as a dot of one pixel. Far dots would appear in
+#: the wrong places, so their opacity is reduced as Mip-Splatting does, with a low-pass of this
+#: variance and pixels of this angle (radians), but not below what 8 bits round to zero (logit).
 _LOW_PASS, _PIXEL, _FAINTEST = 0.3, 5e-4, -6.93
 
-#: Centres that quantiles are estimated from, and those that are looked at together.
+#: Number of centres that quantiles are estimated from; number processed at once.
 _SAMPLE, _AT_ONCE = 1 << 14, 1 << 18
 
 
@@ -60,7 +60,7 @@ class Box:
 
 @dataclass(frozen=True)
 class FarCentres:
-    """Which centres are far, and where the others are.
+    """The far centres, and the extent of the others.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class FarCentres:
     near: Box
 
     def box(self, factor: float = 1.0) -> Box:
-        """The box of the near centres, made thicker where it is thin, enlarged about the middle."""
+        """The box of the near centres, with a minimum thickness, scaled about the middle."""
         thin = _THINNEST * self.reach
         return Box(
             self.middle - factor * np.maximum(self.middle - self.near.low, thin),
@@ -96,10 +96,9 @@ def find_far(
 ) -> FarCentres | None:
     """The far ones of finite centres; None if there are none, as in most scenes.
 
-    A distance is the largest of the three along axes, from the median. The best distance to cut a
-    scene off is where a grid gains most: log2 of its size, less a bit for each hundredth of centres
-    outside, and less up to six bits if those outside look large. What is beyond four times that
-    distance is far.
+    Distances are from the median, the largest along an axis. The best cut has the largest gain: the
+    bits per coordinate that a smaller grid saves, minus one for each hundredth of centres outside,
+    minus up to six if those outside look large. Centres beyond four times that distance are far.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ def find_far(
 def _beyond(
     positions: NDArray[np.float32], middle: NDArray[np.float64], start: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances of the centres beyond one, and their indices."""
+    """Distances and indices of the centres beyond `start`."""
     found, where = [], []
     for first, part in _parts(positions):
         distances = _distances(part, middle)
@@ -145,7 +144,7 @@ def _beyond(
 
 
 def _parts(positions: NDArray[np.float32]) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Index of the first, and centres, of those that are looked at together."""
+    """Chunks of centres, each with the index of its first."""
     for start in range(0, positions.shape[1], _AT_ONCE):
         yield start, positions[:, start : start + _AT_ONCE].astype(np.float64)
 
@@ -155,12 +154,12 @@ def _distances(points: NDArray[np.float64], middle: NDArray[np.float64]) -> NDAr
 
 
 def _sizes(log_scale: NDArray[np.float32], distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squares of the longest standard deviations by distances, at most 1."""
+    """Squared ratios of the longest standard deviation to the distance, at most 1."""
     return np.exp(2 * np.fmin(log_scale.max(axis=0) - np.log(distances), 0.0))
 
 
 def _reach(outer: NDArray[np.float64], sizes: NDArray[np.float64], count: int) -> float:
-    """Largest distance of a near centre, of the sorted distances of the outermost."""
+    """Largest distance of a near centre; `outer` are the sorted distances of the outermost."""
     most = int(_MOST * count) + 1
     outer, sizes = outer[-most:], sizes[-most:]
     outside = np.arange(len(outer) - 1, -1, -1) / count
@@ -171,11 +170,11 @@ def _reach(outer: NDArray[np.float64], sizes: NDArray[np.float64], count: int) -
 
 
 def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene, tuple[str, ...]]:
-    """Move far Gaussians that are outside a box onto its surface, and say so.
+    """Move far Gaussians outside a box onto its surface, and describe what was done.
 
-    Each moves along the ray from the scene's middle, and is scaled down by the same factor: from
-    the middle it looks the same. Those smaller than a pixel fade, unless the scene asks for
-    opacity compensation, which has the same effect.
+    Each moves along the ray from the scene's middle and is scaled down by the same factor, so that
+    it looks the same from the middle. The opacity of those smaller than a pixel is reduced, unless
+    the scene uses opacity compensation, which has the same effect.
 
     Parameters
     ----------
@@ -190,7 +189,7 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
     scene : Scene
         The same one if nothing moves.
     lost : tuple of str
-        What was done, in a sentence, if anything was.
+        One sentence on what was done; empty if nothing was.
     """
     if found is None:
         return scene, ()
@@ -217,16 +216,16 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
 
 
 def bring_nearer(scene: Scene, factor: float = 1.0) -> tuple[Scene, tuple[str, ...]]:
-    """A finite scene with its far Gaussians drawn to the box of the others, or to a larger one.
+    """Move the far Gaussians of a finite scene to the box of the others, scaled by `factor`.
 
-    Returns the same as `draw_nearer`; `factor` as for `FarCentres.box`.
+    Returns the same as `draw_nearer`.
     """
     found = find_far(scene.positions, scene.log_scale)
     return (scene, ()) if found is None else draw_nearer(scene, found, found.box(factor))
 
 
 def _faded(opacity: NDArray[np.float32], angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Logits of Gaussians whose axes are seen under angles ``(3, n)``, by their logarithm."""
+    """Reduced logits of Gaussians; `angles` ``(3, n)`` are logs of the angles of their axes."""
     wide = np.sort(np.exp(2 * (angles - np.log(_PIXEL))), axis=0)[1:]
     with np.errstate(over="ignore", divide="ignore"):
         share = np.sqrt((wide / (wide + _LOW_PASS)).prod(axis=0)) / (1 + np.exp(-opacity))
@@ -248,6 +247,6 @@ def _sentence(positions: NDArray[np.float32], found: FarCentres, moved: NDArray[
     span = f"{most:.4g}" if f"{least:.4g}" == f"{most:.4g}" else f"{least:.4g} to {most:.4g}"
     return (
         f"{len(moved):,} of {positions.shape[1]:,} Gaussians, {span} from the middle of the scene "
-        f"(the others: up to {others.max(initial=found.reach):.4g}), were moved nearer and scaled "
-        "down to look the same, fainter if below a pixel; --remove-floaters removes such Gaussians"
+        f"(the others at most {others.max(initial=found.reach):.4g}), were moved nearer and scaled "
+        "down to look the same; --remove-floaters removes them instead"
     )

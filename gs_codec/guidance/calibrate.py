@@ -1,9 +1,9 @@
-"""The coarseness that a scene needs without cameras: windows of it, drawn as it is and rounded.
+"""Choose the coarseness of a scene without cameras, by rendering it before and after quantisation.
 
-The rules of profiles `l`, `m` and `s` tell which step sizes suit each other, not how far off a
-scene then looks: that depends on its contrast, and on how much of each Gaussian is seen. So small
-windows of views from where cameras may have been are drawn, and compared with those of rounded
-attributes. How large pixels are matters little: twice the width, 0.2 dB.
+The rules of profiles `l`, `m` and `s` set the ratios of step sizes, not how large the error looks:
+that depends on the scene's contrast and on how much of each Gaussian is visible. So small windows
+are rendered from likely camera places, with the original and with quantised attributes. Pixel size
+matters little: twice the width changes the PSNR by 0.2 dB.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import GROUPS, Scene, sh_bands
 
-#: A few windows have most of the error, so their mean is uncertain: this share of them have less
-#: than the error that is looked at.
+#: Use this quantile of the windows' errors. A few windows have most of the error, so the mean is
+#: uncertain.
 QUANTILE = 0.8
 
 #: Mean squared error of views that lose 0.05 dB of 30: 49.4 dB.
 WANTED = 1.16e-5
 
-#: The error at `QUANTILE` of the windows is about so many times the mean error of views: in 17
-#: scenes, real, generated and trained on generated pictures, that is then at 47.6 to 52.3 dB.
+#: Ratio of the error at `QUANTILE` to the mean error of held-out views. With it, 17 scenes (real,
+#: generated, and trained on generated pictures) come out at 47.6 to 52.3 dB.
 ABOVE_MEAN = 1.4 / 1.16
 
-#: The error grows with about this power of the step sizes.
+#: The error grows about with this power of the step sizes.
 POWER = 1.76
 
-#: The error is measured once more, at most, if steps change by more octaves than so many.
+#: Measure at most twice, and again only if the steps changed by more octaves than `_NEAR`.
 _ROUNDS, _NEAR = 2, 0.25
 
-#: The result is a multiple of so many octaves, and at most so many.
+#: The result is a multiple of `_OCTAVE`, at most `_FARTHEST` octaves from the profile.
 _OCTAVE, _FARTHEST = 1 / 16, 2.0
 
-#: Gaussians that are rounded at once.
+#: Gaussians quantised at once.
 _AT_ONCE = 1 << 13
 
 
@@ -70,10 +70,10 @@ def calibrated(
     progress: Progress | None = None,
     windows: Windows | None = None,
 ) -> Config:
-    """The configuration with the coarseness at which `m` loses 0.05 dB of 30 in a scene's views.
+    """The configuration with the coarseness at which views of `m` lose 0.05 dB at 30 dB.
 
-    Profiles `l` and `s` change by the same factor. Scenes of fewer than 5,000 Gaussians, and those
-    of which views do not show enough, leave it as it is. `windows` are the scene's, if known.
+    Profiles `l` and `s` change by the same factor. The coarseness stays for fewer than 5,000
+    Gaussians, and if too little is visible. `windows` are the scene's, if known.
     """
     plain = replace(scene, extra={})
     sample = sample_of(plain)
@@ -89,7 +89,7 @@ def calibrated_by(
     config: Config,
     progress: Progress | None = None,
 ) -> Config:
-    """See `calibrated`; `shown` are the indices of the Gaussians that each window shows."""
+    """As `calibrated`; `shown` are the indices of the Gaussians that each window shows."""
     chosen = [
         (window, own)
         for window, own in zip(windows, shown, strict=True)
@@ -111,7 +111,7 @@ def wanted_error(config: Config) -> float:
 
 
 def finer(config: Config, error: float) -> Config:
-    """The configuration with finer steps, which should cause `error` times as much."""
+    """The configuration with finer steps, expected to multiply the error by `error`."""
     return replace(config, coarseness=_in_range(config.coarseness * error ** (1 / POWER)))
 
 

@@ -1,4 +1,4 @@
-"""What a coded scene loses, measured in windows that did not choose its step sizes."""
+"""The loss of a coded scene, measured in windows that did not choose its step sizes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from gs_codec.scene import Scene
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
-#: Of 20 windows, about one loses more than what is reported as the worst: what a few show is mostly
-#: the inside of Gaussians, where cameras never were.
+#: The worst window reported is this quantile of all: a few windows look out of a Gaussian's inside,
+#: where no camera ever was.
 _WORST = 0.95
 
 #: Smaller mean squared errors count as this: 120 dB.
@@ -39,10 +39,7 @@ _LEAST = 1e-12
 
 
 class _Seen(NamedTuple):
-    """Windows on a scene, the Gaussians that each shows ``(n,)``, and its image ``(H, W, 3)``.
-
-    `left` is the mean transmittance of each.
-    """
+    """Windows; of each the Gaussians in it ``(n,)``, image ``(H, W, 3)``, mean transmittance."""
 
     windows: list[Camera]
     shown: list[NDArray[np.int64]]
@@ -50,7 +47,7 @@ class _Seen(NamedTuple):
     left: list[float]
 
     def errors(self, coded: Scene, shown: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
-        """Mean squared error of each window, which shows these Gaussians of a coded scene."""
+        """Mean squared error of each window; it shows the Gaussians `shown` of the coded scene."""
         drawn = _draw(coded, self.windows, shown)
         pairs = zip(self.images, drawn, strict=True)
         return np.array([np.mean((a - b) ** 2, dtype=np.float64) for a, (b, _) in pairs])
@@ -70,7 +67,7 @@ def _look(
     shown: Sequence[NDArray[np.int64]],
     most_left: float = MOST_LEFT,
 ) -> _Seen | None:
-    """Those of some windows with a transmittance of at most `most_left`; None if too few are."""
+    """The windows with a mean transmittance of at most `most_left`; None if they are too few."""
     found = zip(windows, shown, strict=True)
     usable = [(window, own) for window, own in found if len(own) <= MOST_SHOWN]
     drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
@@ -84,10 +81,10 @@ def _look(
 
 @dataclass(frozen=True)
 class Check:
-    """A scene in windows on likely places, and in those of given cameras if there are any.
+    """Windows on a scene, from likely camera places and from given cameras if there are any.
 
-    Given cameras measure the loss; likely places then show whether the cameras fit the scene.
-    `telling` is that of `Windows`.
+    Given cameras measure the loss. Windows from likely places then show whether those cameras fit
+    the scene. `telling` is that of `Windows`.
     """
 
     scene: Scene
@@ -97,9 +94,9 @@ class Check:
 
     @classmethod
     def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
-        """Look at a scene without NaN or infinity."""
+        """Render a scene, which must be finite, in these windows."""
         plain = replace(scene, extra={})
-        # Where given cameras see nothing, nothing is lost; holes on likely places are no views.
+        # Empty windows of given cameras count, as without loss. From likely places, they are holes.
         return cls(
             plain,
             _look(plain, likely, find_shown(plain, likely)),
@@ -110,12 +107,12 @@ class Check:
     def by_shown(
         cls, scene: Scene, likely: Sequence[Camera], shown: Sequence[NDArray[np.int64]]
     ) -> Check:
-        """As `of`, by indices of the Gaussians that each window shows; others may be left out."""
+        """As `of`; each window shows the Gaussians `shown` of the scene, which may lack others."""
         return cls(scene, _look(scene, likely, shown))
 
     @classmethod
     def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:
-        """As `of`, in windows chosen by a scene, and by the cameras that a plan is given."""
+        """As `of`, with windows chosen by the scene, and those of a plan's given cameras."""
         sample = sample_of(scene)
         windows = choose_windows(sample, scene.count)
         if plan is None or plan.estimates:
@@ -127,7 +124,7 @@ class Check:
 
     @property
     def covered(self) -> float:
-        """Mean opacity of what given cameras see, 0-1; 1 without them."""
+        """Mean opacity of the windows of given cameras, 0-1; 1 without such cameras."""
         return 1.0 if self.given is None else 1.0 - float(np.mean(self.given.left))
 
     @property
@@ -136,30 +133,30 @@ class Check:
 
     @property
     def windows(self) -> list[Camera]:
-        """All windows; none if the scene shows too little."""
+        """All windows; none if too little is visible."""
         return [window for seen in self._seen for window in seen.windows]
 
     def watch(self) -> Watched | None:
-        """The Gaussians that the windows show, for an encoder to keep."""
+        """The Gaussians in the windows, whose decoded values an encoder is to keep."""
         shown = [own for seen in self._seen for own in seen.shown]
         return Watched(self.scene, np.unique(np.concatenate(shown))) if shown else None
 
     def measure_watched(self, watched: Watched) -> RenderedLoss | None:
-        """What is lost by the values that an encoder kept of those from `watch`."""
+        """The loss, from the decoded values that an encoder kept of those from `watch`."""
         found = [watched.find(own) for seen in self._seen for own in seen.shown]
         return self.measure_shown(watched.decoded(), found)
 
     def measure_shown(
         self, coded: Scene, shown: Sequence[NDArray[np.int64]]
     ) -> RenderedLoss | None:
-        """What is lost in coded Gaussians, of which each of `windows` shows some."""
+        """The loss of coded Gaussians; `shown` are the indices that each of `windows` shows."""
         left = iter(shown)
         return self._loss(
             [seen.errors(coded, [next(left) for _ in seen.windows]) for seen in self._seen]
         )
 
     def measure(self, coded: Scene) -> RenderedLoss | None:
-        """What is lost in a coded scene, in any order; None if the scene shows too little."""
+        """The loss of a coded scene in any order; None if too little is visible."""
         plain = replace(coded, extra={})
         return self.measure_shown(plain, find_shown(plain, self.windows))
 
@@ -184,5 +181,5 @@ class Check:
 
 
 def error_of(loss: float) -> float:
-    """The mean squared error of views that lose so much, dB: the inverse of `psnr_loss`."""
+    """Mean squared error of views from their loss in dB: the inverse of `psnr_loss`."""
     return NOMINAL_ERROR * (10 ** (loss / 10) - 1)

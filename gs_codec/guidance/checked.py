@@ -1,4 +1,4 @@
-"""Encode, measure what views lose, and encode again with finer steps if that is too much."""
+"""Encode, measure the loss in rendered views, and encode again with finer steps if it is high."""
 
 from __future__ import annotations
 
@@ -25,40 +25,41 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: Most times that a scene is encoded.
+#: Maximum number of encodings.
 _MOST_ENCODINGS = 3
 
-#: Views may lose this many times the error aimed at; guided by estimated cameras, less, as windows
-#: may show less than true views lose: by a third on fox, by half on village.
+#: Highest accepted error, in units of the error aimed at. With estimated cameras it is lower:
+#: there, windows lost less than true views, by a third on fox and by half on village.
 _ALLOWED, _ALLOWED_ESTIMATED = 2.0, 1.25
 
-#: Finer steps that leave more than this share of the error are not worth their bits.
+#: Finer steps that leave a larger share of the error are discarded.
 _HELPS = 0.8
 
-#: Given cameras are those of another scene, scale or system if likely views, or their own held-out
-#: ones, lose so many times the error aimed at: right ones up to 160 times, in a corridor. For wrong
-#: ones it is 120 to 9,600 times, and they see less of the scene: if less than a share, the lower
-#: number of times is enough. (fox, village, bonsai and twelve generated captures.)
+#: Given cameras belong to another scene, scale or coordinate system if the error, in likely views
+#: or their own held-out ones, is at least this many times the error aimed at. Measured on fox,
+#: village, bonsai and twelve generated captures: up to 160 times with the right cameras (in a
+#: corridor), 120 to 9,600 times with wrong ones. Wrong ones also see less of the scene: if their
+#: mean opacity is below `_BARE`, the lower limit applies.
 _MISFIT, _MISFIT_IF_BARE, _BARE = 180.0, 70.0, 0.8
 
-#: The same where a scene does not show where cameras were: right ones up to 130 times, most wrong
-#: ones 550 times and more (still lifes).
+#: The same if camera places cannot be estimated: up to 130 times with the right cameras, mostly
+#: above 550 times with wrong ones (still lifes).
 _MISFIT_ANYWHERE = 250.0
 
-#: Encodes with a configuration; keeps decoded values of the Gaussians that are given.
+#: Encodes with a configuration, and keeps the decoded values of the given Gaussians.
 Encode = Callable[[Config, Watched | None], Encoded]
 
-#: An encoded scene, or what becomes one.
+#: An encoded scene, or its parts.
 Result = TypeVar("Result")
 
-#: Encodes with a configuration, and measures what views lose; None if the scene shows too little.
+#: Encodes with a configuration and measures the loss, which is None if too little is visible.
 Attempt = Callable[[Config], tuple[Result, RenderedLoss | None]]
 
 
 def measuring(
     encode: Encode, config: Config, check: Check, times: StageTimes, keeps: bool = True
 ) -> Attempt[Encoded]:
-    """Encode and measure; `keeps` says whether `encode` can keep decoded values."""
+    """An attempt that encodes and measures; `keeps`: whether `encode` can keep decoded values."""
 
     def attempt(chosen: Config) -> tuple[Encoded, RenderedLoss | None]:
         watched = check.watch() if keeps else None
@@ -76,21 +77,21 @@ def encode_checked(
     check: Check,
     origin: Origin | None = None,
 ) -> tuple[Result, RenderedLoss | None] | None:
-    """Encode a scene, again with finer steps if views lose too much.
+    """Encode a scene, and again with finer steps while views lose too much.
 
     Parameters
     ----------
     attempt : callable
     config, chosen : Config
-        As asked for, and with the coarseness that suits the scene.
+        As requested, and with the coarseness chosen for the scene.
     check : Check
     origin : str, optional
-        Where the cameras come from that guide the steps.
+        Origin of the cameras that guide the steps.
 
     Returns
     -------
     result, loss
-        Of the best attempt. None if the cameras do not fit the scene.
+        Those of the best attempt; None if the cameras do not fit the scene.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def encode_checked(
 
 
 def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
-    """Whether the cameras that guided an encoding are those of another scene."""
+    """Whether the cameras that guided an encoding do not fit the scene."""
     times = error_of(max(loss.loss, loss.away or 0.0)) / aim
     if not check.telling:
         return times > _MISFIT_ANYWHERE
@@ -136,7 +137,7 @@ def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
 
 
 def warn_misfit(reason: str, config: Config) -> None:
-    """Say that cameras are those of another scene, scale or system; refuse them if strict.
+    """Warn that cameras do not fit the scene; refuse them if strict.
 
     Raises
     ------
@@ -164,7 +165,7 @@ def _decoded(encoded: Encoded, config: Config) -> Scene:
 
 
 def tell(loss: RenderedLoss, config: Config) -> None:
-    """Warn if views lose too much, or refuse to go on."""
+    """Warn if views lose too much; refuse that if strict."""
     if loss.aimed is None or loss.loss <= 2 * loss.aimed:
         return
     text = f"rendered views lose {loss.loss:.2f} dB, aimed at {loss.aimed:.2f} dB"

@@ -1,8 +1,8 @@
-"""Small windows of views: where a scene is looked at, as it is and rounded or coded.
+"""Small windows on a scene, rendered before and after coding to measure the loss.
 
-They have 32 pixels a side and show about 500 Gaussians each, so that a large scene takes no longer
-than a small one. Some choose how coarse a scene may be, others, from other places, check what it
-then loses.
+A window is a square crop of a view, 32 pixels wide, that shows about 500 Gaussians; so measuring
+takes no longer for a large scene than for a small one. Some windows choose the step sizes. Others,
+seen from other places, measure the result.
 """
 
 from __future__ import annotations
@@ -28,39 +28,40 @@ from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Share of windows towards the smallest Gaussians, which are of what cameras looked at: most others
-#: may be of a far sky.
+#: Share of windows aimed at the smallest Gaussians, which belong to what the cameras looked at.
+#: Most other Gaussians may be sky.
 _AT_SUBJECT = 0.5
 
-#: Smaller scenes keep the steps of their profile: to choose them would take longer than all else.
+#: Smaller scenes keep the steps of their profile: calibration would take longer than encoding.
 _LEAST = 5000
 
-#: Windows that choose step sizes; that check the result, on likely places and of given cameras.
+#: Number of windows that choose step sizes; that measure the result from likely places; and from
+#: given cameras.
 _CHOOSING, _CHECKING, _CHECKING_GIVEN = 96, 64, 128
 
 #: Side of a window in pixels, and about how many Gaussians it shows.
 _SIDE, _SHOWN = 32, 500
 
-#: Windows that show more Gaussians are left out: they would take too long.
+#: Skip windows that show more Gaussians: they take too long.
 MOST_SHOWN = 5000
 
-#: Fewer windows say too little.
+#: Minimum number of usable windows.
 ENOUGH = 16
 
-#: Windows with a higher mean transmittance are of holes, and left out.
+#: Skip windows with a higher mean transmittance: they show holes.
 MOST_LEFT = 0.3
 
-#: Places are chosen by about this many Gaussians.
+#: Number of Gaussians in the sample that windows are chosen by, about.
 _SAMPLE = 20_000
 
-#: Gaussians that are looked at at once.
+#: Gaussians tested at once.
 _CHUNK = 1 << 18
 
 
 class Windows(NamedTuple):
-    """Windows on likely places of cameras: some that choose step sizes, others that check.
+    """Windows seen from likely camera places: some choose step sizes, the others measure.
 
-    `telling` says whether the scene shows where cameras were; else places are anywhere around.
+    `telling` is whether the places are estimated; if not, they are spread around the scene.
     """
 
     choosing: list[Camera]
@@ -69,7 +70,7 @@ class Windows(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A window, and which Gaussians of all windows' are its own."""
+    """A window, and the range of its Gaussians among those of all windows."""
 
     window: Camera
     start: int
@@ -77,23 +78,23 @@ class Part(NamedTuple):
 
 
 def sample_stride(count: int) -> int:
-    """One Gaussian of each so many, of `count`, is in the sample by which windows are chosen."""
+    """Stride of the sample that windows are chosen by, in a scene of `count` Gaussians."""
     return max(1, count // _SAMPLE)
 
 
 def sample_of(scene: Scene) -> Scene:
-    """The sample of a scene by which windows are chosen."""
+    """The sample of a scene that windows are chosen by."""
     some = np.arange(0, scene.count, sample_stride(scene.count))
     return replace(scene, extra={}).take(some)
 
 
 def cleaned(sample: Scene) -> Scene:
-    """A sample without what is not finite."""
+    """A sample without Gaussians that are not finite."""
     return clean_scene(sample, Config(nonfinite="drop"))[0]
 
 
 def choose_windows(sample: Scene, count: int) -> Windows:
-    """Windows on a scene of `count` Gaussians, by its `sample_of`; none if it shows nothing."""
+    """Windows on a scene of `count` Gaussians, by its `sample_of`; none if nothing is visible."""
     with np.errstate(all="ignore"):
         seen = gather_evidence(cleaned(sample), quick=True)
         if seen is None:
@@ -110,7 +111,7 @@ def choose_windows(sample: Scene, count: int) -> Windows:
 def _look(
     seen: Evidence, places: Sequence[int], count: int, rng: np.random.Generator, taken: set[int]
 ) -> Camera:
-    """A random part of a view from one of some places towards a Gaussian; it is then taken."""
+    """A random window, seen from one of `places`, at a random Gaussian; marks the place taken."""
     points = seen.thumb.positions
     place = places[int(rng.integers(len(places)))]
     taken.add(place)
@@ -120,9 +121,9 @@ def _look(
 
 
 def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
-    """Random parts of views of given cameras, pixels as large as theirs.
+    """Random windows of given cameras, with their pixel size.
 
-    Pixels at the edges, where views lose most, are in as many of them as others.
+    Every pixel is equally likely to be in a window, those at the edges too, where views lose most.
     """
     rng = np.random.default_rng(0)
     windows = []
@@ -138,7 +139,7 @@ def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
 def _crop(
     view: Camera, points: NDArray[np.float32], count: int, rng: np.random.Generator
 ) -> Camera:
-    """A random square part of a view, with about `_SHOWN` of `count` Gaussians in it."""
+    """A random square crop of a view that shows about `_SHOWN` of `count` Gaussians."""
     shown = count * float(_inside(points, np.zeros_like(points[0]), view).mean())
     area = _SHOWN / max(shown, 1) * view.width * view.height
     side = min(math.sqrt(area), view.height)
@@ -147,7 +148,7 @@ def _crop(
 
 
 def _cut(view: Camera, corner: NDArray[np.float64], side: float, pixels: int) -> Camera:
-    """The square part of a view from a corner on, in so many pixels a side."""
+    """The square crop of a view at a corner, resized to `pixels` a side."""
     scale = pixels / side
     left, top = corner.tolist()
     return replace(
@@ -163,7 +164,7 @@ def _cut(view: Camera, corner: NDArray[np.float64], side: float, pixels: int) ->
 
 
 def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64]]:
-    """Indices of the Gaussians that each window shows: one too many, if there are too many."""
+    """Indices of the Gaussians that each window shows; at most `MOST_SHOWN` + 1."""
     if not windows:
         return []
     reaches = _reaches(scene)
@@ -181,7 +182,7 @@ def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64
 
 
 def parts_of(windows: Sequence[Camera], sizes: Sequence[int]) -> list[Part]:
-    """The parts of windows that show so many Gaussians each, one after another."""
+    """Consecutive parts, one for each window, of the given sizes."""
     ends = np.cumsum(sizes).tolist()
     spans = zip([0, *ends], ends, strict=False)
     return [Part(window, *span) for window, span in zip(windows, spans, strict=True)]
@@ -198,7 +199,7 @@ def _mark(x, y, z, reaches, rotation, position, slopes, inside):
         down = down_x * dx + down_y * dy + down_z * dz
         depth = ahead_x * dx + ahead_y * dy + ahead_z * dz
         reach = reaches[i]
-        # Without branches, it takes half a nanosecond.
+        # Without branches, this takes half a nanosecond.
         inside[i] = (
             (depth > near)
             & (across > left * depth - reach)
@@ -224,7 +225,7 @@ def _inside(
 
 
 def _reaches(scene: Scene) -> NDArray[np.float32]:
-    """How far each Gaussian is seen from its centre ``(N,)``: three times its longest axis."""
+    """Visible radius of each Gaussian ``(N,)``: three times its longest axis."""
     reaches = empty((scene.count,), np.float32)
 
     def work(start: int) -> None:
@@ -237,7 +238,7 @@ def _reaches(scene: Scene) -> NDArray[np.float32]:
 
 
 def draw_parts(scene: Scene, parts: Sequence[Part]) -> list[tuple[NDArray[np.float32], float]]:
-    """Colour ``(H, W, 3)``, at most 1 (so if NaN), and the mean transmittance of each window."""
+    """Colour ``(H, W, 3)``, at most 1 (NaN becomes 1), and mean transmittance of each window."""
 
     def draw(part: Part) -> tuple[NDArray[np.float32], float]:
         frame = make_frame(scene.between(part.start, part.stop), part.window)

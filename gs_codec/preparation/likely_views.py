@@ -1,8 +1,8 @@
-"""Directions from which cameras may have seen each Gaussian, where cameras are only estimated.
+"""Extra viewing directions beside estimated cameras, weighted by where SH-AC are strong.
 
-Training changes the SH-AC of a Gaussian only in directions in which cameras saw it. Estimated
-cameras may miss some of these: a part of an arc, say. So each run of Gaussians also gets views from
-all around, which count most where the run shows most of its SH-AC.
+Training changes the SH-AC of a Gaussian only in the directions of its cameras. Estimated cameras
+may miss some of these directions, part of an arc for instance. So each run of Gaussians is also
+viewed from all around, with the highest weight in the directions where its SH-AC are strongest.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from gs_codec.scene import Scene
 #: Number of directions.
 _DIRECTIONS = 32
 
-#: Weight of these views, in units of that of the estimated ones. Chosen on fox, bonsai and captures
-#: of a wall: with 0.5, true views of the wall lose 0.11 dB instead of 0.08; with 8, files are
-#: larger for the same loss.
+#: Weight of these views relative to the estimated ones. Chosen on fox, bonsai and captures of a
+#: wall: at 0.5, true views of the wall lose 0.11 dB instead of 0.08; at 8, files are larger at
+#: equal loss.
 _SHARE = 4.0
 
-#: Power of what a run shows in a direction, which differs by a factor of 3 between the best and the
-#: worst direction. With powers of 1 and 3, compaction saves less for the same loss; with 6 and 10,
-#: directions are missed that true cameras look in.
+#: Exponent of the SH-AC power in a direction, which varies by a factor of 3 over the directions.
+#: With 1 and 3, compaction saves less at equal loss; with 6 and 10, directions of true cameras get
+#: too little weight.
 _POWER = 4
 
-#: Gaussians of a run, which are neighbours in the stream.
+#: Gaussians in a run; they are neighbours in the stream.
 _RUN = 512
 
-#: SH-AC of less than this quantile of the mean square are mostly noise.
+#: Gaussians below this quantile of mean square SH-AC hold mostly noise.
 _WEAK = 0.3
 
-#: A Gaussian that no estimated camera sees counts as one at this quantile of those that are seen.
+#: Gaussians that no estimated camera sees get the weight at this quantile of the others.
 _UNSEEN = 0.02
 
 #: Distance of these views from the scene, in units of its largest coordinate.
@@ -58,7 +58,7 @@ class LikelyViews(NamedTuple):
 
 
 def likely_views(scene: Scene, weights: NDArray[np.float32]) -> LikelyViews:
-    """Views of a scene in stream order with SH-AC, beside those of estimated cameras.
+    """Extra views of a scene with SH-AC, in stream order.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def likely_views(scene: Scene, weights: NDArray[np.float32]) -> LikelyViews:
 
 @kernel
 def _add_shown(planes, scales, bases, shows):
-    """Add to ``shows (M,)`` the squared SH-AC that each direction shows, over ``scales (n,)``."""
+    """Add to ``shows (M,)`` the squared SH colour in each direction, divided by ``scales (n,)``."""
     _, size, count = planes.shape
     for i in range(count):
         for m in range(len(bases)):

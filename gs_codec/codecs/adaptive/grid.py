@@ -1,9 +1,9 @@
 """Choose the grid of positions, and which Gaussians are too far away for it.
 
-A grid has at most 21 bits an axis. It spans all centres if it may then be as fine as positions
-should be. If not, it is coarser, or some Gaussians are *far*: they lie outside of it, and their
-centres are stored as they are. Whichever is estimated to take fewer bits is chosen, coarser steps
-counted by the bits that make up for their error elsewhere.
+A grid has at most 21 bits an axis. If it can span all centres with the wanted step size, it does.
+If not, there are two ways: a coarser grid, or a grid that leaves some Gaussians outside. These are
+*far*, and their centres are stored as float32. The way with the lower estimated cost in bits is
+chosen; the cost of a coarser grid is the bits that would reduce other errors by as much.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from gs_codec.codecs.adaptive.step_sizes import finest_step
 #: Lowest and highest x, y, z of all centres, each ``(3,)``.
 Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 
-#: Log2 of the finest and the coarsest side of a cell.
+#: Log2 of the smallest and largest side of a cell.
 _FINEST, _COARSEST = -120, 127
 
-#: Bits that a far centre takes beyond one on the grid.
+#: Bits of a far centre beyond those of a centre on the grid.
 _FAR_BITS = 70.0
 
-#: Bits a Gaussian that make up for a squared error of positions twice that of the wanted steps:
-#: positions cause 3 of 59 parts of all error, and a factor on all error takes half its logarithm
-#: for each of about 20 values of a Gaussian that are not 0: 0.5 * 20 / ln(2) * 3 / 59.
+#: Cost, in bits per Gaussian, of doubling the squared error of positions. Positions cause 3 of 59
+#: parts of the error. Scaling the whole error by a factor f changes each of about 20 non-zero
+#: values by log2(f) / 2 bits: 0.5 * 20 / ln(2) * 3 / 59.
 _ERROR_BITS = 0.7
 
-#: Bits a Gaussian that far ones have to save, as older readers do not read files with them. In
-#: views, what is not saved is 0.15 dB.
+#: Minimum saving, in bits per Gaussian, because older readers refuse files with far Gaussians. It
+#: forgoes at most 0.15 dB in views.
 _LEAST_SAVED = 0.5
 
-#: Grids with far Gaussians are compared by at most twice this many of them.
+#: Compare grids by a sample of this many Gaussians, at most twice as many.
 _SAMPLE = 10_000
 
-#: Bits of the mantissa of a float32; a coordinate that is not 0, for its logarithm.
+#: Bits of a float32's mantissa; the least coordinate, so that logarithms are finite.
 _MANTISSA, _TINY = 24, np.float32(1e-44)
 
 _LARGEST = float(np.finfo(np.float32).max)
@@ -64,7 +64,7 @@ def choose_grid(
     positions : ndarray, shape (3, n)
         Some of the centres.
     wanted : ndarray, shape (n,)
-        Log2 of the step sizes that their positions should have.
+        Log2 of the wanted step sizes of their positions.
     may_have_far : bool
     """
     if bounds is None:
@@ -91,7 +91,7 @@ def _whole(low: NDArray[np.float64], high: NDArray[np.float64], unit: float) -> 
 def _origin(
     low: NDArray[np.float64], high: NDArray[np.float64], step: float
 ) -> NDArray[np.float64]:
-    """Where cells that span all centres begin ``(3,)``."""
+    """Lowest corner of the cells that span all centres ``(3,)``."""
     # A flat axis has one cell, whose middle is the coordinate.
     return low - 0.5 * step * (high == low)
 
@@ -101,7 +101,7 @@ def _side(unit: float) -> float:
 
 
 def _bits(extent: NDArray[np.float64], step: float) -> list[int]:
-    """Bits of cells that span an extent ``(3,)``."""
+    """Bits of the cell numbers over an extent ``(3,)``."""
     return [max(math.frexp(size / step)[1], 0) for size in extent]
 
 
@@ -118,7 +118,7 @@ def _with_far(
     coarsest: float,
 ) -> tuple[PositionGrid, float] | None:
     """The best grid with far Gaussians; None if one that spans all is better."""
-    # Steps finer than the last bit of a coordinate gain nothing.
+    # Steps below the last bit of a coordinate gain nothing.
     largest = np.maximum(np.abs(positions).max(axis=0), _TINY)
     wanted = np.maximum(wanted, np.frexp(largest)[1] - _MANTISSA)
     unit = finest_step(wanted, _FINEST, coarsest)
@@ -140,7 +140,7 @@ def _with_far(
 def _around_most(
     low: NDArray[np.float64], high: NDArray[np.float64], positions: NDArray[np.float32], step: float
 ) -> PositionGrid:
-    """The grid with cells of a side that has the most of some centres inside."""
+    """The grid with this side of a cell that has the most of these centres inside."""
     needed = _bits(high - low, step)
     bits = [min(number, MOST_AXIS_BITS) for number in needed]
     if sum(bits) > MOST_FAR_BITS:
@@ -150,7 +150,7 @@ def _around_most(
     cut = [axis for axis in range(3) if needed[axis] > bits[axis]]
     most, found = -1, _corner(whole)
     for first in range(len(cut)):
-        # Which axis comes first matters if there are several clusters.
+        # With several clusters, the order of axes matters.
         origin, inside = whole.copy(), positions
         for axis in cut[first:] + cut[:first]:
             origin[axis], chosen = _window(inside[axis], step * 2.0 ** bits[axis])
@@ -163,10 +163,10 @@ def _around_most(
 
 
 def _window(row: NDArray[np.float32], width: float) -> tuple[float, NDArray[np.bool_]]:
-    """Where a window begins that has the most of some coordinates, and which these are."""
+    """The start of the interval of this width with the most coordinates, and which are inside."""
     values = np.sort(row.astype(np.float64))
     counts = np.searchsorted(values, values + width) - np.arange(len(values))
     first = int(np.argmax(counts))
     ends = values[first], values[first + counts[first] - 1]
-    # They are in its middle.
+    # Centre the interval on them.
     return 0.5 * (ends[0] + ends[1] - width), (row >= ends[0]) & (row <= ends[1])

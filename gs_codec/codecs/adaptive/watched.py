@@ -1,7 +1,7 @@
 """Decoded values of some Gaussians, kept while a scene is encoded.
 
-So what views of a scene lose is measured without decoding it, which would take a third of the time
-of encoding. A decoder returns the same values.
+With them, the loss in rendered views is measured without decoding the scene, which would take a
+third of the encoding time. They equal the values of a decoder.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gs_codec.scene import GROUPS, Scene
 
 
 class Watched:
-    """Some Gaussians of a scene.
+    """Some Gaussians of a scene, and their decoded values.
 
     Parameters
     ----------
@@ -34,19 +34,19 @@ class Watched:
         }
 
     def settle(self, order: NDArray[np.integer]) -> None:
-        """Find them in the stream, which has the Gaussians ``order (N,)`` of the scene."""
+        """Find them in the stream, whose Gaussians have the indices ``order (N,)`` in the scene."""
         wanted = np.zeros(len(order), np.bool_)
         wanted[self.index] = True
         self._places = np.flatnonzero(wanted[order])
         self.index = order[self._places].astype(np.int64)
 
     def within(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Those in a range of the stream, counted from its start."""
+        """Their places within a range of the stream, counted from `start`."""
         first, end = np.searchsorted(self._places, [start, stop])
         return self._places[first:end] - start
 
     def keep(self, start: int, stop: int, **planes: NDArray[np.float32]) -> None:
-        """Keep decoded attribute groups ``(C, m)`` of those `within` a range."""
+        """Keep decoded attribute groups ``(C, m)`` of the Gaussians `within` a range."""
         first, end = np.searchsorted(self._places, [start, stop])
         for group, values in planes.items():
             self._planes[group][:, first:end] = values
@@ -56,5 +56,5 @@ class Watched:
         return replace(self._head, **self._planes)
 
     def find(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Where some of them, given by their indices in the scene, are in `decoded`; ascending."""
+        """Ascending places in `decoded` of the Gaussians with these indices in the scene."""
         return np.flatnonzero(np.isin(self.index, members))

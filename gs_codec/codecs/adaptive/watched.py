@@ -27,7 +27,7 @@ class Watched:
 
     def __init__(self, scene: Scene, index: NDArray[np.int64]) -> None:
         self._head, self.index = replace(scene.between(0, 0), extra={}), index
-        self._places = np.empty(0, np.int64)
+        self._places = self._by_index = np.empty(0, np.int64)
         self._planes: dict[str, Any] = {
             group: np.empty((len(getattr(scene, group)), len(index)), np.float32)
             for group in GROUPS
@@ -39,6 +39,7 @@ class Watched:
         wanted[self.index] = True
         self._places = np.flatnonzero(wanted[order])
         self.index = order[self._places].astype(np.int64)
+        self._by_index = np.argsort(self.index)
 
     def within(self, start: int, stop: int) -> NDArray[np.int64]:
         """Their places within a range of the stream, counted from `start`."""
@@ -57,4 +58,4 @@ class Watched:
 
     def find(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
         """Ascending places in `decoded` of the Gaussians with these indices in the scene."""
-        return np.flatnonzero(np.isin(self.index, members))
+        return np.sort(self._by_index[np.searchsorted(self.index, members, sorter=self._by_index)])

@@ -193,7 +193,7 @@ def test_what_the_encoder_changes_is_told_with_views_too(scene, plan):
     _, report = encode_planned(broken, Config("m", nonfinite="drop"), plan)
     assert (report.count, report.dropped, report.zero_quaternions) == (scene.count - 3, 3, 2)
     assert list(report.seconds) == [
-        "check", "views", "order", "quantise", "recolour", "model", "code", "container",
+        "check", "views", "measure", "order", "quantise", "recolour", "model", "code", "container",
     ]  # fmt: skip
 
 

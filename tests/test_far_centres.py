@@ -220,16 +220,31 @@ def test_opaque_ones_and_those_without_an_opacity(scene):
         assert (drawn.opacity <= opacity).all()
 
 
-def test_small_ones_stay_finite_and_a_flat_scene_keeps_a_thickness(scene):
-    flat = scene.positions.copy()
-    flat[1] = 0.25
-    moved, far = moved_away(replace(scene, positions=flat), 1e9, 0.01)
-    drawn, _ = bring_nearer(moved)
-    assert (drawn.log_scale[:, far] > -20).all()
-    apart = np.abs(drawn.positions[:, far] - np.median(flat, axis=1)[:, None]).max(axis=0)
-    assert apart.min() > 0.1
-    reach = find_far(moved.positions).reach
-    assert np.ptp(drawn.positions[1]) <= 0.26 * reach
+@pytest.mark.parametrize("logit", [0.5, 40.0])
+def test_of_those_as_large_as_can_be_only_the_centres_and_scales_change(scene, logit):
+    moved, far = moved_away(scene, 1e9, 0.01)
+    sizes = np.where(far, np.float32(400.0), moved.log_scale)
+    large = replace(moved, log_scale=sizes, opacity=np.full_like(moved.opacity, logit))
+    drawn, lost = draw_nearer(large, found := find_far(moved.positions), found.box())
+    assert len(lost) == 1
+    np.testing.assert_allclose(drawn.opacity, logit, rtol=1e-6)
+    assert (drawn.log_scale[:, far] < 390).all()
+
+
+@pytest.mark.parametrize("height", [1e20, -3.4e38])
+@pytest.mark.parametrize("also_along", [False, True])
+def test_a_scene_without_thickness_far_from_the_origin(scene, height, also_along):
+    """No other coordinate is near: the box is flat, too."""
+    moved, far = moved_away(scene, 1e9, 0.01)
+    positions = moved.positions.copy()
+    positions[2] = height
+    if also_along:
+        positions[2, far] = -height
+    drawn, (line,) = bring_nearer(replace(moved, positions=positions))
+    assert line.startswith("30 of 3,000 Gaussians")
+    np.testing.assert_array_equal(drawn.positions[2], np.float32(height))
+    assert np.abs(drawn.positions[:2]).max() < 30
+    assert np.isfinite(drawn.log_scale).all()
 
 
 def test_what_is_inside_the_box_stays(scene):

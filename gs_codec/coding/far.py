@@ -41,6 +41,9 @@ _FINEST = 1e-5
 #: variance and pixels of this angle (radians), but not below what 8 bits round to zero (logit).
 _LOW_PASS, _PIXEL, _FAINTEST = 0.3, 5e-4, -6.93
 
+#: Maximum log of an angle in pixels: wider ones do not fade either.
+_WIDEST = 100.0
+
 #: Number of centres that quantiles are estimated from; number processed at once.
 _SAMPLE, _AT_ONCE = 1 << 14, 1 << 18
 
@@ -194,9 +197,11 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
     if found is None:
         return scene, ()
     rays = scene.positions[:, found.far].astype(np.float64) - found.middle[:, None]
+    ends = np.where(rays > 0, box.high[:, None], box.low[:, None]) - found.middle[:, None]
+    # Far from the origin, numbers may be too coarse for the thickness of a box.
+    ends = np.maximum(np.abs(ends), np.spacing(np.abs(found.middle))[:, None])
     with np.errstate(divide="ignore"):
-        ends = np.where(rays > 0, box.high[:, None], box.low[:, None]) - found.middle[:, None]
-        factors = (np.abs(ends) / np.abs(rays)).min(axis=0)
+        factors = (ends / np.abs(rays)).min(axis=0)
     moved = np.flatnonzero(factors < 1)
     if not len(moved):
         return scene, ()
@@ -226,11 +231,11 @@ def bring_nearer(scene: Scene, factor: float = 1.0) -> tuple[Scene, tuple[str, .
 
 def _faded(opacity: NDArray[np.float32], angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Reduced logits of Gaussians; `angles` ``(3, n)`` are logs of the angles of their axes."""
-    wide = np.sort(np.exp(2 * (angles - np.log(_PIXEL))), axis=0)[1:]
+    wide = np.sort(np.exp(2 * np.minimum(angles - np.log(_PIXEL), _WIDEST)), axis=0)[1:]
     with np.errstate(over="ignore", divide="ignore"):
         share = np.sqrt((wide / (wide + _LOW_PASS)).prod(axis=0)) / (1 + np.exp(-opacity))
         logit = np.log(share) - np.log1p(-share)
-    return np.maximum(logit, np.minimum(opacity, _FAINTEST))
+    return np.clip(logit, np.minimum(opacity, _FAINTEST), opacity)
 
 
 def _copy(planes: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -17,6 +17,7 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import bit_layout
 from gs_codec.coding.quantise import CentredQuantiser
 from gs_codec.coding.ycocg import to_ycocg
@@ -35,8 +36,9 @@ def error_over_bound(
 ) -> tuple[float, str]:
     """Largest error over its bound, rounding to float32 allowed for, and of what.
 
-    Values beyond what the profile keeps count from the edge they were moved to. The scene was
-    encoded without views; of `lossless`, a bit that differs is an infinite error.
+    Values beyond what the profile keeps count from the edge they were moved to, far Gaussians that
+    it draws nearer from where they are drawn. The scene was encoded without views; of `lossless`, a
+    bit that differs is an infinite error.
     """
     scene, _ = identity_for_zero(scene) if config.profile != LOSSLESS else (scene, 0)
     if config.profile == LOSSLESS:
@@ -70,6 +72,7 @@ def _ulp(values: NDArray) -> NDArray[np.float64]:
 
 def _of_channels(scene: Scene, decoded: Scene, data: bytes) -> Errors:
     channels = inspect_bytes(data).channels
+    scene, _ = bring_nearer(scene)
     ordered = scene.take(order_like(scene, [channel.quantiser for channel in channels[:6]]))
     for channel in channels:
         values = getattr(ordered, channel.group)[channel.index].astype(np.float64)

@@ -321,7 +321,8 @@ def test_views_and_sizes_of_a_real_scene_are_those_without_far_ones(share):
 
 @pytest.mark.thorough
 def test_cameras_can_be_estimated_and_targets_met():
-    scene = with_far(generate(6000, 1, 5), 60)
+    # Nearer ones may be inside the grid, if steps are coarse.
+    scene = with_far(generate(6000, 1, 5), 60, lowest=1e4)
     data = encode_planned(scene, Config("m"), Plan(Steps()))[0]
     assert inspect_bytes(data).far >= 60
     target = RateTarget(ratio=20)

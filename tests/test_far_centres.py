@@ -220,6 +220,18 @@ def test_opaque_ones_and_those_without_an_opacity(scene):
         assert (drawn.opacity <= opacity).all()
 
 
+def test_small_ones_stay_finite_and_a_flat_scene_keeps_a_thickness(scene):
+    flat = scene.positions.copy()
+    flat[1] = 0.25
+    moved, far = moved_away(replace(scene, positions=flat), 1e9, 0.01)
+    drawn, _ = bring_nearer(moved)
+    assert (drawn.log_scale[:, far] > -20).all()
+    apart = np.abs(drawn.positions[:, far] - np.median(flat, axis=1)[:, None]).max(axis=0)
+    assert apart.min() > 0.1
+    reach = find_far(moved.positions).reach
+    assert np.ptp(drawn.positions[1]) <= 0.26 * reach
+
+
 @pytest.mark.parametrize("logit", [0.5, 40.0])
 def test_of_those_as_large_as_can_be_only_the_centres_and_scales_change(scene, logit):
     moved, far = moved_away(scene, 1e9, 0.01)

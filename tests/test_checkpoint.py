@@ -250,6 +250,15 @@ def test_keys_that_take_for_ever_to_compare_are_left_out():
     assert parse_pickle(b"\x80\x02}" + LEAVES + b"K\x01s.") == {}
 
 
+def test_large_integers_are_not_kept():
+    """As keys, they would be hashed again and again, and Python may refuse to print them."""
+    large = b"\x8b" + struct.pack("<i", 1 << 20) + b"\1" * (1 << 20) + b"q\0"
+    assert parse_pickle(b"\x80\x02" + large + b".") is UNKNOWN
+    items = b"".join(b"h\0N" for _ in range(100_000))
+    assert parse_pickle(b"\x80\x02" + large + b"}(" + items + b"u.") == {}
+    assert parse_pickle(pickle.dumps({2**63: 2**64 - 1}, 2)) == {2**63: 2**64 - 1}
+
+
 LEAVES = b"K\x01" + b"".join(b"q%ch%c\x86" % (i, i) for i in range(60))  # 2^60 of them
 FOR_EVER = {
     "a size": b"ctorch._utils\n_rebuild_tensor_v2\n("

@@ -16,6 +16,9 @@ from typing import Any
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
 
+#: Integers of more bits are `UNKNOWN`: to hash one takes time, and Python may refuse to print it.
+_MOST_BITS = 64
+
 #: Stands for everything that a pickle makes and that is none of the above.
 UNKNOWN = object()
 
@@ -86,7 +89,8 @@ class _Machine:
 
     def step(self, name: str, argument: Any) -> None:
         if name in _PUSHED:
-            self.stack.append(argument)
+            large = isinstance(argument, int) and argument.bit_length() > _MOST_BITS
+            self.stack.append(UNKNOWN if large else argument)
         elif name in _MADE:
             self.stack.append(_MADE[name]())
         elif name in _SIZES:

@@ -628,6 +628,7 @@ BAD_SOG = {
     "the folder": (bad_sog(setting("sh0", "files", value=[".."])), "a file's name"),
     "a file of 1": (bad_sog(setting("sh0", "files", value=[1])), "a file's name"),
     "bounds of text": (bad_sog(setting("means", "mins", value=["a"] * 3)), "means.mins has 'a'"),
+    "bounds of 10^400": (bad_sog(setting("means", "mins", value=[10**400] * 3)), "means.mins has"),
     "infinite bounds": (bad_sog(setting("means", "mins", value=[1e300] * 3)), "means.mins has"),
     "codebook of 257": (
         bad_sog(setting("sh0", "codebook", value=[0.0] * 257)),

@@ -351,6 +351,13 @@ BAD = {
     "uri escaped": (edited("buffers", 0, "uri", to="..%2Fa.bin"), "expected a file beside it"),
     "uri of dots": (edited("buffers", 0, "uri", to=".."), "expected a file beside it"),
     "no such file": (edited("buffers", 0, "uri", to="b.bin"), r"file 'b\.bin': no file of"),
+    "extensions of a number": (edited(*SPLATS, "extensions", to=5), "5 is not read"),
+    "components in a list": (edited("accessors", 0, "componentType", to=[5126]), r"of \[5126\]"),
+    "10^400": (
+        edited("nodes", 0, to={"mesh": 0, "translation": [10**400, 0, 0]}),
+        "node.translation has inf",
+    ),
+    "count of 10^400": (edited("accessors", 0, "count", to=10**400), "accessor.count is inf"),
     "broken base64": (edited("buffers", 0, "uri", to="data:;base64,@@"), "buffer.uri: "),
 }
 
@@ -364,6 +371,18 @@ def test_bad_gltf_is_refused_in_one_line(name, tmp_path):
         read(tmp_path, document, binary)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(str(tmp_path / "a.glb"))
+
+
+def test_nodes_may_show_a_mesh_often_but_not_each_of_many_primitives(tmp_path):
+    document, binary = made()
+    document["scenes"] = []
+    document["nodes"] = [{"mesh": 0}] * 300
+    assert read(tmp_path, document, binary).count == 300 * 6
+    document["meshes"][0]["primitives"] *= 300
+    with pytest.raises(InvalidInput, match="nodes show more than 9600 primitives"):
+        read(tmp_path, document, binary)
+    document["nodes"] = [{"mesh": 0}]
+    assert read(tmp_path, document, binary).count == 300 * 6
 
 
 def test_primitives_of_several_degrees_are_refused(tmp_path):

@@ -312,6 +312,7 @@ DAMAGED: dict[str, Callable[[dict[str, Any]], Any]] = {
     "files of numbers": changed(filenames=[1, 2, 3, 4, 5]),
     "child": changed(tree={"children": [7]}),
     "file": changed(tree={"lods": {"0": {"file": 9}}}),
+    "file of 10^400": changed(tree={"lods": {"0": {"file": 10**400}}}),
     "kind of file": changed(tree={"lods": {"0": {"file": "0"}}}),
     "missing": with_file("0_0/none.json"),
     "a folder": with_file("0_0"),

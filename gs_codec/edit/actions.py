@@ -5,7 +5,6 @@ Commands make options of these; nothing here loads what carries them out, see `p
 
 from __future__ import annotations
 
-import json
 import math
 import operator
 import re
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec.config import Option
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.json_text import parse_json
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
@@ -131,7 +131,7 @@ def _matrix(path: str) -> tuple[list[list[float]]]:
     """
     try:
         with open(path, "rb") as file:
-            found = json.loads(file.read(_LONGEST))
+            found = parse_json(file.read(_LONGEST), with_constants=True)
         factor = 1.0
         if isinstance(found, dict):
             factor, found = float(found.get("scale", 1.0)), found["transform"]

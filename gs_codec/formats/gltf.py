@@ -31,6 +31,9 @@ from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands,
 _EXTENSION = "KHR_gaussian_splatting"
 _SYSTEM = OWN_SYSTEMS[".glb"]
 
+#: Maximum number of primitives that nodes show, for each node and primitive of the file.
+_SHOWN = 16
+
 _COLOUR_SPACES = ("srgb_rec709_display",)
 
 
@@ -72,7 +75,7 @@ class _Placed(NamedTuple):
 def _placed_primitives(file: GltfFile) -> list[_Placed]:
     """Primitives of Gaussians, in the order of the nodes from the roots on."""
     found = []
-    nodes = file.items("nodes")
+    nodes, splats = file.items("nodes"), _Splats(file)
     below = {child for node in nodes for child in _children(node)}
     pending = deque((i, np.eye(4)) for i in range(len(nodes)) if i not in below)
     for _ in range(len(nodes)):
@@ -84,14 +87,38 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
             matrix = above @ _placement(node)
         pending.extend((child, matrix) for child in _children(node))
         if "mesh" in node:
-            primitives = file.item("meshes", node["mesh"]).get("primitives")
-            listed = primitives if isinstance(primitives, list) else []
-            found += [_Placed(each, matrix) for each in listed if _is_splats(each)]
+            found += [_Placed(each, matrix) for each in splats.of(node["mesh"])]
+            if len(found) > splats.most:
+                raise InvalidInput(f"glTF: nodes show more than {splats.most} primitives")
     if pending:
         raise InvalidInput("glTF: a node has two parents")
     if not found:
         raise InvalidInput(f"glTF: no points with {_EXTENSION}, not a scene of Gaussians")
     return found
+
+
+class _Splats:
+    """The primitives of Gaussians of each mesh, and the maximum that all nodes may show.
+
+    Several nodes may show one mesh. Without a maximum, a small file could take minutes.
+    """
+
+    def __init__(self, file: GltfFile) -> None:
+        self._file, self._known = file, dict[int, list[dict[str, Any]]]()
+        primitives = sum(len(_primitives(mesh)) for mesh in file.items("meshes"))
+        self.most = _SHOWN * (len(file.items("nodes")) + primitives)
+
+    def of(self, index: Any) -> list[dict[str, Any]]:
+        """Those of a mesh."""
+        mesh = self._file.item("meshes", index)
+        if index not in self._known:
+            self._known[index] = [each for each in _primitives(mesh) if _is_splats(each)]
+        return self._known[index]
+
+
+def _primitives(mesh: dict[str, Any]) -> list[Any]:
+    found = mesh.get("primitives")
+    return found if isinstance(found, list) else []
 
 
 def _children(node: dict[str, Any]) -> list[int]:
@@ -121,8 +148,9 @@ def _is_splats(primitive: Any) -> bool:
     splats = extensions[_EXTENSION]
     if not isinstance(splats, dict) or not isinstance(primitive.get("attributes"), dict):
         raise InvalidInput(f"glTF: {_EXTENSION} without attributes")
-    if more := sorted(splats.get("extensions", {})):
-        raise InvalidInput(f"glTF: {more[0]!a:.80} is not read, expected plain attributes")
+    if more := splats.get("extensions"):
+        name = min(more) if isinstance(more, dict) else more
+        raise InvalidInput(f"glTF: {name!a:.80} is not read, expected plain attributes")
     kernel, space = splats.get("kernel"), splats.get("colorSpace")
     if kernel != "ellipse" or space not in _COLOUR_SPACES:
         raise InvalidInput(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
+from gs_codec.runtime.json_text import parse_json
 
 MAGIC = b"glTF"
 
@@ -84,10 +85,11 @@ class GltfFile:
         """
         known = self.item("accessors", accessor)
         component = known.get("componentType")
-        if known.get("type") != kind or component not in _COMPONENTS or "sparse" in known:
+        packed = _COMPONENTS.get(component) if isinstance(component, int) else None
+        if known.get("type") != kind or packed is None or "sparse" in known:
             found = f"{known.get('type')!a:.20} of {component!a:.20}"
             raise InvalidInput(f"glTF: {where} is {found}, expected {kind} of numbers, not sparse")
-        code, divisor = _COMPONENTS[component]
+        code, divisor = packed
         width, size = _WIDTHS[kind], np.dtype(code).itemsize
         view = self.item("bufferViews", known.get("bufferView"))
         data = self._buffer(view.get("buffer"))
@@ -147,7 +149,7 @@ def open_gltf(path: Path, data: memoryview) -> GltfFile:
     """
     text, binary = _chunks(data) if data[:4] == MAGIC else (data, None)
     with refusing("glTF"):
-        document = json.loads(bytes(text), parse_constant=_no_constant)
+        document = parse_json(bytes(text))
     asset = document.get("asset") if isinstance(document, dict) else None
     version = asset.get("version") if isinstance(asset, dict) else None
     if not isinstance(version, str) or not version.startswith("2."):
@@ -193,10 +195,6 @@ def numbers(value: Any, length: int, where: str) -> list[float]:
         if not known or not math.isfinite(each):
             raise InvalidInput(f"glTF: {where} has {each!a:.40}, expected a number")
     return [float(each) for each in value]
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number of JSON")
 
 
 def pack_document(document: dict[str, Any], arrays: dict[str, NDArray], as_text: bool) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats import images
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.zip_file import opened_zip, read_entry
+from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located
 
 #: Number of files of each group.
@@ -82,7 +82,7 @@ def parse_meta(data: bytes) -> Meta:
         If it is not JSON, or not of SOG version 1 or 2.
     """
     with refusing(UNBUNDLED):
-        meta = json.loads(data, parse_constant=_no_constant)
+        meta = parse_json(data)
     version = 1 if not isinstance(meta, dict) else meta.get("version", 1)
     if version not in (1, 2) or isinstance(version, bool | float):
         raise InvalidInput(f"meta.json: version {version!a:.40}, expected 1 or 2")
@@ -116,10 +116,6 @@ def parse_meta(data: bytes) -> Meta:
         raise InvalidInput(f"meta.json: model {model!a:.40}, expected a name")
     bounds = np.array([_numbers(means, "means", end, 3) for end in ("mins", "maxs")])
     return Meta(version, count, model, files, bounds, tables, bands, palette)
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number of JSON")
 
 
 def _lines(meta: dict[str, Any], files: dict[str, list[str]]) -> dict[str, NDArray[np.float32]]:

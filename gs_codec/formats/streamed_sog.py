@@ -17,6 +17,7 @@ from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import sog
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, join_scenes
 
@@ -136,7 +137,7 @@ def _units(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Path, t
 
 def _names(data: memoryview, finest: bool) -> list[str]:
     with refusing(STREAMED, AttributeError):
-        meta = json.loads(bytes(data))
+        meta = parse_json(bytes(data))
         if not isinstance(meta, dict) or meta.get("version", _VERSION) != _VERSION:
             raise InvalidInput(f"{STREAMED}: expected version {_VERSION} of streamed SOG")
         wanted = list(meta["filenames"])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import opened
 
 #: Largest file, bytes: some 80,000 cameras. A hostile JSON text takes 30 times that in memory.
@@ -35,18 +36,13 @@ def load_json(path: Path) -> Any:
             raise InvalidInput(f"{path}: {len(data)} bytes, expected at most {MAX_BYTES}")
         raw = bytes(data)
     try:
-        return json.loads(raw.decode("utf-8-sig"), parse_int=_integer)
+        return parse_json(raw.decode("utf-8-sig"), with_constants=True)
     except UnicodeDecodeError as error:
         raise InvalidInput(f"{path}: not UTF-8 text at byte {error.start}") from error
     except json.JSONDecodeError as error:
         raise InvalidInput(f"{path}: not JSON ({error})") from error
     except RecursionError as error:
         raise InvalidInput(f"{path}: lists nested too deeply, expected cameras") from error
-
-
-def _integer(text: str) -> int | float:
-    """Parse an integer; as a float if it is so long that Python may refuse it."""
-    return int(text) if len(text) < 16 else float(text)
 
 
 def get(where: str, entry: Mapping[str, Any], key: str) -> Any:

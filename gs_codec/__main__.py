@@ -2,20 +2,24 @@
 
 import gc
 import sys
+from importlib import import_module
 
 #: Objects made before garbage is looked for; Python's 700 make the start a tenth slower.
 _OBJECTS = 10_000
 
 
 def main() -> None:
-    """Run the command line, also if it is interrupted before that is there."""
+    """Run the command line."""
+    start("gs-codec", "gs_codec.cli.main")
+
+
+def start(program: str, module: str) -> None:
+    """Run `main` of a module; Ctrl-C ends the program in one line, also while modules load."""
     gc.set_threshold(_OBJECTS)
     try:
-        from gs_codec.cli.main import main as run
-
-        run()
+        import_module(module).main()
     except KeyboardInterrupt:
-        print("gs-codec: interrupted", file=sys.stderr)
+        print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     finally:
         # When Python ends, it looks once more through all that was imported: 0.1 s, for nothing.

@@ -87,7 +87,7 @@ def test_wheel_says_what_it_is(wheel):
     folder = f"gs_codec-{gs_codec.__version__}.dist-info"
     scripts = archive.read(f"{folder}/entry_points.txt").decode()
     assert "gs-codec = gs_codec.__main__:main" in scripts
-    assert "gs-viewer = viewer.main:main" in scripts
+    assert "gs-viewer = viewer.__main__:main" in scripts
     metadata = archive.read(f"{folder}/METADATA").decode()
     assert "License-Expression: GPL-3.0-or-later" in metadata
     assert "# gs_codec" in metadata

@@ -5,9 +5,11 @@ from __future__ import annotations
 import functools
 import http.server
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -751,6 +753,17 @@ def test_two_files_of_one_name_are_kept_apart(files, tmp_path):
     share(sources, tmp_path / "site", files.folder / "cameras.json")
     for name, source in zip(("a-a.egs", "b-A.egs"), sources, strict=True):
         assert (tmp_path / "site" / name).read_bytes() == source.read_bytes()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text")
+def test_names_that_are_not_utf_8_are_shown(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(sharing, "_template", lambda: "<!--title--><!--data-->")
+    path = tmp_path / os.fsdecode(b"a\xff.egs")
+    shutil.copy(files.folder / "a.egs", path)
+    share([path], tmp_path / "page.html", files.folder / "cameras.json")
+    assert (tmp_path / "page.html").read_text().startswith("a\ufffd.egs")
+    share([path], tmp_path / "site", files.folder / "cameras.json")
+    assert (tmp_path / "site" / "a\ufffd.egs").read_bytes() == path.read_bytes()
 
 
 @pytest.mark.thorough

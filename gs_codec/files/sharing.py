@@ -208,10 +208,15 @@ def _open(
             info = inspect_bytes(file.data)
             if info.profile != LOSSLESS and set(info.features) <= set(Feature.FAR.labels):
                 levels = len(info.levels)
-                return SharedScene(path.name, bytes(file.data), False, levels), scene
+                return SharedScene(_name(path), bytes(file.data), False, levels), scene
         with located(path):
             parts, report = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
-        return SharedScene(path.name, b"".join(parts), True, rendered=report.rendered), scene
+        return SharedScene(_name(path), b"".join(parts), True, rendered=report.rendered), scene
+
+
+def _name(path: Path) -> str:
+    """The name of a file; bytes that are not UTF-8 become U+FFFD."""
+    return path.name.encode(errors="surrogateescape").decode(errors="replace")
 
 
 def _file_names(shared: Sequence[SharedScene]) -> list[str]:

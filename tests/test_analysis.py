@@ -523,6 +523,16 @@ def no_ink(monkeypatch):
     monkeypatch.setattr(plots, "png_of", lambda _: b"\x89PNG")
 
 
+def test_numbers_alone_need_no_matplotlib(folder, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    write_ply(folder.path / "scene.ply", random_scene(300, 1, seed=17))
+    before = folder.contents()
+    status, out, _ = folder.run("analyze", "scene.ply", "--json")
+    assert (status, json.loads(out)["pictures"]) == (0, [])
+    assert folder.contents() == before
+    assert "--overwrite" in folder.refuse("analyze", "scene.ply", "--json", "--overwrite")
+
+
 @pytest.mark.usefixtures("few_cameras")
 @pytest.mark.parametrize("degree", [thorough(0), 1, thorough(3)])
 def test_command_writes_a_report_that_needs_nothing_else(folder, degree):

@@ -46,7 +46,7 @@ _ENTROPY = (
 
 def analyse_file(
     source: str | Path,
-    folder: str | Path,
+    folder: str | Path | None,
     *,
     max_bytes: int | None = None,
     progress: Progress | None = None,
@@ -54,7 +54,7 @@ def analyse_file(
 ) -> dict[str, Any]:
     """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
 
-    `options` are those of `analyse_scene`.
+    Nothing is written if `folder` is None. `options` are those of `analyse_scene`.
 
     Returns
     -------
@@ -66,15 +66,18 @@ def analyse_file(
     InvalidInput
         If the scene cannot be used, or the folder cannot be written to.
     MissingTool
-        If matplotlib is not installed.
+        If matplotlib, which draws the pictures, is not installed.
     """
-    # Find out that the report cannot be written before doing the work.
-    new_figure(1, 1)
-    target = Path(folder)
-    there = next(path for path in (target, *target.absolute().parents) if path.exists())
-    check_writable(there / "report.html")
+    if folder is not None:
+        # Find out that the report cannot be written before doing the work.
+        new_figure(1, 1)
+        target = Path(folder)
+        there = next(path for path in (target, *target.absolute().parents) if path.exists())
+        check_writable(there / "report.html")
     scene = read_scene(source, "drop", max_bytes=max_bytes)
     analysis = analyse_scene(scene, str(source), progress=progress, **options)
+    if folder is None:
+        return analysis.as_dict() | {"pictures": []}
     pictures = draw_pictures(analysis, progress)
     content = analysis.as_dict() | {"pictures": list(pictures)}
     files = pictures | {

@@ -16,6 +16,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
+from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 
@@ -23,10 +24,14 @@ from gs_codec.runtime.atomic import check_folder
 @takes("width", "error_scale", "max_bytes", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for report.html, report.json, pictures.")
-    ],
     asked: Asked,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for report.html, report.json, pictures; may be left out with --json.",
+        ),
+    ] = None,
     cameras: Annotated[
         str | None,
         typer.Option(metavar="C", help=f"Measure what views lose by errors too: {CAMERAS}"),
@@ -41,7 +46,12 @@ def command(
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
     if cameras is None:
         asked.refuse(["width", "error_scale"], "needs --cameras")
-    check_folder(out, asked["overwrite"])
+    if out is not None:
+        check_folder(out, asked["overwrite"])
+    elif not asked["json"]:
+        raise InvalidInput("missing option '--out', the folder of the report, or '--json'")
+    else:
+        asked.refuse(["overwrite"], "needs --out")
     from gs_codec.analysis.report import analyse_file
 
     with progress_bar() as progress:
@@ -67,4 +77,5 @@ def command(
             for part in next(iter(bits.values()))
         ],
     )
+    assert out is not None
     print_text(f"report: {out / 'report.html'}")

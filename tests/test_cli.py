@@ -747,18 +747,6 @@ def test_interrupt_leaves_nothing(folder, command, place):
     assert (status, out, err) == (130, "", "gs-codec: interrupted\n")
 
 
-@pytest.mark.parametrize("package", ["gs_codec", "viewer"])
-def test_interrupt_while_modules_load_is_one_line(package, tmp_path):
-    # NumPy is the first large module that both load.
-    (tmp_path / "numpy.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
-    arguments = [sys.executable, "-m", package, "inspect", "a.ply"]
-    done = subprocess.run(arguments, env=env, capture_output=True, check=False)
-    program = {"gs_codec": "gs-codec", "viewer": "gs-viewer"}[package]
-    assert (done.returncode, done.stdout) == (130, b"")
-    assert done.stderr.decode() == f"{program}: interrupted\n"
-
-
 SMALL_DISK = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))

@@ -239,23 +239,35 @@ def interrupt(name, *arguments, **named):
         os.kill(os.getpid(), signal.SIGINT)
     return original(name, *arguments, **named)
 builtins.__import__ = interrupt
-sys.argv = ["gs-codec", "encode", "scene.ply", "out.egs"]
-from gs_codec.__main__ import main
+sys.argv = {arguments!r}
+from {package}.__main__ import main
 main()
 """
 
 
-@pytest.mark.parametrize("module", ["gs_codec.cli.main", "typer", "gs_codec.files.coding", "numba"])
-def test_interrupt_while_modules_are_imported_is_one_line(folder, module):
-    done = in_child("-c", INTERRUPTED.format(module=module), cwd=folder)
+@pytest.mark.parametrize(
+    ("program", "module"),
+    [
+        *(("gs-codec", name) for name in ("typer", "gs_codec.files.coding", "numba")),
+        *(("gs-viewer", name) for name in ("typer", "gs_codec.cli.output", "numba")),
+    ],
+)
+def test_interrupt_while_modules_are_imported_is_one_line(folder, program, module):
+    package, *arguments = {
+        "gs-codec": ("gs_codec", program, "encode", "scene.ply", "out.egs"),
+        "gs-viewer": ("viewer", program, "scene.ply", "--screenshot", "out.egs"),
+    }[program]
+    code = INTERRUPTED.format(module=module, package=package, arguments=arguments)
+    done = in_child("-c", code, cwd=folder)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "gs-codec: interrupted\n"
+    assert done.stderr == f"{program}: interrupted\n"
     assert not (folder / "out.egs").exists()
 
 
 def test_the_console_script_is_the_module():
     entry = (ROOT / "pyproject.toml").read_text()
     assert 'gs-codec = "gs_codec.__main__:main"' in entry
+    assert 'gs-viewer = "viewer.__main__:main"' in entry
 
 
 CACHE = """

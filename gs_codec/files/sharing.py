@@ -169,7 +169,7 @@ def page_of(
 
 
 def _entry(one: SharedScene) -> dict[str, Any]:
-    """What a page is told of a scene, beside where it is."""
+    """Description of a scene for a page, without its location."""
     entry = {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
     return entry if one.rendered is None else entry | {"psnr": one.rendered.psnr}
 

@@ -67,7 +67,7 @@ class Estimate(NamedTuple):
     up : ndarray, shape (3,)
         Unit vector: what is up in the scene.
     up_certain : bool
-        As for `Evidence`: whether the scene tells what is up.
+        As for `Evidence`: whether the up axis is certain.
     telling : bool
         As for `Evidence`: whether cameras are near those that the scene was trained with.
     shown : float

@@ -97,7 +97,7 @@ class Evidence:
     up : ndarray, shape (3,)
         Unit vector.
     up_certain : bool
-        Whether the scene tells it: not if two axes are as likely, or if cameras may have faced a
+        Whether this is certain: not if two axes are as likely, or if cameras may have faced a
         wall as well as a floor.
     telling : bool
         Whether places differ in what they show. Else they are anywhere around.
@@ -244,7 +244,7 @@ def _vertical(
     Those Gaussians show their SH-AC to one side, and places have more of the subject on one side:
     they tell which way along it is up, and which is down. In scenes that tell nothing it is -y,
     as in most captures, or, if they have floors, a normal near -y, or else on the side of +z.
-    Of normals that are as likely, one near -y stands for -y. Also whether it is certain.
+    Among equally likely normals, one near -y is taken as -y. Also whether the axis is certain.
     """
     normals, flatness = _normals(scene)
     some = slice(None, None, max(1, scene.count // 5000))

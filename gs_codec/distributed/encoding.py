@@ -215,7 +215,7 @@ def _quantise(
     begins, ends = cuts[:, number], cuts[:, number + 1]
     scene, codes = load_chunk(job.folder, begins, ends, job.gaussians.head)
     shown = find_shown(scene, windows)
-    watched = Watched(scene, np.unique(np.concatenate([np.empty(0, np.int64), *shown])))
+    watched = Watched.shown(scene, shown)
     blocks = quantise(scene, codes, lattice, chunks.header.block_size, watched)
     found = [watched.find(own) for own in shown]
     job.save_shown(f"decoded-{number}", watched.decoded(), found)

@@ -139,11 +139,7 @@ class Check:
     def watch(self) -> Watched | None:
         """The Gaussians in the windows, whose decoded values an encoder is to keep."""
         shown = [own for seen in self._seen for own in seen.shown]
-        if not shown:
-            return None
-        wanted = np.zeros(self.scene.count, np.bool_)
-        wanted[np.concatenate(shown)] = True
-        return Watched(self.scene, np.flatnonzero(wanted))
+        return Watched.shown(self.scene, shown) if shown else None
 
     def measure_watched(self, watched: Watched) -> RenderedLoss | None:
         """The loss, from the decoded values that an encoder kept of those from `watch`."""

@@ -6,6 +6,7 @@ third of the encoding time. They equal the values of a decoder.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +33,14 @@ class Watched:
             group: np.empty((len(getattr(scene, group)), len(index)), np.float32)
             for group in GROUPS
         }
+
+    @classmethod
+    def shown(cls, scene: Scene, shown: Sequence[NDArray[np.int64]]) -> Watched:
+        """Those that any of some windows show, each given by indices in the scene."""
+        wanted = np.zeros(scene.count, np.bool_)
+        for own in shown:
+            wanted[own] = True
+        return cls(scene, np.flatnonzero(wanted))
 
     def settle(self, order: NDArray[np.integer]) -> None:
         """Find them in the stream, whose Gaussians have the indices ``order (N,)`` in the scene."""

@@ -42,7 +42,7 @@ def test_few_or_equal_qualities_are_drawn(decibels):
 
 
 def test_views_are_found_where_their_pictures_are():
-    pictures = {"b": np.full((20, 30, 3), (1, 0, 0), np.float32)}
+    pictures = {1: np.full((20, 30, 3), (1, 0, 0), np.float32)}
     sheet = ContactSheet(["a", "b", "c", "d"], pictures, here=1)
     red = colours(sheet.draw(*SIZE), (255, 0, 0))
     assert {sheet.view_at(x, SIZE[1]) for x in red} == {1}

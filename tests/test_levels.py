@@ -523,6 +523,7 @@ def test_commands(folder, tmp_path, monkeypatch, capsys):
 
     assert decoded("--level", "2") == 563
     seen = decoded("--view", f"{cameras}:b")
+    assert decoded("--view", f"{cameras}:#1") == seen
     assert decoded("--view", f"{cameras}:b", "--tolerance", "0") >= seen
     assert decoded("--view", f"{cameras}:b", "--budget", "2000") <= 2000
 
@@ -533,13 +534,17 @@ def test_commands(folder, tmp_path, monkeypatch, capsys):
         (["--level", "3"], "level 3: the file has levels 0 to 2"),
         (["--budget", "5"], "budget 5: has no effect without a view"),
         (["--view", "CAMERAS"], "of 2 cameras, expected"),
-        (["--view", "CAMERAS:c"], "no such camera of 2 cameras"),
+        (["--view", "CAMERAS:c"], "none of 2 cameras, expected one by its name or number"),
+        (["--view", "CAMERAS:#2"], "#2: none of 2 cameras, expected one by its name or number"),
+        (["--view", "SAME:b"], "2 of 2 cameras, expected one by its name or number"),
         (["--view", "none.json:c"], "none.json: no such file"),
         (["--view", "CAMERAS:b", "--level", "1"], "level: not with a view"),
     ],
 )
 def test_commands_refuse(folder, tmp_path, options, message, monkeypatch, capsys):
-    typed = [text.replace("CAMERAS", str(folder / "cameras.json")) for text in options]
+    given, same = folder / "cameras.json", tmp_path / "same.json"
+    same.write_text(given.read_text().replace(f'"{FAR.name}"', '"b"'))
+    typed = [text.replace("CAMERAS", str(given)).replace("SAME", str(same)) for text in options]
     target = tmp_path / "out.ply"
     status, _, err = command(monkeypatch, capsys, "decode", folder / "a.egs", target, *typed)
     assert status == 2

@@ -21,7 +21,9 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import write_ply
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
+from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import photographed
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.images import find_image, output_names, read_image, write_png, write_views
@@ -270,9 +272,11 @@ def test_images_may_be_links(tmp_path):
     assert find_image(folder, "view..1") == folder / "view..1.png"
 
 
-def test_output_names_are_never_shared():
-    with pytest.raises(InvalidInput, match=r"'a/b.jpg' and 'a_b' would both be written as 'a_b"):
-        output_names([camera("a/b.jpg"), camera("a_b")])
+def test_output_names_that_cameras_share_are_numbered(caplog):
+    assert output_names([camera("a/b.jpg"), camera("c"), camera("a_b")]) == ["a_b_1", "c", "a_b_2"]
+    assert caplog.messages == ["2 cameras share names: their files are numbered, as a_b_1"]
+    names = ["a", "a_1", "a", "b", "a", "b"]
+    assert output_names(list(map(camera, names))) == ["a_2", "a_1", "a_3", "b_1", "a_4", "b_2"]
 
 
 def test_transparent_pixels_are_black(tmp_path):
@@ -304,6 +308,44 @@ def test_views_are_written_once_each(pair, tmp_path):
     paths = write_views(pair[0], [camera("a.jpg"), camera("b.jpg")], tmp_path)
     assert [path.name for path in paths] == ["a.png", "b.png"]
     assert read_image(paths[0]).shape == (30, 40, 3)
+
+
+# Cameras of one name
+
+
+def test_cameras_of_one_name_are_drawn_and_compared(pair, tmp_path):
+    views = [camera("frame"), camera("frame", position=(1.0, 0.0, -4.0))]
+    paths = write_views(pair[0], views, tmp_path)
+    assert [path.name for path in paths] == ["frame_1.png", "frame_2.png"]
+    assert (read_image(paths[0]) != read_image(paths[1])).any()
+    result = compare_views(*pair, views, images=tmp_path / "both")
+    assert [view.name for view in result.views] == ["frame", "frame"]
+    assert result.views[0].between != result.views[1].between
+    assert len(list((tmp_path / "both").iterdir())) == 6
+
+
+def test_photographs_of_cameras_of_one_name_are_refused(pair, tmp_path):
+    views = [camera("a"), camera("frame"), camera("frame", position=(1.0, 0.0, -4.0))]
+    for name in ("a", "frame"):
+        Image.new("RGB", (40, 30)).save(tmp_path / f"{name}.png")
+    message = r"frame.png: image of cameras 1 and 2, named 'frame' and 'frame'; expected names that"
+    with pytest.raises(InvalidInput, match=message):
+        compare_views(*pair, views, tmp_path)
+    with pytest.raises(InvalidInput, match=message):
+        photographed(views, tmp_path)
+    # One held out, the other not.
+    plan = Plan(
+        Steps(),
+        [
+            replace(view, split=split)
+            for view, split in zip(views[1:], ("train", "test"), strict=True)
+        ],
+        tmp_path,
+    )
+    with pytest.raises(InvalidInput, match="image of cameras 0 and 1"):
+        choose_views(pair[0], plan)
+    (tmp_path / "frame.png").unlink()
+    assert photographed(views, tmp_path) == [(views[0], tmp_path / "a.png")]
 
 
 # The real scene

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import gs_codec
-from gs_codec.rendering.images import find_image
+from gs_codec.rendering.images import find_image, seek_images
 from gs_codec.rendering.photographs import read_photograph
 from viewer.pictures.centres import centres, pruned_centres
 from viewer.pictures.layers import Points
@@ -197,8 +197,7 @@ class Actions:
         """Show where the cameras of a file are; `nearest` shows their images in a folder."""
         self._check()
         found = gs_codec.read_cameras(cameras)
-        if not Path(images).is_dir():
-            raise gs_codec.GsCodecError(f"{images}: no such folder, expected images")
+        seek_images(images, found)
         self._visualizer.remove_geometry(self._frustums)
         self.cameras, self._images = found, Path(images)
         self._frustums = f"{Path(cameras).name}: cameras"

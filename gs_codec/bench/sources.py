@@ -65,8 +65,11 @@ class MeasuredScene:
 
         Those to measure in are marked as held out. There are none without given cameras.
         """
-        both = {camera.name for camera in self.cameras} & {camera.name for camera in self.guides}
-        if cameras_beside(self.path) == "auto" or both:
+        measured, guides = (
+            {(camera.name, *camera.position) for camera in cameras}
+            for cameras in (self.cameras, self.guides)
+        )
+        if cameras_beside(self.path) == "auto" or measured & guides:
             return []
         cameras = [replace(camera, split="train") for camera in self.guides]
         cameras += [replace(camera, split="test") for camera in self.cameras]

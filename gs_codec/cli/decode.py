@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -43,7 +44,8 @@ def command(
         str | None,
         typer.Option(
             metavar="CAMERAS[:NAME]",
-            help="Only blocks that this camera sees, coarser ones where its pixels allow.",
+            help="Only blocks that this camera sees (NAME, or #N from 0), coarser ones where its"
+            " pixels allow.",
         ),
     ] = None,
     budget: Annotated[
@@ -105,7 +107,7 @@ def _print_report(named: dict[str, Any], report: DecodeReport) -> None:
 
 
 def _camera_of(text: str) -> Camera:
-    """The camera that ``CAMERAS[:NAME]`` names."""
+    """The camera that ``CAMERAS[:NAME]`` or, by its index, ``CAMERAS:#N`` names."""
     from gs_codec.rendering.cameras import read_cameras
 
     path, name = text, ""
@@ -114,9 +116,14 @@ def _camera_of(text: str) -> Camera:
         path, name = (path, name) if path else (text, "")
     cameras = read_cameras(path)
     found = [camera for camera in cameras if name in ("", camera.name)]
+    if not found and re.fullmatch("#[0-9]{1,9}", name):
+        found = cameras[int(name[1:]) :][:1]
     if len(found) != 1:
-        known = f"{len(cameras)} cameras, expected {path}:NAME, for example {cameras[0].name}"
-        raise InvalidInput(f"--view {text}: {'no such camera' if name else 'one'} of {known}")
+        place = cameras.index(found[0]) if found else 0
+        raise InvalidInput(
+            f"--view {text}: {len(found) or 'none'} of {len(cameras)} cameras, expected one by its "
+            f"name or number, for example {path}:#{place} for {cameras[place].name}"
+        )
     return found[0]
 
 

@@ -13,7 +13,7 @@ from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.images import View, compare_images
 from gs_codec.metrics.lpips import load_lpips
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import find_image, output_names, write_png
+from gs_codec.rendering.images import find_images, output_names, write_png
 from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
@@ -48,7 +48,7 @@ def compare_views(
         they are undistorted.
     images : path, optional
         Folder for ``NAME_a.png``, ``NAME_b.png``, and ``NAME_difference.png``, the absolute
-        difference amplified by `DIFFERENCE_GAIN`.
+        difference amplified by `DIFFERENCE_GAIN`; names are those of `output_names`.
     background : sequence of three float
         RGB behind the scenes.
     device : {"auto", "cpu", "cuda"}
@@ -60,13 +60,14 @@ def compare_views(
     Raises
     ------
     InvalidInput
-        If a ground-truth image is missing or of another shape, or an image cannot be written.
+        If a ground-truth image is missing, is that of two cameras or has another shape, or an image
+        cannot be written.
     InvalidInput, MissingTool
         As for `compare_images` and `read_photograph`.
     """
     backbone = None if lpips is None else load_lpips(lpips).backbone
-    names = output_names(cameras)
-    paths = [find_image(truth, camera.name) for camera in cameras] if truth else []
+    names = output_names(cameras) if images else []
+    paths = find_images(truth, cameras) if truth else []
     folder = make_folder(images) if images else None
     advance = step_counter(progress, "views", len(cameras))
 

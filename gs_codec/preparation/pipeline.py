@@ -238,6 +238,9 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
         cameras, origin = found.cameras, "estimated" if found.telling else "anywhere"
     else:
         cameras = find_cameras(plan.cameras, scene, "all", plan.width)
+    known = cameras
+    if plan.gt_images is not None:
+        known = [camera for camera, _ in photographed(cameras, plan.gt_images)]
     test = [camera for camera in cameras if camera.split == "test"]
     rest = [camera for camera in cameras if camera.split != "test"]
     if rest and test:
@@ -247,9 +250,6 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
             log.warning(
                 "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
             )
-        known = cameras
-        if plan.gt_images is not None:
-            known = [camera for camera, _ in photographed(cameras, plan.gt_images)]
         test = known[::_EVERY]
         rest = [camera for camera in cameras if all(camera is not out for out in test)]
         return _Split(rest, test, origin)

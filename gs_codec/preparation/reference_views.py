@@ -16,7 +16,7 @@ from gs_codec.preparation.steps import Device
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.images import seek_image
+from gs_codec.rendering.images import seek_images
 from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
 from gs_codec.report import NOMINAL_ERROR, Progress, step_counter
@@ -141,13 +141,10 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Ca
     Raises
     ------
     InvalidInput
-        If there is no image of any camera, or a name leads out of the folder.
+        If there is no image of any camera, or as for `seek_images`.
     """
-    found = []
-    for camera in cameras:
-        path = seek_image(folder, camera.name)
-        if path is not None:
-            found.append((camera, path))
+    paths = seek_images(folder, cameras)
+    found = [(camera, path) for camera, path in zip(cameras, paths, strict=True) if path]
     if not found:
         raise InvalidInput(f"{folder}: no image of the {len(cameras)} cameras")
     return found

@@ -32,7 +32,8 @@ class Camera:
     Parameters
     ----------
     name : str
-        The image's name, by which image files are found and written.
+        The image's name, by which image files are found and written. Several cameras may have one
+        name, but not where photographs are found by it.
     width, height : int
         Pixels, 1 to `MAX_SIDE`.
     fx, fy : float

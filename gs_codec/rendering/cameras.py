@@ -88,9 +88,8 @@ def read_cameras(path: str | Path) -> list[Camera]:
     """
     path = Path(path)
     cameras = []
-    names: set[str] = set()
     for where, fields in _entries(path):
-        _check_name(where, fields["name"], names)
+        _check_name(where, fields["name"])
         try:
             cameras.append(Camera(**fields))
         except InvalidInput as error:
@@ -111,7 +110,7 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
     path : str or Path
         The file.
     cameras : iterable of Camera
-        At least one; no two of one name.
+        At least one.
     overwrite : bool
         Whether to replace an existing file. If False, an existing file is an error.
 
@@ -131,9 +130,8 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
     cameras = list(cameras)
     if not cameras:
         raise InvalidInput(f"{path}: no cameras, expected at least one")
-    names: set[str] = set()
     for index, camera in enumerate(cameras):
-        _check_name(f"camera {index}", camera.name, names)
+        _check_name(f"camera {index}", camera.name)
     lines = ",\n".join(json.dumps(as_entry(index, camera)) for index, camera in enumerate(cameras))
     data = f"[\n{lines}\n]\n".encode()
     if len(data) > MAX_BYTES:
@@ -180,15 +178,12 @@ def _read_json(path: Path) -> _Entries:
     )
 
 
-def _check_name(where: str, name: str, before: set[str]) -> None:
-    """Check the name of an image, and add it to those before, which it must not be among."""
+def _check_name(where: str, name: str) -> None:
+    """Check the name of an image; several may have one name."""
     if not 0 < len(name) <= _MAX_NAME:
         raise InvalidInput(f"{where}: name of {len(name)} characters, expected 1 to {_MAX_NAME}")
     if _UNPRINTABLE.search(name):
         raise InvalidInput(f"{where}: control characters in name {reprlib.repr(name)}")
-    if name in before:
-        raise InvalidInput(f"{where}: image {reprlib.repr(name)} for the second time")
-    before.add(name)
 
 
 def find_cameras(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import Literal
@@ -21,6 +23,8 @@ from gs_codec.runtime.atomic import atomic_writer, make_folder
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
+
+log = logging.getLogger(__name__)
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
@@ -83,23 +87,53 @@ def write_png(path: str | Path, image: NDArray) -> None:
 def output_names(cameras: Sequence[Camera]) -> list[str]:
     """A file name, without suffix, for each camera's image.
 
-    Path separators and characters that are not printable become underscores.
+    Path separators and characters that are not printable become underscores. Names that several
+    cameras would have are numbered from 1, and a log message says so.
+    """
+    stems = [_output_stem(camera.name) for camera in cameras]
+    counts = Counter(stems)
+    taken, numbers = set(counts), Counter[str]()
+
+    def name_of(stem: str) -> str:
+        name = stem
+        while counts[stem] > 1 and name in taken:
+            numbers[stem] += 1
+            name = f"{stem}_{numbers[stem]}"
+        taken.add(name)
+        return name
+
+    names = [name_of(stem) for stem in stems]
+    shared = [name for name, stem in zip(names, stems, strict=True) if counts[stem] > 1]
+    if shared:
+        log.warning(
+            "%d cameras share names: their files are numbered, as %s", len(shared), shared[0]
+        )
+    return names
+
+
+def _output_stem(name: str) -> str:
+    letters = (c if c.isprintable() and c not in "/\\" else "_" for c in _stem(name))
+    return "".join(letters).lstrip(".") or "_"
+
+
+def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | None]:
+    """The image of each camera in a folder, as `seek_image` finds it by name.
 
     Raises
     ------
     InvalidInput
-        If two names would be the same.
+        As for `seek_image`, or if two cameras would have one image.
     """
-    names: dict[str, str] = {}
-    for camera in cameras:
-        letters = (c if c.isprintable() and c not in "/\\" else "_" for c in _stem(camera.name))
-        stem = "".join(letters).lstrip(".") or "_"
-        if stem in names:
+    paths = [seek_image(folder, camera.name) for camera in cameras]
+    owners: dict[Path, int] = {}
+    for i, path in enumerate(paths):
+        if path is not None and owners.setdefault(path, i) != i:
+            names = " and ".join(f"'{cameras[k].name}'" for k in (owners[path], i))
             raise InvalidInput(
-                f"images '{names[stem]}' and '{camera.name}' would both be written as '{stem}.png'"
+                f"{path}: image of cameras {owners[path]} and {i}, named {names}; "
+                "expected names that tell photographs apart"
             )
-        names[stem] = camera.name
-    return list(names)
+    return paths
 
 
 def find_image(folder: str | Path, name: str) -> Path:
@@ -149,6 +183,14 @@ def _stem(name: str) -> str:
     return stem if suffix.lower() in _SUFFIXES else name
 
 
+def find_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path]:
+    """As `seek_images`, but an image that is missing is an error."""
+    paths = seek_images(folder, cameras)
+    return [
+        path or find_image(folder, camera.name) for path, camera in zip(paths, cameras, strict=True)
+    ]
+
+
 def write_views(
     scene: Scene,
     cameras: Sequence[Camera],
@@ -158,12 +200,12 @@ def write_views(
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Draw what each camera sees to ``NAME.png`` in `folder`; see `render`.
+    """Draw what each camera sees to a file in `folder`, named by `output_names`; see `render`.
 
     Raises
     ------
     InvalidInput
-        If two cameras' images would have one name, or an image cannot be written.
+        If an image cannot be written.
     """
     paths = [make_folder(folder) / f"{name}.png" for name in output_names(cameras)]
     advance = step_counter(progress, "views", len(cameras))

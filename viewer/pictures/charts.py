@@ -120,8 +120,8 @@ class ContactSheet:
     ----------
     names : sequence of str
         Of the views, in the order they are shown.
-    pictures : mapping of str to ndarray, shape (h, w, 3), float32, 0-1
-        Those that are drawn.
+    pictures : mapping of int to ndarray, shape (h, w, 3), float32, 0-1
+        Those that are drawn, by the view's place.
     here : int or None
         Place of the view that is shown.
     first : float
@@ -129,7 +129,7 @@ class ContactSheet:
     """
 
     names: Sequence[str]
-    pictures: Mapping[str, NDArray[np.float32]]
+    pictures: Mapping[int, NDArray[np.float32]]
     here: int | None = None
     first: float = 0.0
 
@@ -141,7 +141,7 @@ class ContactSheet:
             int(self.first), min(int(self.first + width / wide) + 1, len(self.names))
         ):
             left = round((place - self.first) * wide)
-            image = self.pictures.get(self.names[place])
+            image = self.pictures.get(place)
             if image is not None:
                 small = to_pillow(image)
                 small.thumbnail((wide - 4, high - 4))

@@ -9,6 +9,7 @@ from typing import Any
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
 from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.images import seek_images
 from gs_codec.rendering.upright import up_axis
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
@@ -173,12 +174,14 @@ def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
     Raises
     ------
     gs_codec.GsCodecError
-        If they cannot be read, or the requested view does not exist.
+        If they cannot be read, two have one photograph, or the requested view does not exist.
     """
     if request.chosen:
         views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
         views = given_views(find_cameras(request.cameras, scene.gaussians))
+        if request.images is not None:
+            seek_images(request.images, views.cameras)
     number = len(views.cameras)
     if request.view is not None and not 0 <= request.view < number:
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")

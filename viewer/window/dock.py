@@ -71,9 +71,7 @@ class Dock:
             self.chart = self._qualities(views)
         elif shown == "views":
             here = None if viewer.visits.moved else viewer.visits.number
-            named = dict(enumerate(views))
-            pictures = {named[k]: image for k, image in self.survey.pictures.items()}
-            self.chart = ContactSheet(views, pictures, here, self._first)
+            self.chart = ContactSheet(views, self.survey.pictures, here, self._first)
         elif shown != "nothing":
             self.chart = self._histogram(shown.removeprefix("histogram: "))
         if shown != "nothing":

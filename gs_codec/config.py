@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 from gs_codec.errors import InvalidInput
 
 #: What to do with properties beyond the INRIA layout.
-Extra = Literal["error", "keep", "drop"]
+Extra = Literal["keep", "drop", "error"]
 
 #: What gives the probabilities of symbols of a paper profile, and what codes them.
 Models = Literal["parametric", "table", "best"]
@@ -397,10 +397,11 @@ class Config:
     nonfinite: Literal["error", "drop"] = option(
         "error", "What to do with Gaussians that hold NaN or infinity.", values=("error", "drop")
     )
-    extra: Extra = option(
-        "error",
-        "What to do with properties beyond the 3DGS layout.",
-        values=get_args(Extra),
+    extra: Literal["auto"] | Extra = option(
+        "auto",
+        "Properties beyond the 3DGS layout, named in one line if left out; auto keeps them with "
+        "profile lossless and drops them otherwise.",
+        values=("auto", *get_args(Extra)),
     )
     threads: int | None = option(
         None, "Worker threads, 1-256.", kind=int, low=1, high=256, shown="all processors"
@@ -486,6 +487,12 @@ class Config:
                 known = ", ".join(PROFILES)
                 raise InvalidInput(f"{name} '{value}': profile '{self.profile}', expected {known}")
         self._check_geometry()
+
+    def chosen_extra(self, keeps: bool = False) -> Extra:
+        """What `extra` asks for; ``auto`` keeps properties if `keeps`, or with profile lossless."""
+        if self.extra != "auto":
+            return self.extra
+        return "keep" if keeps or self.profile == LOSSLESS else "drop"
 
     def _check_format(self) -> None:
         """Refuse what only an `.egs` has."""

@@ -280,12 +280,15 @@ def test_smallest_scenes_go_all_the_way(folder, count):
         assert strict_json(folder.run(*arguments, "--json").out)["count"] == count
 
 
-def test_extra_properties_are_refused_kept_or_dropped(folder):
+def test_extra_properties_are_refused_kept_or_dropped(folder, caplog):
     label = np.arange(1500, dtype="<u2")
     write_ply("labels.ply", replace(read_ply("scene.ply"), extra={"label": label}))
-    assert "--extra keep or --extra drop" in folder.refuse("encode", "labels.ply", "out.egs")
-    for choice, names in (("keep", ["label"]), ("drop", [])):
+    refused = folder.refuse("encode", "labels.ply", "out.egs", "--extra", "error")
+    assert "--extra keep or --extra drop" in refused
+    for choice, names in (("keep", ["label"]), ("drop", []), ("auto", [])):
         assert folder.run("encode", "labels.ply", f"{choice}.egs", "--extra", choice).status == 0
+        assert ("left out: properties label" in caplog.text) == (not names)
+        caplog.clear()
         assert folder.run("decode", f"{choice}.egs", f"{choice}.ply").status == 0
         assert list(read_ply(f"{choice}.ply", "keep").extra) == names
 

@@ -369,14 +369,16 @@ def test_scenes_of_two_systems_are_merged_in_rdf():
     assert_same_bits(replace(both, comments=()), merge_scenes([one, two]))
 
 
-def test_properties_have_to_be_in_all_merged_scenes(scene):
+def test_properties_that_not_all_merged_scenes_have_are_left_out(scene, caplog):
     other = replace(scene, extra={})
     wide = replace(scene, extra={"label": scene.extra["label"].astype("<f4")})
     for scenes in ([scene, other], [other, scene], [scene, wide]):
-        with pytest.raises(InvalidInput, match="property 'label': not in all scenes alike"):
-            merge_scenes(scenes)
+        assert merge_scenes(scenes).extra == {}
+    assert {line.rpartition(": ")[2] for line in caplog.messages} == {"properties label"}
+    caplog.clear()
     both = merge_scenes([scene, scene])
     np.testing.assert_array_equal(both.extra["label"], np.tile(scene.extra["label"], 2))
+    assert caplog.messages == []
 
 
 @pytest.mark.parametrize(

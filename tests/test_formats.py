@@ -14,6 +14,7 @@ from pathlib import Path
 
 import foreign
 import numpy as np
+import numpy.lib.recfunctions as rfn
 import pytest
 from foreign import SH_C0
 from scenes import random_scene, shared_scene_path
@@ -23,6 +24,7 @@ from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats import packed_values
+from gs_codec.formats.ply import vertex_rows
 from gs_codec.formats.registry import open_scene
 from gs_codec.formats.splat import pack_splat
 from gs_codec.scene import SH_COEFFICIENTS, Scene
@@ -125,10 +127,6 @@ BAD_PACKED = {
         changed_packed().replace(b"uint packed_color", b"float packed_color"),
         "packed_color is f4, expected u4",
     ),
-    "other element": (
-        changed_packed(face=np.zeros(3, [("a", "<f4")])),
-        "element 'face' beside 'vertex'; choose --extra drop",
-    ),
 }
 
 
@@ -137,6 +135,18 @@ def test_bad_packed_ply_is_refused_in_one_line(name, tmp_path):
     data, message = BAD_PACKED[name]
     path = written(tmp_path / "a.ply", data)
     assert_refused(path, message)
+
+
+def test_what_a_packed_ply_has_beyond_its_layout_is_left_out(tmp_path, caplog):
+    rows = foreign.packed_rows(300, 7, 1)
+    vertex = rfn.append_fields(rows["vertex"], "label", np.zeros(300, "<f4"), usemask=False)
+    more = changed_packed(vertex=vertex, face=np.zeros(3, [("a", "<f4")]))
+    path = written(tmp_path / "a.ply", more)
+    expected = read_scene(written(tmp_path / "b.ply", changed_packed()))
+    np.testing.assert_array_equal(vertex_rows(expected), vertex_rows(read_scene(path)))
+    assert caplog.messages == [f"{path}: left out: elements face; properties label"]
+    with pytest.raises(InvalidInput, match="element 'face' beside 'vertex'; choose --extra drop"):
+        read_scene(path, "error")
 
 
 def test_bounds_that_are_no_numbers_make_values_that_are_none(tmp_path):

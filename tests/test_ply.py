@@ -189,14 +189,16 @@ def test_what_is_not_read_is_reported(tmp_path, caplog):
     ]
 
 
-def test_extra_properties_are_refused_kept_or_dropped(tmp_path):
+def test_extra_properties_are_refused_kept_or_dropped(tmp_path, caplog):
     scene = random_scene(30, 1, seed=5)
     extra = {"label": np.arange(30, dtype="<i4"), "weight": np.linspace(0, 1, 30)}
     path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), extra))
     with pytest.raises(InvalidInput, match=r"label, weight .*--extra keep or --extra drop"):
-        read_ply(path)
+        read_ply(path, "error")
     assert_same_bits(replace(scene, extra=extra), read_ply(path, "keep"))
+    assert caplog.messages == []
     assert_same_bits(scene, read_ply(path, "drop"))
+    assert caplog.messages == [f"{path}: left out: properties label, weight"]
 
 
 def test_normals_that_are_not_zero_are_refused_kept_or_dropped(tmp_path):
@@ -205,7 +207,7 @@ def test_normals_that_are_not_zero_are_refused_kept_or_dropped(tmp_path):
     nz[17] = 1
     path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), {"nz": nz}))
     with pytest.raises(InvalidInput, match="normals are not all zero"):
-        read_ply(path)
+        read_ply(path, "error")
     zero = np.zeros(30, "<f4")
     kept = read_ply(path, "keep")
     assert_same_bits(
@@ -223,7 +225,7 @@ def test_some_normals_are_extra_properties(names, tmp_path):
     )
     path = write_rows(tmp_path / "a.ply", rows)
     with pytest.raises(InvalidInput, match=", ".join(names)):
-        read_ply(path)
+        read_ply(path, "error")
     kept = read_ply(path, "keep")
     assert (kept.has_normals, list(kept.extra)) == (False, names)
 
@@ -260,14 +262,11 @@ def test_odd_comment_is_refused_or_decodes(comment, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["bell\x07", "n" * 300], ids=["control", "long"])
-def test_odd_name_is_refused_or_decodes(name, tmp_path):
+def test_odd_name_is_left_out(name, tmp_path, caplog):
     extra = {name: np.arange(5, dtype="<f4")}
     path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(random_scene(5, 0)), extra))
-    try:
-        data, _ = encode_scene(read_ply(path, "keep"))
-    except InvalidInput:
-        return
-    assert list(decode_scene(data).extra) == [name]
+    assert read_ply(path, "keep").extra == {}
+    assert caplog.messages == [f"{path}: left out: properties {name[:36]}"]
 
 
 @pytest.mark.parametrize("form", [{}, {"text": True}, {"byte_order": ">"}], ids=str)
@@ -522,7 +521,7 @@ def test_colours_beside_sh_are_extra_properties_seed10(tmp_path):
     colours = {name: np.arange(20, dtype="u1") for name in ("red", "green", "blue")}
     path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), colours))
     with pytest.raises(InvalidInput, match=r"red, green, blue .*--extra keep or --extra drop"):
-        read_ply(path)
+        read_ply(path, "error")
     assert_same_bits(replace(scene, extra=colours), read_ply(path, "keep"))
 
 
@@ -558,11 +557,11 @@ def test_other_elements_are_refused_or_left_out(before, after, named, text, tmp_
     scene = random_scene(20, 1, seed=11)
     path = with_elements(tmp_path / "a.ply", scene, before, after, text)
     with pytest.raises(InvalidInput, match=f"element '{named}' beside 'vertex'; choose --extra"):
-        read_ply(path)
-    assert_same_bits(scene, read_ply(path, "drop"))
+        read_ply(path, "error")
     assert caplog.messages == []
-    assert_same_bits(scene, read_ply(path, "keep"))
-    assert caplog.messages == [f"{path}: element '{named}' beside 'vertex' not kept"]
+    for extra in ("drop", "keep"):
+        assert_same_bits(scene, read_ply(path, extra))
+    assert caplog.messages == 2 * [f"{path}: left out: elements {named}"]
 
 
 def test_other_elements_without_rows_do_not_matter(tmp_path):

@@ -11,6 +11,7 @@ from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra, RateTarget
 from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
+from gs_codec.files.suffixes import PLAIN
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply import vertex_rows
 from gs_codec.guidance.planned import encode_by_plan
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 def read(
     path: str | Path,
-    extra: Extra = "error",
+    extra: Extra = "keep",
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> PointCloud:
@@ -38,9 +39,10 @@ def read(
     ----------
     path : str or Path
         The suffix matters only if the content does not identify the format.
-    extra : {"error", "keep", "drop"}
-        What to do with properties of a PLY beyond the INRIA layout: refuse the file, keep them as
-        attributes ``(N, 1)``, or leave them out.
+    extra : {"keep", "drop", "error"}
+        What to do with properties beyond the 3DGS layout, such as normals that are not all zero:
+        keep them as attributes ``(N, 1)``, leave them out, or refuse the file. Elements of a PLY
+        other than ``vertex`` are never kept. A log message names what is left out.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` in the calling thread while work is done; an
         exception from it stops the work.
@@ -106,8 +108,8 @@ def write(
         With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
         both are present, they must agree.
     config : Config, optional
-        How to encode the file. For an ``.egs``, its `extra` says what to do with other attributes.
-        A PLY or CSV keeps them; for other formats, log messages name what they cannot hold.
+        How to encode the file. Its `extra` says what to do with other attributes: by default, a
+        PLY, a CSV and profile ``lossless`` keep them. Log messages name what is left out.
     overwrite : bool
         Whether to replace an existing file, once the new one is complete. If False, an existing
         file is an error.
@@ -127,7 +129,7 @@ def write(
     >>> gs_codec.write("small.ply", gs_codec.read("small.egs"))
     """
     config = config or Config()
-    extra = config.extra if Path(path).suffix.lower() == ".egs" else "keep"
+    extra = config.chosen_extra(keeps=Path(path).suffix.lower() in PLAIN)
     write_scene(path, from_cloud(cloud, extra), config, overwrite)
 
 
@@ -211,7 +213,7 @@ def encode(
     """
     config = config or Config()
     check_levels(config, rate)
-    scene = from_cloud(source, config.extra)
+    scene = from_cloud(source, config.chosen_extra())
     with using_threads(config.threads):
         ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
         data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)

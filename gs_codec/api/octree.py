@@ -63,7 +63,7 @@ def to_octree(cloud: PointCloud, depth: int) -> Octree:
 
     if not isinstance(depth, int) or depth not in DEPTHS:
         raise InvalidInput(f"depth {depth}: expected an integer from 1 to {DEPTHS[-1]}")
-    scene = from_cloud(cloud, "drop")
+    scene = from_cloud(cloud, "drop", tell=False)
     if not scene.count:
         raise InvalidInput("to_octree: no Gaussians, expected at least one")
     for name, plane in (("positions", scene.positions), ("f_dc", scene.f_dc)):

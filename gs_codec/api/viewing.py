@@ -247,4 +247,4 @@ def _stored_scene(source: PointCloud | str | Path, max_bytes: int | None) -> Sce
         return read_scene(source, "drop", coordinates=None, max_bytes=max_bytes)
     if max_bytes is not None:
         raise InvalidInput("max_bytes: limits scenes in files, expected none with a cloud")
-    return from_cloud(source, "drop")
+    return from_cloud(source, "drop", tell=False)

@@ -77,7 +77,7 @@ def camera_free(config: Config) -> Peer:
     """A profile without cameras."""
 
     def encode(ply: Path) -> bytes:
-        return encode_planned(read_ply(ply, config.extra), config, None)[0]
+        return encode_planned(read_ply(ply, config.chosen_extra()), config, None)[0]
 
     def decode(data: bytes) -> Scene:
         scene = decode_as(config, data)
@@ -99,7 +99,7 @@ def guided(config: Config, plan: Plan, how: str = GUIDED) -> Peer:
     """A profile that uses the views of a plan."""
 
     def encode(ply: Path) -> bytes:
-        return encode_planned(read_ply(ply, config.extra), config, plan)[0]
+        return encode_planned(read_ply(ply, config.chosen_extra()), config, plan)[0]
 
     return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
 
@@ -109,7 +109,7 @@ def pruned_by(config: Config, plan: Plan, percent: float) -> Peer:
     chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
 
     def encode(ply: Path) -> bytes:
-        scene, report = prepare_scene(read_ply(ply, config.extra), chosen)
+        scene, report = prepare_scene(read_ply(ply, config.chosen_extra()), chosen)
         return encode_planned(scene, config, chosen, references=report.views.renders)[0]
 
     how = f", {percent:g} % pruned"
@@ -121,7 +121,7 @@ def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:
 
     def encode(ply: Path) -> bytes:
         chosen, target = replace(plan, steps=Steps(refine=_ITERATIONS)), RateTarget(ratio=ratio)
-        scene = read_ply(ply, config.extra)
+        scene = read_ply(ply, config.chosen_extra())
         try:
             return encode_by_plan(scene, ply.stat().st_size, config, chosen, target)[0]
         except InvalidInput as error:

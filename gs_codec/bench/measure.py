@@ -35,7 +35,7 @@ def measure_scenes(
     Views are those of `open_scene`; with cameras, `l`, `m`, `s` are measured camera-guided too.
     """
     yield machine()
-    extra, threads = configs[0].extra, configs[0].threads
+    extra, threads = configs[0].chosen_extra(), configs[0].threads
     for path in paths:
         measured = open_scene(path, cameras, truth, width, extra, tile)
         ours = our_codecs(configs, measured.plan if cameras else None)

@@ -96,7 +96,7 @@ def open_scene(
     cameras: str | None,
     truth: Path | None,
     width: int | None,
-    extra: Extra = "error",
+    extra: Extra = "drop",
     tile: int | None = None,
 ) -> MeasuredScene:
     """Read a PLY, tiled to `tile` Gaussians if given, and split the views of `cameras`.

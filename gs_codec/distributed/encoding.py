@@ -96,7 +96,7 @@ def encode_distributed(
     paths = [Path(source)] if isinstance(source, str | Path) else [Path(each) for each in source]
     check_target(paths, target, (".egs",), overwrite)
     _check(config)
-    sources = open_sources([path.absolute() for path in paths], config.extra)
+    sources = open_sources([path.absolute() for path in paths], config.chosen_extra())
     least = max(FANOUT * config.block_size, *(each.block_size for each in sources.listed))
     with using_threads(config.threads), workers_at(dask, progress) as workers:
         size = size_within(max_memory, workers.at_once, sources.head.sh_degree, least)

@@ -16,6 +16,7 @@ from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import Extra
 from gs_codec.edit.join import merge_scenes
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.registry import open_scene
@@ -37,12 +38,13 @@ class Source:
             return self.pick(slice(start, stop), extra)
         among = range(start // self.block_size, -(-stop // self.block_size))
         with opened_slabs(self.path, Part(), among=among) as slabs:
-            return join_scenes(list(slabs.scenes()))
+            scene = join_scenes(list(slabs.scenes()))
+        return scene if extra == "keep" else replace(scene, extra={})
 
     def pick(self, index: slice | NDArray[np.int64], extra: Extra) -> Scene:
         """Some Gaussians of a PLY."""
         with open_scene(self.path) as file:
-            return scene_of(file.ply, extra, index=index)
+            return scene_of(file.ply, extra, index=index, tell=False)
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class Sources:
     listed : tuple of Source
     head : Scene
         The scene without Gaussians.
-    extra : {"error", "drop"}
+    extra : {"drop", "error"}
         As for `read_ply`.
     stored_bytes, ratio_bytes : int
         Bytes of the files, and those that a ratio counts from.
@@ -150,6 +152,7 @@ def open_sources(paths: Sequence[Path], extra: Extra) -> Sources:
                 with opened_slabs(path, Part(), among=()) as slabs:
                     (head,) = slabs.scenes()
                     header = slabs.chosen.file.header
+                head = scene_without(path, head, extra)
                 source = Source(path, header.count, header.block_size)
                 ratio_bytes = header.float_bytes
             elif file.is_read_in_parts:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import say_left_out
 from gs_codec.scene import Scene, join_scenes, other_comments, stated_comments
 
 if TYPE_CHECKING:
@@ -23,7 +24,8 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
     Parameters
     ----------
     clouds : sequence of open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives them. SH of the highest degree are kept; others are 0.
+        As `gs_codec.read` gives them. SH of the highest degree are kept; others are 0. Other
+        attributes are kept if all clouds have them alike; a log message names those that are not.
 
     Returns
     -------
@@ -33,7 +35,7 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
     Raises
     ------
     InvalidInput
-        If there is none, or an attribute is not in all of them or differs in its type.
+        If there is none, or an attribute is not as `gs_codec.read` gives it.
 
     Examples
     --------
@@ -56,8 +58,8 @@ def merge_scenes(scenes: Sequence[Scene]) -> Scene:
         raise InvalidInput("no scenes, expected at least one")
     if len(scenes) == 1:
         return scenes[0]
+    scenes = _with_shared(scenes)
     first = scenes[0]
-    _check_extra(scenes)
     if any(scene.antialiased != first.antialiased for scene in scenes):
         log.warning(
             "merged scenes differ in antialiasing; all are drawn %s, as the first",
@@ -68,12 +70,10 @@ def merge_scenes(scenes: Sequence[Scene]) -> Scene:
     return replace(join_scenes(scenes), comments=(*dict.fromkeys(others), *stated))
 
 
-def _check_extra(scenes: Sequence[Scene]) -> None:
-    """Refuse extra properties that not all scenes have alike."""
+def _with_shared(scenes: Sequence[Scene]) -> list[Scene]:
+    """The scenes with the extra properties that all have alike; a log message names the others."""
     types = [{name: column.dtype for name, column in scene.extra.items()} for scene in scenes]
-    for own in types:
-        for name in {**types[0], **own}:
-            if types[0].get(name) != own.get(name):
-                raise InvalidInput(
-                    f"property '{name}': not in all scenes alike, expected --extra drop"
-                )
+    shared = [name for name, dtype in types[0].items() if all(t.get(name) == dtype for t in types)]
+    others = dict.fromkeys(name for own in types for name in own if name not in shared)
+    say_left_out("merged scenes, which do not have all properties alike", [*others])
+    return [replace(scene, extra={n: scene.extra[n] for n in shared}) for scene in scenes]

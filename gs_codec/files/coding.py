@@ -157,7 +157,9 @@ def _read_source(
         # Bits of a PLY or .egs stay as they are, and the comment that names another system, which
         # other formats do not state.
         stays = config.format == EGS and file.format in ("egs", "ply")
-        scene = scene_in(file, config.extra, None, None if stays else CONVENTION, max_bytes)
+        scene = scene_in(
+            file, config.chosen_extra(), None, None if stays else CONVENTION, max_bytes
+        )
         return scene, file.stored_bytes, file.ratio_bytes(scene.float_bytes)
 
 

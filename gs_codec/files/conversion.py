@@ -140,7 +140,7 @@ def convert_file(
     >>> report.count, report.lost[0]
     (2000, 'opacity, colour and rotation rounded to 8 bits')
     """
-    config = config or Config(extra="keep")
+    config = config or Config()
     sources = [source] if isinstance(source, str | Path) else list(source)
     suffix = check_target(sources, target, overwrite=overwrite)
     if max_memory is not None and suffix not in IN_PARTS:
@@ -206,6 +206,6 @@ def _read(
     source: str | Path, config: Config, stated: str, progress: Progress | None, most: int | None
 ) -> Scene:
     """The scene of a file in the system that it states, or that is said to be its."""
-    scene = read_scene(source, config.extra, progress, None, most)
+    scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most)
     with located(source):
         return state_system(scene, stated.upper()) if stated else scene

@@ -24,6 +24,7 @@ from gs_codec.config import STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import PLAIN, WRITTEN, config_for, suffix_of
+from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.csv_table import write_csv
@@ -130,7 +131,7 @@ def tell_lost(path: str | Path, lost: Sequence[str]) -> None:
 
 def read_scene(
     path: str | Path,
-    extra: Extra = "error",
+    extra: Extra = "keep",
     progress: Progress | None = None,
     coordinates: str | None = CONVENTION,
     max_bytes: int | None = None,
@@ -155,6 +156,7 @@ def scene_in(
         with located(file.path):
             scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
             scene = matching.with_order(scene, matching.order_of_file(describe(read)))
+            scene = scene_without(file.path, scene, extra)
     elif current().limit is not None and not file.is_read_in_parts:
         raise InvalidInput(
             f"{file.path}: max-memory: only .egs and binary PLY of floats are read in parts"

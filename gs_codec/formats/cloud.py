@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import listed, say_left_out
 from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
@@ -43,22 +44,22 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     }
     if scene.has_normals:
         attributes["normals"] = np.zeros((scene.count, 3), np.float32)
-    taken = sorted(_KNOWN & set(scene.extra))
-    if taken:
-        raise InvalidInput(f"property '{taken[0]}': every cloud has an attribute of this name")
-    attributes |= {name: column[:, None] for name, column in scene.extra.items()}
+    say_left_out("a cloud", sorted(_KNOWN & set(scene.extra)))
+    attributes |= {n: column[:, None] for n, column in scene.extra.items() if n not in _KNOWN}
     cloud = open3d.t.geometry.PointCloud()
     for name, array in attributes.items():
         cloud.point[name] = tensor(array)
     return cloud
 
 
-def from_cloud(cloud: open3d.t.geometry.PointCloud, extra: Extra = "error") -> Scene:
+def from_cloud(
+    cloud: open3d.t.geometry.PointCloud, extra: Extra = "error", tell: bool = True
+) -> Scene:
     """The scene of a point cloud with the attributes that `gs_codec.read` lists.
 
     One of ``log_scale`` and ``scale`` is enough. If both are present, they must agree, so that an
     edit of one is never ignored. `extra` says what to do with other attributes and with normals
-    that are not all zero.
+    that are not all zero; if `tell`, a log message names those that are left out.
 
     Raises
     ------
@@ -85,12 +86,19 @@ def from_cloud(cloud: open3d.t.geometry.PointCloud, extra: Extra = "error") -> S
     )
     others = [name for name in arrays if name not in _KNOWN]
     zero_normals = "normals" in arrays and not arrays["normals"].any()
-    if extra == "error" and (others or ("normals" in arrays and not zero_normals)):
-        named = ", ".join(others) or "normals that are not all zero"
+    if "normals" in arrays and not zero_normals:
+        others.append("normals")
+    if extra == "error" and others:
+        named = "normals that are not all zero" if others == ["normals"] else listed(others)
         raise InvalidInput(f"attributes beyond the layout: {named}; choose extra keep or drop")
-    kept = {name: _column(name, arrays[name]) for name in others} if extra == "keep" else {}
-    if extra == "keep" and "normals" in arrays and not zero_normals:
-        kept |= {f"n{axis}": arrays["normals"][:, i] for i, axis in enumerate("xyz")}
+    if extra == "drop" and tell:
+        say_left_out("a cloud", others)
+    kept: dict[str, NDArray] = {}
+    for name in others if extra == "keep" else ():
+        if name == "normals":
+            kept |= {f"n{axis}": arrays[name][:, i] for i, axis in enumerate("xyz")}
+        else:
+            kept[name] = _column(name, arrays[name])
     return Scene(**planes, has_normals=zero_normals, extra=kept)
 
 

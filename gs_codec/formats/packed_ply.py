@@ -38,6 +38,10 @@ PACKED_ELEMENTS = ("chunk", "vertex", "sh")
 _CHUNK = 256
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
+#: Properties of a chunk. Files written before 2024 have none of colours, which are then 0 and 1.
+_BOUNDS = [f"{end}_{of}{axis}" for of in ("", "scale_") for axis in "xyz" for end in ("min", "max")]
+_COLOUR_BOUNDS = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
+
 #: Bits of centres and scales on each axis.
 _BITS = (11, 10, 11)
 
@@ -48,18 +52,26 @@ def is_packed(header: PlyHeader) -> bool:
     return vertex is not None and _PACKED[0] in vertex.types
 
 
+def beyond_packed(header: PlyHeader) -> list[str]:
+    """Properties of a packed PLY that are not read."""
+    known = {"vertex": _PACKED, "chunk": [*_BOUNDS, *_COLOUR_BOUNDS]}
+    return [
+        name
+        for element, names in known.items()
+        if element in header.elements
+        for name in header.elements[element].types
+        if name not in names
+    ]
+
+
 def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
     """Read the Gaussians of a packed PLY; see `SceneFile.scene`."""
     elements = ply.header.elements
     if "chunk" not in elements:
         raise InvalidInput("packed properties without element 'chunk'")
     vertex, chunk, sh = elements["vertex"], elements["chunk"], elements.get("sh")
-    bounds = [f"{end}_{axis}" for axis in "xyz" for end in ("min", "max")]
-    bounds += [f"{end}_scale_{axis}" for axis in "xyz" for end in ("min", "max")]
-    # Files written before 2024 have no bounds for colours; these are then 0 and 1.
-    colours = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
-    if any(name in chunk.types for name in colours):
-        bounds += colours
+    has_colours = any(name in chunk.types for name in _COLOUR_BOUNDS)
+    bounds = _BOUNDS + _COLOUR_BOUNDS if has_colours else _BOUNDS
     _check_types("vertex", vertex.types, _PACKED, "u4")
     _check_types("chunk", chunk.types, bounds, "f4")
     chunks = -(-vertex.count // _CHUNK)
@@ -72,7 +84,7 @@ def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
     position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in _PACKED)
     rgba = np.stack([(colour >> shift) & 255 for shift in (24, 16, 8, 0)]).astype(np.uint8)
     shares = rgba[:3] / 255
-    if len(bounds) > 12:
+    if has_colours:
         shares = _between(limits, "", "rgb", shares)
     return Scene(
         _between(limits, "", "xyz", _split(position)).astype(np.float32),
@@ -93,14 +105,11 @@ def stated_size(header: PlyHeader) -> tuple[int, int]:
     return header.elements["vertex"].count, degree
 
 
-def _check_types(element: str, types: dict[str, str], names: tuple | list, code: str) -> None:
+def _check_types(element: str, types: dict[str, str], names: Sequence[str], code: str) -> None:
     wrong = [name for name in names if types.get(name) != code]
     if wrong:
         found = types.get(wrong[0], "missing")
         raise InvalidInput(f"element '{element}': {wrong[0]} is {found}, expected {code}")
-    if len(types) > len(names):
-        other = next(name for name in types if name not in names)
-        raise InvalidInput(f"element '{element}': property '{other[:60]}' beyond the layout")
 
 
 def _check_sh(types: dict[str, str], count: int, gaussians: int) -> int:

@@ -13,14 +13,23 @@ from numpy.typing import NDArray
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import refuse_beyond, say_left_out
 from gs_codec.formats.limits import check_bytes
-from gs_codec.formats.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
+from gs_codec.formats.packed_ply import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
 from gs_codec.formats.ply_body import Ply, ply_of, to_planes, to_rows
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.threads import work_behind
-from gs_codec.scene import GROUPS, NORMALS, SH_C0, SH_COEFFICIENTS, Scene, property_names
+from gs_codec.scene import (
+    GROUPS,
+    NORMALS,
+    SH_C0,
+    SH_COEFFICIENTS,
+    Scene,
+    is_extra_name,
+    property_names,
+)
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +39,7 @@ _COLOURS = ("red", "green", "blue")
 _ROWS = 1 << 14
 
 
-def read_ply(path: str | Path, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
+def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = None) -> Scene:
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
     The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
@@ -38,16 +47,17 @@ def read_ply(path: str | Path, extra: Extra = "error", max_bytes: int | None = N
     Parameters
     ----------
     path : str or Path
-    extra : {"error", "keep", "drop"}
+    extra : {"keep", "drop", "error"}
         What to do with properties beyond the INRIA layout, with normals that are not all zero, and
-        with elements other than ``vertex``. Such elements are never kept.
+        with elements other than ``vertex``. Such elements are never kept. A log message names what
+        is left out.
     max_bytes : int, optional
         Largest size of floats and kept properties; default: see `most_bytes`.
 
     Raises
     ------
     InvalidInput
-        If the file is not a PLY, is truncated, or lacks or adds properties.
+        If the file is not a PLY, is truncated, lacks properties, or has some that `extra` refuses.
     """
     with opened(path) as data:
         return scene_of(ply_of(path, data), extra, max_bytes)
@@ -55,19 +65,23 @@ def read_ply(path: str | Path, extra: Extra = "error", max_bytes: int | None = N
 
 def scene_of(
     ply: Ply,
-    extra: Extra = "error",
+    extra: Extra = "keep",
     max_bytes: int | None = None,
     index: slice | NDArray[np.int64] = slice(None),
+    tell: bool = True,
 ) -> Scene:
-    """The scene of an open PLY, or the Gaussians that `index` selects; see `read_ply`."""
+    """The scene of an open PLY, or the Gaussians that `index` selects; see `read_ply`.
+
+    Unless `tell`, nothing is logged of what the header shows to be left out.
+    """
     path = ply.path
-    if ply.header.obj_info:
+    if tell and ply.header.obj_info:
         log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
     with located(path):
         packed = is_packed(ply.header)
-        _check_elements(ply, PACKED_ELEMENTS if packed else ("vertex",), extra)
+        elements = _other_elements(ply, PACKED_ELEMENTS if packed else ("vertex",))
         if packed:
-            return read_packed(ply, max_bytes)
+            return _read_packed(ply, elements, extra, max_bytes)
         data = ply.rows("vertex")[index]
     groups, colours = _find_groups(path, data.dtype)
     wanted = [name for group in GROUPS for name in groups[group]]
@@ -81,23 +95,34 @@ def scene_of(
         planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0
     bounds = np.cumsum([0] + [len(groups[group]) for group in GROUPS])
     parts = {g: planes[a:b] for g, a, b in zip(GROUPS, bounds[:-1], bounds[1:], strict=True)}
-    has_normals, kept = _read_rest(path, data, set(wanted), extra)
+    others, has_normals = _others(data, set(wanted), extra)
     with located(path):
-        return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=kept)
+        if extra == "error":
+            refuse_beyond(others, elements)
+        kept = [name for name in others if extra == "keep" and is_extra_name(name)]
+        if tell:
+            say_left_out(path, [name for name in others if name not in kept], elements)
+        columns = {name: _column(data[name]) for name in kept}
+        return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=columns)
 
 
-def _check_elements(ply: Ply, used: tuple[str, ...], extra: str) -> None:
-    """Refuse a file without Gaussians, or with other elements that have rows."""
+def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | None) -> Scene:
+    """The scene of PlayCanvas' layout, of which nothing beyond it is kept."""
+    properties = beyond_packed(ply.header)
+    if extra == "error":
+        refuse_beyond(properties, elements)
+    say_left_out(ply.path, properties, elements)
+    return read_packed(ply, max_bytes)
+
+
+def _other_elements(ply: Ply, used: tuple[str, ...]) -> list[str]:
+    """Elements with rows beside those that are used; refuses a file without Gaussians."""
     if "vertex" not in ply.header.elements:
         names = list(ply.header.elements)
         found = ", ".join(f"'{name[:60]}'" for name in names[:4]) or "none"
         found += ", ..." if len(names) > 4 else ""
         raise InvalidInput(f"elements {found}, expected 'vertex'")
-    others = [e.name[:60] for e in ply.header.elements.values() if e.name not in used and e.count]
-    if others and extra == "error":
-        raise InvalidInput(f"element '{others[0]}' beside 'vertex'; choose --extra drop")
-    if others and extra == "keep":
-        log.warning("%s: element '%s' beside 'vertex' not kept", ply.path, others[0])
+    return [e.name for e in ply.header.elements.values() if e.name not in used and e.count]
 
 
 def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]], bool]:
@@ -138,27 +163,24 @@ def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[
     return planes
 
 
-def _read_rest(
-    path: str | Path, data: NDArray, used: set[str], extra: str
-) -> tuple[bool, dict[str, NDArray]]:
-    """Whether there are normals to restore as zeros, and the extra properties to keep."""
-    rest = [name for name in data.dtype.names or () if name not in used]
-    normals = [name for name in NORMALS if name in rest]
-    has_normals = len(normals) == 3
+def _others(data: NDArray, used: set[str], extra: Extra) -> tuple[list[str], bool]:
+    """Properties beyond the layout, and whether there are normals to restore as zeros."""
+    others = [name for name in data.dtype.names or () if name not in used]
+    normals = [name for name in NORMALS if name in others]
+    if len(normals) < 3:
+        return others, False
     # Normals are written back as +0, so with "keep" a -0 makes them extra properties.
     differs = np.signbit if extra == "keep" else np.zeros_like
-    if has_normals and not any(np.any(data[n]) or np.any(differs(data[n])) for n in normals):
-        rest = [name for name in rest if name not in normals]
-    if rest and extra == "error":
-        what = f"properties {', '.join(rest[:4])}" + (" ..." if len(rest) > 4 else "")
-        why = "normals are not all zero" if set(rest) <= set(NORMALS) else "beyond the layout"
-        raise InvalidInput(f"{path}: {what} ({why}); choose --extra keep or --extra drop")
-    if extra == "drop":
-        return has_normals, {}
-    kept = {name: empty((len(data),), data.dtype[name].newbyteorder("=")) for name in rest}
-    for name, column in kept.items():
-        column[:] = data[name]
-    return has_normals and not set(normals) & set(rest), kept
+    if not any(np.any(data[n]) or np.any(differs(data[n])) for n in normals):
+        others = [name for name in others if name not in normals]
+    return others, extra != "keep" or normals[0] not in others
+
+
+def _column(values: NDArray) -> NDArray:
+    """A copy of a property of the mapped rows, in the byte order of this machine."""
+    column = empty((len(values),), values.dtype.newbyteorder("="))
+    column[:] = values
+    return column
 
 
 def write_ply(path: str | Path, scene: Scene) -> tuple[()]:

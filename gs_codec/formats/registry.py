@@ -149,7 +149,7 @@ class SceneFile:
         vertex = header.elements.get("vertex")
         return 0 if vertex is None else 4 * vertex.count * len(vertex.types)
 
-    def scene(self, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
+    def scene(self, extra: Extra = "keep", max_bytes: int | None = None) -> Scene:
         """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`.
 
         Raises

@@ -117,7 +117,7 @@ class Opened:
     @cached_property
     def gaussians(self) -> Scene:
         """Its Gaussians as gs_codec takes them, with the file's comments; shares memory."""
-        return replace(from_cloud(self.cloud, "drop"), comments=self.comments)
+        return replace(from_cloud(self.cloud, "drop", tell=False), comments=self.comments)
 
     @cached_property
     def positions(self) -> NDArray[np.float32]:

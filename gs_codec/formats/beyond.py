@@ -1,0 +1,57 @@
+"""What files have beyond the Gaussians of this layout, and one line that says what is left out."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gs_codec.config import Extra
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import NORMALS, Scene
+
+log = logging.getLogger(__name__)
+
+#: Most names in a line, and most characters of each.
+_NAMES, _LENGTH = 8, 36
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in words, of which a file may have any number."""
+    shown = [name[:_LENGTH] for name in names[:_NAMES]]
+    more = len(names) - len(shown)
+    return ", ".join([*shown, f"{more} more"] if more else shown)
+
+
+def say_left_out(
+    where: str | Path, properties: Sequence[str], elements: Sequence[str] = ()
+) -> None:
+    """Log what is left out of a file, if anything, in one line."""
+    kinds = (("elements", elements), ("properties", properties))
+    said = [f"{kind} {listed(names)}" for kind, names in kinds if names]
+    if said:
+        log.warning("%s: left out: %s", where, "; ".join(said))
+
+
+def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> None:
+    """Refuse what is beyond the layout, if anything."""
+    if elements:
+        raise InvalidInput(
+            f"element '{elements[0][:_LENGTH]}' beside 'vertex'; choose --extra drop"
+        )
+    if properties:
+        why = "normals are not all zero" if set(properties) <= {*NORMALS} else "beyond the layout"
+        raise InvalidInput(
+            f"properties {listed(properties)} ({why}); choose --extra keep or --extra drop"
+        )
+
+
+def scene_without(where: str | Path, scene: Scene, extra: Extra) -> Scene:
+    """A scene whose extra properties were read, with what `extra` says of them."""
+    if extra == "error":
+        refuse_beyond([*scene.extra])
+    if extra == "keep" or not scene.extra:
+        return scene
+    say_left_out(where, [*scene.extra])
+    return replace(scene, extra={})

@@ -14,6 +14,10 @@ from gs_codec.config import RateTarget
 #: Mean squared error against photographs that is assumed where there are none: 30 dB.
 NOMINAL_ERROR = 1e-3
 
+#: Version of the keys of JSON documents and of lines in reports of batches; it rises when one is
+#: removed or changes its meaning.
+SCHEMA = 1
+
 #: Called with a stage's name, steps done, and steps in all.
 Progress = Callable[[str, int, int], None]
 
@@ -212,6 +216,8 @@ class EncodeReport:
         edited; 0 if the scene was in memory.
     actions : tuple of ActionReport
         What each action did.
+    sh_degree : int
+        SH degree coded.
     """
 
     count: int
@@ -230,6 +236,7 @@ class EncodeReport:
     input_bytes: int = 0
     ratio: float = 0.0
     actions: tuple[ActionReport, ...] = ()
+    sh_degree: int = 0
 
     @property
     def file_bytes(self) -> int:
@@ -243,6 +250,20 @@ class EncodeReport:
         coded = {cost.stream for cost in self.costs} | {"states", "channels", "lattice"}
         bits = 8 * sum(self.section_bytes.get(name, 0) for name in coded)
         return bits / entropy - 1 if entropy else 0.0
+
+
+def bits_per_gaussian(size: int, count: int) -> float | None:
+    """Bits of a file for each Gaussian in it; None without Gaussians."""
+    return 8 * size / count if count else None
+
+
+def finite(value: Any) -> Any:
+    """A value for JSON, which has neither NaN nor infinity: they become None."""
+    if isinstance(value, dict):
+        return {name: finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def step_counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None]:

@@ -122,7 +122,7 @@ def check_whole(place: Place, wanted: dict[str, bytes]) -> None:
     records = place.records()
     done = [record["output"] for record in records if record["error"] is None]
     assert sorted(done) == sorted(str(place.target / name) for name in wanted)
-    failed = {record["source"].rpartition("/")[2] for record in records if record["error"]}
+    failed = {record["input"].rpartition("/")[2] for record in records if record["error"]}
     assert failed == {name.rpartition("/")[2] for name in BROKEN}
     assert list(place.temporary.iterdir()) == []
 

@@ -127,7 +127,7 @@ def test_batch_from_server_to_server(server):
         encode_file(server.folder / f"in/{name}.ply", one)
         assert (server.folder / f"out/{name}.egs").read_bytes() == one.read_bytes()
     # The report of places elsewhere is here.
-    found = sorted(record["source"] for record in records(server.folder))
+    found = sorted(record["input"] for record in records(server.folder))
     assert found == [f"{source}/{name}.ply" for name in ("a", "sub/b #1", "sub/c?")]
     again = server.run(*arguments, "--json")
     assert json.loads(again.stdout)["skipped"] == 3, again.stderr

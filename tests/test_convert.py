@@ -126,8 +126,8 @@ def test_a_table_has_every_float_exactly(count, tmp_path):
 def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
     out, err = run("convert", ply, tmp_path / "a.splat", "--json")
     report = json.loads(out)
-    assert report["count"] == 60
-    assert report["file_bytes"] == 60 * 32 == (tmp_path / "a.splat").stat().st_size
+    assert report["gaussians"] == 60
+    assert report["output_bytes"] == 60 * 32 == (tmp_path / "a.splat").stat().st_size
     for line in ("SH of degrees 1 to 2 left out", "properties left out: label, Weight_2"):
         assert line in report["lost"]
         assert f"{tmp_path / 'a.splat'}: {line}" in caplog.messages

@@ -71,7 +71,7 @@ def test_json_tells_what_actions_did(folder):
         ("filter opacity>0.5", 1500, kept),
         ("sh-degree 1", kept, kept),
     ]
-    assert (told["count"], told["sh_degree"]) == (kept, 1)
+    assert (told["gaussians"], told["sh_degree"]) == (kept, 1)
 
 
 def test_several_inputs_are_merged(folder):
@@ -144,7 +144,7 @@ def test_encoding_edits_first(folder):
     encode_file("edited.ply", "expected.egs")
     assert (folder.path / "o.egs").read_bytes() == (folder.path / "expected.egs").read_bytes()
     told = json.loads(out)
-    assert told["ratio"] == pytest.approx(edited.float_bytes / told["file_bytes"])
+    assert told["ratio"] == pytest.approx(edited.float_bytes / told["output_bytes"])
 
 
 def piped(*arguments: str, data: bytes = b"") -> bytes:

@@ -393,7 +393,7 @@ def test_the_suffix_says_the_format(form, ply, tmp_path):
         result = CliRunner().invoke(app, [command, str(ply), str(out), "--json"])
         assert result.exit_code == 0, result.output
         report = json.loads(result.stdout)
-        assert report["file_bytes"] == out.stat().st_size
+        assert report["output_bytes"] == out.stat().st_size
         assert report["lost"]
         assert read_scene(out).count == 400
     assert (tmp_path / f"encode.{form}").read_bytes() == (tmp_path / f"convert.{form}").read_bytes()

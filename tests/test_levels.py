@@ -518,8 +518,8 @@ def test_commands(folder, tmp_path, monkeypatch, capsys):
             "decode", source, tmp_path / "out.ply", "--json", "--overwrite", *options
         )
         assert status == 0, err
-        assert json.loads(text)["count"] == read_ply(tmp_path / "out.ply").count
-        return json.loads(text)["count"]
+        assert json.loads(text)["gaussians"] == read_ply(tmp_path / "out.ply").count
+        return json.loads(text)["gaussians"]
 
     assert decoded("--level", "2") == 563
     seen = decoded("--view", f"{cameras}:b")

@@ -332,7 +332,7 @@ def test_report_files(folder, scene):
     labels = np.load(folder / "new" / "r" / "labels.npy")
     np.testing.assert_array_equal(labels, report.labels)
     saved = json.loads((folder / "new" / "r" / "report.json").read_text())
-    assert saved["gaussians"] == [400, 280]
+    assert (saved["input_gaussians"], saved["gaussians"]) == (400, 280)
     assert saved["removed"] == {"geometry": 0, "importance": 0, "leave-one-out": 120}
     assert saved["steps"][0]["quality"]["psnr"] is None
     table = (folder / "new" / "r" / "ablation.md").read_text().splitlines()
@@ -438,7 +438,7 @@ def test_prepare_as_json(folder):
     result = run("prepare", folder / "scene.ply", folder / "out.egs", *options)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert report["gaussians"] == [400, 300]
+    assert (report["input_gaussians"], report["gaussians"]) == (400, 300)
     assert inspect_bytes((folder / "out.egs").read_bytes()).count == 300
 
 
@@ -447,11 +447,11 @@ def test_encode_with_steps(folder):
     prune = ["--prune-max-psnr-drop", 0.1, "--report", folder / "r"]
     result = run("prepare", folder / "scene.ply", folder / "a.egs", *prune, *views)
     assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["gaussians"][1] < 400
+    assert json.loads(result.stdout)["gaussians"] < 400
     assert (folder / "r" / "labels.npy").exists()
     result = run("encode", folder / "scene.ply", folder / "b.egs", "--prune", 10, *views)
     assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["count"] == 360
+    assert json.loads(result.stdout)["gaussians"] == 360
 
 
 REFUSALS = {
@@ -509,9 +509,9 @@ def test_encode_tells_what_preparation_did(folder, monkeypatch):
     told = json.loads(CliRunner().invoke(app, [*asked, "--overwrite", "--json"]).stdout)
     prepared = told["prepared"]
     assert [step["name"] for step in prepared["steps"]] == rows[1:]
-    assert prepared["steps"][-1]["count"] == 280
-    assert prepared["steps"][-1]["size_bytes"] == told["file_bytes"]
-    assert told["seconds"]["prepare"] >= sum(s["seconds"] for s in prepared["steps"][:-1])
+    assert prepared["steps"][-1]["gaussians"] == 280
+    assert prepared["steps"][-1]["size_bytes"] == told["output_bytes"]
+    assert told["stages"]["prepare"] >= sum(s["seconds"] for s in prepared["steps"][:-1])
     chosen = Plan(Steps(prune=30), "cameras.json")
     report = prepare_file("scene.ply", "b.egs", chosen).as_dict()
     assert [s["quality"] for s in report["steps"]] == [s["quality"] for s in prepared["steps"]]

@@ -404,7 +404,7 @@ def test_command_line_meets_a_size(scene, tmp_path):
     assert result.exit_code == 0, result.output
     assert 39_200 <= out.stat().st_size <= 40_000
     report = json.loads(result.stdout)
-    assert report["rate"]["file_bytes"] == out.stat().st_size
+    assert report["rate"]["output_bytes"] == out.stat().st_size
     first = out.read_bytes()
     options = ["--target-size", "40000", "--overwrite"]
     assert CliRunner().invoke(app, ["encode", str(source), str(out), *options]).exit_code == 0

@@ -116,9 +116,9 @@ def test_verify_says_what_a_sound_file_holds(encoded, monkeypatch, capsys):
     assert "3,000 Gaussians, 3 blocks, SH degree 2" in out
     status, out, err = run(monkeypatch, capsys, "verify", str(encoded), "--json")
     report = json.loads(out)
-    assert (status, report["count"], report["blocks"]) == (0, 3000, 3)
+    assert (status, report["gaussians"], report["blocks"]) == (0, 3000, 3)
     assert report["sections"] == len(read_file(before).table)
-    assert report["file_bytes"] == len(before)
+    assert report["input_bytes"] == len(before)
     assert [p.name for p in encoded.parent.iterdir()] == ["scene.egs"]
 
 

@@ -80,7 +80,7 @@ def test_a_try_is_the_file_of_the_command(tries, folder, tmp_path, asked, option
     told = command("encode", folder / "a.ply", tmp_path / "b.egs", *options)
     tried, opened = tries.encode(asked)
     assert tried.path.read_bytes() == (tmp_path / "b.egs").read_bytes()
-    assert (tried.report.file_bytes, tried.report.ratio) == (told["file_bytes"], told["ratio"])
+    assert (tried.report.file_bytes, tried.report.ratio) == (told["output_bytes"], told["ratio"])
     assert opened.name == tried.name
     assert files(tries, tried)
 
@@ -89,7 +89,7 @@ def test_its_numbers_are_those_of_the_commands(tries, folder, tmp_path):
     tried, opened = tries.encode(Asked("s"))
     tries.save(tried, tmp_path / "b.egs")
     inspected = command("inspect", tmp_path / "b.egs")
-    assert tried.report.file_bytes == opened.file_bytes == inspected["file_bytes"]
+    assert tried.report.file_bytes == opened.file_bytes == inspected["input_bytes"]
     assert tried.bits == pytest.approx(sum(s["bits_per_gaussian"] for s in inspected["streams"]))
     assert opened.info.as_dict()["streams"] == inspected["streams"]
     quality = tries.measure(tried, opened)

@@ -451,7 +451,7 @@ def test_scenes_of_two_coordinate_systems_are_seen_in_one(folder, pair, tmp_path
     options = ["--cameras", folder, "--json"]
     result = run("compare", folder / "a.ply", tmp_path / "rub.ply", *options)
     report = json.loads(result.stdout)
-    assert report["systems"] == ["RDF", "RUB"]
+    assert report["coordinates"] == ["RDF", "RUB"]
     assert "coordinates RDF in A, RUB in B: turned to one system" in result.stderr
     assert {view["between"]["psnr"] for view in report["views"]} == {None}  # equal
     same = run("compare", folder / "a.ply", folder / "a.ply", *options)

@@ -20,7 +20,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.preparation.reference_views import evenly
 from gs_codec.rendering.cameras import find_cameras
-from gs_codec.report import Progress, step_counter
+from gs_codec.report import SCHEMA, Progress, step_counter
 from gs_codec.scene import Scene
 
 #: The profile whose depths are used for histograms, models and the marks on curves.
@@ -105,7 +105,8 @@ class Analysis:
         """The same as plain types, for JSON."""
         return {
             "gs_codec": __version__,
-            "scene": self.name,
+            "schema": SCHEMA,
+            "input": self.name,
             "gaussians": self.count,
             "sh_degree": self.sh_degree,
             "sample": self.sampled,
@@ -124,7 +125,7 @@ class Analysis:
             },
             "channels": {"profile": REFERENCE, "fits": [fit.as_dict() for fit in self.fits]},
             "entropy": self.entropy,
-            "bits_per_gaussian": {
+            "bits_by_profile": {
                 profile: bits | {"total": sum(bits.values())} for profile, bits in self.bits.items()
             },
             "sensitivity": self.sensitivity and self.sensitivity.as_dict(),

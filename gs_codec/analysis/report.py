@@ -287,6 +287,6 @@ def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
         "checksums, tables, coder states, index, normals."
     )
     yield picture(pictures["bits.png"], "Bits per Gaussian by attribute.")
-    bits = analysis.as_dict()["bits_per_gaussian"]
+    bits = analysis.as_dict()["bits_by_profile"]
     rows = [[part, *(number(of[part], 2) for of in bits.values())] for part in bits[REFERENCE]]
     yield table("Bits per Gaussian", ["attribute", *bits], rows)

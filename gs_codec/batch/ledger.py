@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
 
 from gs_codec.errors import InvalidInput, one_line
+from gs_codec.report import SCHEMA, finite
 from gs_codec.runtime.atomic import check_writable, try_lock
 
 log = logging.getLogger(__name__)
 
-_START = b'{"source": '
+#: How lines begin, in reports of this version and of 1.0.
+_STARTS = (b'{"schema": ', b'{"source": ')
 
 
 @dataclass(frozen=True)
@@ -27,17 +29,19 @@ class Record:
 
     Attributes
     ----------
-    source, output : str
+    input, output : str
         Paths or URLs, without secrets.
     options : str
         Digest of the options that the output bytes depend on.
     versions : dict of str to str
         Versions of gs_codec and of the packages that it computes with.
     input_bytes, input_modified, input_sha256
-        The source as it was read; -1 or empty if unknown.
-    output_bytes, output_sha256, gaussians, ratio, bits_per_gaussian
-        The output; -1 or empty if nothing was written.
-    seconds : dict of str to float
+        The source as it was read; None or empty if unknown.
+    output_bytes, output_sha256, gaussians, sh_degree, ratio, bits_per_gaussian
+        The output; None or empty if nothing was written.
+    seconds : float, optional
+        Of all stages together.
+    stages : dict of str to float
         Seconds per stage.
     changed : dict of str to int
         Number of Gaussians or values that were changed, by reason.
@@ -50,19 +54,21 @@ class Record:
         ``kind`` and ``text`` of the error.
     """
 
-    source: str
+    input: str
     output: str
     options: str = ""
     versions: dict[str, str] = field(default_factory=dict)
-    input_bytes: int = -1
+    input_bytes: int | None = None
     input_modified: int | str = ""
     input_sha256: str = ""
-    output_bytes: int = -1
+    output_bytes: int | None = None
     output_sha256: str = ""
-    gaussians: int = -1
-    ratio: float = -1.0
-    bits_per_gaussian: float = -1.0
-    seconds: dict[str, float] = field(default_factory=dict)
+    gaussians: int | None = None
+    sh_degree: int | None = None
+    ratio: float | None = None
+    bits_per_gaussian: float | None = None
+    seconds: float | None = None
+    stages: dict[str, float] = field(default_factory=dict)
     changed: dict[str, int] = field(default_factory=dict)
     prepared: dict[str, Any] | None = None
     rendered: dict[str, Any] | None = None
@@ -82,7 +88,8 @@ class Ledger:
     def add(self, record: Record) -> None:
         """Append a record; it is on the disk when this returns."""
         try:
-            line = json.dumps(asdict(record)).encode() + b"\n"
+            plain = finite({"schema": SCHEMA} | asdict(record))
+            line = json.dumps(plain, allow_nan=False).encode() + b"\n"
             if self._file.write(line) < len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             os.fsync(self._file.fileno())
@@ -110,7 +117,7 @@ def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Itera
             raise InvalidInput(f"{path}: another batch is writing to it")
         file.seek(0)
         content = file.read()
-        if content and not content.startswith(_START) and not _START.startswith(content):
+        if not any(content[: len(start)] == start[: len(content)] for start in _STARTS):
             raise InvalidInput(f"{path}: exists and is not a report of gs-codec batch")
         if not resume:
             if content and not overwrite:
@@ -129,7 +136,7 @@ def _read_records(path: str | Path, content: bytes) -> dict[tuple[str, str], Rec
         if record is None:
             broken += 1
         else:
-            records[record.source, record.output] = record
+            records[record.input, record.output] = record
     if broken:
         log.warning("%s: %d lines are not records, skipped", path, broken)
     return records
@@ -145,7 +152,7 @@ def parse_record(line: bytes) -> Record | None:
         return None
     known = {name: found[name] for name in _TYPES if name in found}
     sound = all(_fits(value, _TYPES[name]) for name, value in known.items())
-    return Record(**known) if sound and {"source", "output"} <= known.keys() else None
+    return Record(**known) if sound and {"input", "output"} <= known.keys() else None
 
 
 _TYPES = get_type_hints(Record)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
-from gs_codec.batch.local import LocalStorage, Stamp
+from gs_codec.batch.local import LocalStorage
 from gs_codec.batch.memory import available_bytes
 from gs_codec.batch.pool import Pool, Watcher
 from gs_codec.batch.redaction import redacted, without_secrets
@@ -102,11 +102,11 @@ class Summary:
         Path of the report.
     done, skipped, failed, not_started : int
         Scenes encoded now, complete before, failed, and not started because one failed.
-    input_bytes, output_bytes : int
-        Total bytes of the complete scenes.
-    ratio : float
+    gaussians, input_bytes, output_bytes : int
+        Total Gaussians and bytes of the complete scenes.
+    ratio : float or None
         How many times smaller all of these are, PLY files counted whole and compressed ones by
-        their floats; -1 if there are none.
+        their floats; None if there are none.
     seconds : float
     """
 
@@ -115,9 +115,10 @@ class Summary:
     skipped: int
     failed: int
     not_started: int
+    gaussians: int
     input_bytes: int
     output_bytes: int
-    ratio: float
+    ratio: float | None
     seconds: float
 
 
@@ -188,7 +189,8 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
         return record
     error = {name: redacted(text, *urls) for name, text in record.error.items()}
     record = replace(record, error=error)
-    return replace(record, input_bytes=task.stamp.size, input_modified=task.stamp.modified)
+    size = None if task.stamp.size < 0 else task.stamp.size
+    return replace(record, input_bytes=size, input_modified=task.stamp.modified)
 
 
 def _refuse_existing(tasks: Sequence[Task], targets: Storage) -> None:
@@ -248,7 +250,8 @@ def _complete(
         if written is None or written.size not in (-1, record.output_bytes):
             return None
         # A local file with a new modification time may still have the same content.
-        if task.stamp != Stamp(record.input_bytes, record.input_modified) and (
+        was = record.input_bytes, record.input_modified
+        if (task.stamp.size, task.stamp.modified) != was and (
             not isinstance(sources, LocalStorage)
             or task.stamp.size != record.input_bytes
             or sources.sha256(task.source) != record.input_sha256
@@ -265,16 +268,17 @@ def _sum_up(
 ) -> Summary:
     done = [record for record in records if record.error is None]
     complete = [*done, *known]
-    written = sum(record.output_bytes for record in complete)
-    whole = sum(record.ratio * record.output_bytes for record in complete)
+    written = sum(record.output_bytes or 0 for record in complete)
+    whole = sum((record.ratio or 0) * (record.output_bytes or 0) for record in complete)
     return Summary(
         path,
         len(done),
         len(known),
         len(records) - len(done),
         asked - len(records),
-        sum(record.input_bytes for record in complete),
+        sum(record.gaussians or 0 for record in complete),
+        sum(record.input_bytes or 0 for record in complete),
         written,
-        whole / written if written else -1.0,
+        whole / written if written else None,
         seconds,
     )

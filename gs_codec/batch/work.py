@@ -21,7 +21,7 @@ from gs_codec.batch.memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
-from gs_codec.report import Progress, StageTimes
+from gs_codec.report import Progress, StageTimes, bits_per_gaussian
 from gs_codec.runtime.atomic import make_folder
 
 if TYPE_CHECKING:
@@ -100,8 +100,10 @@ def _encode(
         output_sha256=written[0],
         gaussians=report.count,
         ratio=report.ratio,
-        bits_per_gaussian=8 * written[1] / max(report.count, 1),
-        seconds=times.seconds,
+        bits_per_gaussian=bits_per_gaussian(written[1], report.count),
+        sh_degree=report.sh_degree,
+        seconds=sum(times.seconds.values()),
+        stages=times.seconds,
         changed={name: number for name, number in changed.items() if number},
         prepared=getattr(report, "prepared", None),
         rendered=None if report.rendered is None else asdict(report.rendered),

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES,
-    print_json,
     print_status,
     print_table,
     print_text,
@@ -63,13 +63,13 @@ def command(
     for note in content["notes"]:
         print_status(note)
     if asked["json"]:
-        print_json(content)
+        print_document(**content | {"output": None if out is None else str(out)})
         return
     print_text(f"{source}: {content['gaussians']:,} Gaussians, SH degree {content['sh_degree']}")
     if content["sensitivity"]:
         ranked = ", ".join(content["sensitivity"]["most_sensitive_first"])
         print_text(f"most sensitive first: {ranked}")
-    bits = content["bits_per_gaussian"]
+    bits = content["bits_by_profile"]
     print_table(
         ["bits a Gaussian", *bits],
         [

@@ -29,10 +29,10 @@ from gs_codec.cli.asked import (
     takes,
     target_of,
 )
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
 from gs_codec.cli.output import (
     loss_text,
-    print_json,
     print_status,
     print_text,
     progress_lines,
@@ -41,6 +41,7 @@ from gs_codec.cli.output import (
 from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
+from gs_codec.report import bits_per_gaussian
 
 
 @takes(
@@ -98,7 +99,7 @@ def command(
     check_actions(asked.actions, plan, asked["max_memory"] is not None, plain is None)
     if plain is None and (plan is not None or rate is not None):
         asked.refuse(["max_memory"], "does not go with views, preparation, or a target to meet")
-    from gs_codec.batch.redaction import redact_process
+    from gs_codec.batch.redaction import redact_process, without_secrets
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
 
@@ -112,7 +113,12 @@ def command(
     with _watching("encode" if plain is None else "convert") as watcher:
         summary = run_batch(batch, watcher)
     if asked["json"]:
-        print_json(asdict(summary))
+        print_document(
+            input=without_secrets(source), output=without_secrets(target), format=options.format,
+            profile=config.profile if plain is None else None,
+            bits_per_gaussian=bits_per_gaussian(summary.output_bytes, summary.gaussians),
+            **asdict(summary),
+        )  # fmt: skip
     else:
         print_text(_summed_up(summary, "encoded" if plain is None else "converted"))
     if summary.failed:
@@ -128,7 +134,7 @@ def _summed_up(summary: Any, done: str) -> str:
     if summary.not_started:
         text += f", {summary.not_started:,} not started"
     if summary.output_bytes:
-        text += f"; {smaller(summary.input_bytes, summary.output_bytes, summary.ratio)}"
+        text += f"; {smaller(summary.input_bytes, summary.output_bytes, summary.ratio or 0)}"
     return f"{text}; {summary.seconds:.2f} s; {summary.report}"
 
 
@@ -177,7 +183,7 @@ class _Lines:
         if record.error is not None:
             self.said(f"{place}error: {record.error['text']}")
             return
-        sizes = smaller(record.input_bytes, record.output_bytes, record.ratio)
+        sizes = smaller(record.input_bytes, record.output_bytes, record.ratio or 0)
         lost = (record.rendered and f"; views lose {loss_text(record.rendered['loss'])}") or ""
         self.said(f"{place}{task.name}: {record.gaussians:,} Gaussians, {sizes}{lost}")
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES,
-    print_json,
     print_status,
     print_table,
     print_text,
@@ -78,7 +78,7 @@ def command(
             )  # fmt: skip
     _say_systems(comparison.systems)
     if asked["json"]:
-        print_json({"a": str(first), "b": str(second), **_plain(comparison)})
+        print_document(input=[str(first), str(second)], **_plain(comparison, images))
     elif comparison.views:
         _print_views(comparison)
     else:
@@ -123,23 +123,20 @@ def _numbers(quality: Quality, sign: str) -> list[str]:
     return values if quality.lpips is None else [*values, f"{quality.lpips:{sign}.5f}"]
 
 
-def _plain(comparison: Comparison) -> dict:
+def _plain(comparison: Comparison, images: Path | None) -> dict:
     def plain(view: View) -> dict:
         pairs = {"between": view.between, "a": view.first, "b": view.second, "delta": view.delta}
-        return {"view": view.name} | {name: q.as_dict() for name, q in pairs.items() if q}
+        return {"view": view.name} | {name: q and q.as_dict() for name, q in pairs.items()}
 
-    if not comparison.views:
-        return {
-            "count": comparison.counts[0],
-            "matched_by": comparison.matched_by,
-            "groups": [asdict(group) for group in comparison.groups],
-            "systems": comparison.systems,
-        }
+    seen = bool(comparison.views)
     return {
+        "output": None if images is None else str(images),
         "gaussians": comparison.counts,
-        "views": [plain(view) for view in comparison.views],
-        "mean": plain(comparison.mean),
-        "worst": plain(comparison.worst),
+        "coordinates": comparison.systems,
+        "matched_by": comparison.matched_by,
+        "groups": [asdict(group) for group in comparison.groups] or None,
+        "views": [plain(view) for view in comparison.views] or None,
+        "mean": plain(comparison.mean) if seen else None,
+        "worst": plain(comparison.worst) if seen else None,
         "backbone": comparison.backbone,
-        "systems": comparison.systems,
     }

@@ -10,10 +10,10 @@ import typer
 
 from gs_codec.cli.actions import say_what_was_done
 from gs_codec.cli.asked import Asked, action_plan, config_of, refuse_coding, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
-    print_json,
     print_rendered,
     print_status,
     print_text,
@@ -23,8 +23,9 @@ from gs_codec.cli.output import (
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.config import STREAMED, Config
 from gs_codec.edit.actions import KINDS
-from gs_codec.files.suffixes import PLAIN, known_suffix
+from gs_codec.files.suffixes import PLAIN, format_of, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
+from gs_codec.report import bits_per_gaussian
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
@@ -78,8 +79,13 @@ def command(
         _say_what_changed(done)
         if asked["json"]:
             inputs = [str(source) for source in sources]
-            named = {"input": inputs if len(inputs) > 1 else inputs[0], "output": str(target)}
-            print_json(named | asdict(done))
+            told = asdict(done)
+            print_document(
+                input=inputs if len(inputs) > 1 else inputs[0], output=str(target),
+                profile=None if suffix in PLAIN else config.profile, format=format_of(suffix),
+                bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
+                stages=told.pop("seconds"), **told,
+            )  # fmt: skip
         else:
             print_text(
                 f"{target}: {done.count:,} Gaussians, SH degree {done.sh_degree}, "

@@ -6,14 +6,16 @@ import os
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
+from gs_codec.cli.documents import print_document
+from gs_codec.cli.output import print_text, progress_bar, size_text
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
+from gs_codec.report import bits_per_gaussian
 
 if TYPE_CHECKING:
     from gs_codec.files.coding import DecodeReport
@@ -89,21 +91,22 @@ def command(
 
 def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeReport) -> None:
     """Print the report; `out` is the file that was written for the target."""
-    named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
+    size = out.stat().st_size
     if asked["json"]:
-        print_json(named | asdict(report))
-    else:
-        _print_report(named, report)
-
-
-def _print_report(named: dict[str, Any], report: DecodeReport) -> None:
+        told = asdict(report)
+        print_document(
+            input=str(source), output=str(target), format="ply", input_bytes=told.pop("file_bytes"),
+            output_bytes=size, bits_per_gaussian=bits_per_gaussian(size, report.count),
+            stages=told.pop("seconds"), **told,
+        )  # fmt: skip
+        return
     print_text(
-        f"{named['output']}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "
-        f"{size_text(named['output_bytes'])}, {sum(report.seconds.values()):.2f} s"
+        f"{target}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "
+        f"{size_text(size)}, {sum(report.seconds.values()):.2f} s"
     )
     if report.bytes_read < report.file_bytes:
         share = report.bytes_read / report.file_bytes
-        print_text(f"read {size_text(report.bytes_read)} of {named['input']}, {share:.0%} of it")
+        print_text(f"read {size_text(report.bytes_read)} of {source}, {share:.0%} of it")
 
 
 def _camera_of(text: str) -> Camera:

@@ -10,10 +10,10 @@ import typer
 
 from gs_codec.cli.actions import say_what_was_done
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
-    print_json,
     print_prepared,
     print_rendered,
     print_status,
@@ -27,7 +27,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan
-from gs_codec.report import EncodeReport, RateReport
+from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian
 
 #: Options of coding, which `batch` has too.
 CODING = (
@@ -91,11 +91,13 @@ def _encode_distributed(source: Path, target: Path, config: Config, asked: Asked
 def _tell(source: Path, target: Path, config: Config, asked: Asked, done: EncodeReport) -> None:
     _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
     if asked["json"]:
-        print_json(
-            {"input": str(source), "output": str(target), "profile": config.profile}
-            | asdict(done)
-            | {"file_bytes": done.file_bytes}
-        )
+        told = asdict(done)
+        print_document(
+            input=str(source), output=str(target), profile=config.profile, format=config.format,
+            output_bytes=done.file_bytes,
+            bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
+            stages=told.pop("seconds"), **told,
+        )  # fmt: skip
     else:
         _print_report(target, done, config)
 

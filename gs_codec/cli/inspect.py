@@ -11,15 +11,17 @@ import typer
 
 from gs_codec.batch.memory import needed_bytes
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES_PIPED,
     bars,
-    print_json,
     print_table,
     print_text,
     size_text,
 )
 from gs_codec.cli.streams import piped_source
+from gs_codec.config import EGS
+from gs_codec.report import bits_per_gaussian
 
 if TYPE_CHECKING:
     from gs_codec.codecs.inspection import Info
@@ -58,7 +60,7 @@ def command(
             statistics = _statistics_of(scene)
     if asked["json"]:
         told = {} if statistics is None else _as_dict(statistics)
-        print_json({"file": str(file), **told, **info.as_dict()})
+        _print_document(file, info, told | {"format": EGS, "ratio": info.ratio})
         return
     _print_info(file, info)
     if channels:
@@ -77,7 +79,7 @@ def _show_other(file: Path, path: Path, asked: Asked, histogram: bool) -> None:
     shares = shares_of(scene) if statistics is None else ()
     if asked["json"]:
         told = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)
-        print_json({"file": str(file), **told, **found.as_dict()})
+        _print_document(file, found, told)
         return
     print_text(
         f"{file}: {found.format}, {found.count:,} Gaussians, SH degree {found.sh_degree}",
@@ -90,6 +92,14 @@ def _show_other(file: Path, path: Path, asked: Asked, histogram: bool) -> None:
         print_text(f"other properties: {', '.join(found.extra)}")
     if statistics is not None:
         _print_statistics(statistics)
+
+
+def _print_document(file: Path, found: Info | Overview, told: dict[str, Any]) -> None:
+    told = told | found.as_dict()
+    print_document(
+        input=str(file), input_bytes=told.pop("file_bytes"),
+        bits_per_gaussian=bits_per_gaussian(found.file_bytes, found.count), **told,
+    )  # fmt: skip
 
 
 def _statistics_of(scene: Scene) -> Statistics:

@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec import __version__
+from gs_codec.cli.documents import begin_run, print_error
 from gs_codec.cli.output import log_to_stderr, print_status, print_text
 from gs_codec.errors import GsCodecError, one_line
 
@@ -75,6 +76,7 @@ def _options(
 def main() -> None:
     """Run the command line; errors of use and input exit with status 2."""
     log_to_stderr("gs-codec")
+    begin_run(sys.argv[1:], next((text for text in sys.argv[1:] if text in NAMES), None))
     # Nothing here is linear algebra of any size: numpy would start its threads in vain.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
@@ -83,7 +85,7 @@ def main() -> None:
         status = app(standalone_mode=False)
         _flush_output()
     except (GsCodecError, OSError, MemoryError) as error:
-        print_status(f"gs-codec: error: {describe_error(error)}")
+        _tell_error(error, describe_error(error))
         with suppress(OSError):
             _flush_output()
         sys.exit(2)
@@ -99,11 +101,22 @@ def main() -> None:
                 parameters = error.ctx.command.params  # type: ignore[attr-defined]
                 names = (p.metavar for p in parameters if p.param_type_name == "argument")
                 message = f"Missing argument: expected {' '.join(names)}"
-            print_status(f"gs-codec: error: {message}")
+            _tell_error(error, message)
         sys.exit(2)
     if status == 130:
         print_status("gs-codec: interrupted")
+        print_error("Interrupted", "interrupted")
     sys.exit(status)
+
+
+def _tell_error(error: BaseException, text: str) -> None:
+    """One line on stderr; with --json, a document too."""
+    print_status(f"gs-codec: error: {text}")
+    kind = "Usage"  # of an error of Typer
+    if isinstance(error, GsCodecError | OSError | MemoryError):
+        kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
+    with suppress(OSError):
+        print_error(kind, text)
 
 
 def _flush_output() -> None:

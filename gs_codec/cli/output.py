@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import time
@@ -22,11 +21,6 @@ SCENES = (
     ".ckpt."
 )
 SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
-
-
-def print_json(value: Any) -> None:
-    """One JSON document on stdout."""
-    print(json.dumps(value))
 
 
 def print_text(*lines: str) -> None:
@@ -88,7 +82,7 @@ def print_prepared(prepared: dict[str, Any]) -> None:
 
     for reason, number in prepared["removed"].items():
         if number:
-            print_text(f"pruned by {reason}: {number:,} of {prepared['gaussians'][0]:,}")
+            print_text(f"pruned by {reason}: {number:,} of {prepared['input_gaussians']:,}")
     columns, *rows = ablation_table(prepared)
     print_table(columns, rows)
 

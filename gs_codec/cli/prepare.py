@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
-    print_json,
     print_prepared,
     print_rendered,
     progress_bar,
@@ -19,7 +19,9 @@ from gs_codec.cli.output import (
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
+from gs_codec.files.suffixes import PLAIN, format_of, known_suffix
 from gs_codec.preparation.steps import Plan
+from gs_codec.report import bits_per_gaussian
 
 
 @takes(
@@ -41,6 +43,7 @@ def command(
     if plan is None or not plan.steps.wanted:
         raise InvalidInput("no step of preparation asked for, for example --prune 30")
     from gs_codec.files.preparing import prepare_file
+    from gs_codec.files.scenes import written_bytes
 
     with piped_source(source) as file, progress_bar() as progress:
         done = prepare_file(
@@ -48,7 +51,12 @@ def command(
             max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
         )  # fmt: skip
     if asked["json"]:
-        print_json({"input": str(source), "output": str(target), **done.as_dict()})
+        size, suffix = written_bytes(target), known_suffix(target)
+        print_document(
+            input=str(source), output=str(target), format=format_of(suffix), output_bytes=size,
+            profile=None if suffix in PLAIN else config.profile,
+            bits_per_gaussian=bits_per_gaussian(size, done.steps[-1].count), **done.as_dict(),
+        )  # fmt: skip
     else:
         print_prepared(done.as_dict())
         print_rendered(done.rendered)

@@ -9,14 +9,16 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
 
 
 @takes(
-    "width", "split", "background", "device", "max_bytes", "overwrite", split="all", device="auto"
-)
+    "width", "split", "background", "device", "max_bytes", "overwrite", "json",
+    split="all", device="auto",
+)  # fmt: skip
 def command(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],
@@ -52,9 +54,18 @@ def command(
     views = find_cameras(cameras, loaded, asked["split"], asked["width"])
     if only_cameras:
         write_cameras(out, views)
-        print_text(f"{out}: {len(views)} cameras")
-        return
-    start = time.perf_counter()
-    with progress_bar() as progress:
-        write_views(loaded, views, out, asked["background"], antialiased, asked["device"], progress)
-    print_text(f"{out}: {len(views)} images, {time.perf_counter() - start:.2f} s")
+        told, seconds = f"{len(views)} cameras", None
+    else:
+        start = time.perf_counter()
+        with progress_bar() as progress:
+            drawn = asked["background"], antialiased, asked["device"]
+            write_views(loaded, views, out, *drawn, progress)
+        seconds = time.perf_counter() - start
+        told = f"{len(views)} images, {seconds:.2f} s"
+    if asked["json"]:
+        print_document(
+            input=str(scene), output=str(out), gaussians=loaded.count, sh_degree=loaded.sh_degree,
+            seconds=seconds, views=[view.name for view in views],
+        )  # fmt: skip
+    else:
+        print_text(f"{out}: {told}")

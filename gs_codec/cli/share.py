@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
 from gs_codec.config import UP_AXES
 from gs_codec.preparation.steps import CAMERAS
 
 
-@takes("max_bytes", "overwrite")
+@takes("max_bytes", "overwrite", "json")
 def command(
     first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
     out: Annotated[
@@ -47,6 +49,14 @@ def command(
             sources, out, cameras, progress=progress, max_bytes=asked["max_bytes"],
             overwrite=asked["overwrite"], up=up,
         )  # fmt: skip
+    if asked["json"]:
+        scenes = [
+            {"name": one.name, "bytes": len(one.data), "encoded": one.encoded,
+             "rendered": one.rendered and asdict(one.rendered)}
+            for one in shared
+        ]  # fmt: skip
+        print_document(input=list(map(str, sources)), output=str(out), scenes=scenes)
+        return
     for one in shared:
         how = ", encoded for the page by profile l" if one.encoded else ""
         print_text(f"{out}: {one.name}, {len(one.data) / 1e6:.2f} MB{how}")

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 
+from gs_codec.cli.documents import leave_stdout
 from gs_codec.errors import GsCodecError, InvalidInput
 
 
@@ -47,6 +48,7 @@ def piped(sources: Sequence[Path], target: Path, suffix: str) -> Iterator[tuple[
         if sys.stdout.isatty():
             raise InvalidInput(f"{target}: stdout is a terminal, expected a pipe or a file")
         stdout = sys.stdout.buffer
+        leave_stdout()
         with _stand_in(target, f"stdout{suffix}") as out:
             with redirect_stdout(sys.stderr):
                 yield files, out

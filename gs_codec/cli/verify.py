@@ -10,14 +10,11 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import (
-    SCENES_PIPED,
-    print_json,
-    print_text,
-    progress_bar,
-    size_text,
-)
+from gs_codec.cli.documents import print_document
+from gs_codec.cli.output import SCENES_PIPED, print_text, progress_bar, size_text
 from gs_codec.cli.streams import piped_source
+from gs_codec.config import EGS
+from gs_codec.report import bits_per_gaussian
 
 _OF_EGS = ("threads", "max_memory", "tmc3")
 
@@ -40,7 +37,11 @@ def command(
             file, asked["threads"], asked["max_bytes"], progress, asked["tmc3"], asked["max_memory"]
         )
     if asked["json"]:
-        print_json({"input": str(source), **asdict(report)})
+        told = asdict(report)
+        print_document(
+            input=str(source), format=EGS, input_bytes=told.pop("file_bytes"),
+            bits_per_gaussian=bits_per_gaussian(report.file_bytes, report.count), **told,
+        )  # fmt: skip
     else:
         levels = f"{report.levels} coarser levels, " if report.levels else ""
         print_text(
@@ -57,7 +58,12 @@ def _verify_other(source: Path, file: Path, asked: Asked) -> None:
     start = time.perf_counter()
     found, seconds = overview_of(file, asked["max_bytes"]), time.perf_counter() - start
     if asked["json"]:
-        print_json({"input": str(source), **found.as_dict(), "seconds": seconds})
+        told = found.as_dict()
+        print_document(
+            input=str(source), input_bytes=told.pop("file_bytes"),
+            bits_per_gaussian=bits_per_gaussian(found.file_bytes, found.count),
+            seconds=seconds, **told,
+        )  # fmt: skip
     else:
         print_text(
             f"{source}: sound, {size_text(found.file_bytes)}, {found.format}, "

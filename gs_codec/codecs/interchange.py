@@ -68,6 +68,7 @@ def _packed(
         rectified=0,
         seconds=times.seconds,
         lost=lost,
+        sh_degree=0 if config.format == "splat" else scene.sh_degree,
     )
     return [data], report
 

@@ -152,6 +152,7 @@ def encode_with(
         seconds=times.seconds,
         coarseness=chosen.coarseness,
         rendered=loss,
+        sh_degree=coded.chunks.header.sh_degree,
     )
     ratio = sources.ratio_bytes / report.file_bytes
     return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)

@@ -46,6 +46,7 @@ def pack_scene(
         costs=list(costs),
         rectified=rectified,
         seconds=times.seconds,
+        sh_degree=scene.sh_degree,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +12,19 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
-from gs_codec.config import LOSSLESS, STREAMED, UNBUNDLED, Config
+from gs_codec.config import LOSSLESS, Config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
+from gs_codec.files.scenes import (
+    check_target,
+    read_scene,
+    turn_scene,
+    write_scene,
+    written_bytes,
+)
 from gs_codec.files.suffixes import IN_PARTS
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
-from gs_codec.formats.registry import open_scene
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arrays import bounded
@@ -172,10 +176,7 @@ def convert_file(
         with times.stage("write"):
             lost, rendered = write_scene(target, scene, config)
     after = own or system_of(scene)
-    size = os.path.getsize(target)
-    if suffix in (UNBUNDLED, STREAMED):
-        with open_scene(target) as file:
-            size = file.stored_bytes
+    size = written_bytes(target)
     return ConvertReport(
         scene.count,
         _DEGREES.get(suffix, scene.sh_degree),

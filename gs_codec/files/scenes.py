@@ -234,6 +234,14 @@ def compare_files(
     return replace(compared, systems=systems)
 
 
+def written_bytes(path: str | Path) -> int:
+    """Bytes of the files of a scene that was written."""
+    if Path(path).name not in (UNBUNDLED, STREAMED):
+        return os.path.getsize(path)
+    with open_scene(path) as file:
+        return file.stored_bytes
+
+
 def check_target(
     sources: Sequence[str | Path],
     target: str | Path,

@@ -109,7 +109,8 @@ def prepare_scene(
             kept = kept[stay]
         reports.append(_report(step.name, scene, context, seconds, details))
     # Nothing after refinement needs its targets, which are many images.
-    return scene, PrepareReport(labels, tuple(reports), views._replace(targets=None))
+    views = views._replace(targets=None)
+    return scene, PrepareReport(labels, tuple(reports), views, sh_degree=scene.sh_degree)
 
 
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:

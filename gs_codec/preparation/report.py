@@ -53,6 +53,11 @@ class StepReport:
     seconds: float
     details: dict[str, Any] = field(default_factory=dict)
 
+    def as_dict(self) -> dict[str, Any]:
+        """The same as plain types, for JSON, where `count` is ``gaussians``."""
+        plain = dict(vars(self), quality=self.quality.as_dict())
+        return {"name": plain.pop("name"), "gaussians": plain.pop("count"), **plain}
+
 
 @dataclass(frozen=True)
 class PrepareReport:
@@ -69,12 +74,15 @@ class PrepareReport:
         The views that guided the steps and that measured quality.
     rendered : RenderedLoss, optional
         What windows of other views lose by preparation and coding together.
+    sh_degree : int
+        SH degree of the scene.
     """
 
     labels: NDArray[np.uint8]
     steps: tuple[StepReport, ...]
     views: ViewSplit
     rendered: RenderedLoss | None = None
+    sh_degree: int = 0
 
     @property
     def removed(self) -> dict[str, int]:
@@ -85,13 +93,16 @@ class PrepareReport:
     def as_dict(self) -> dict[str, Any]:
         """Everything but the labels as plain types, for JSON."""
         return {
-            "gaussians": [self.steps[0].count, self.steps[-1].count],
+            "input_gaussians": self.steps[0].count,
+            "gaussians": self.steps[-1].count,
+            "sh_degree": self.sh_degree,
             "removed": self.removed,
             "views": len(self.views.renders.cameras),
             "held_out": len(self.views.held_out.cameras),
             "photographs": self.views.held_out.photographs,
-            "steps": [dict(vars(step), quality=step.quality.as_dict()) for step in self.steps],
-        } | ({} if self.rendered is None else {"rendered": asdict(self.rendered)})
+            "steps": [step.as_dict() for step in self.steps],
+            "rendered": None if self.rendered is None else asdict(self.rendered),
+        }
 
     def coded(
         self, scene: Scene, config: Config, data: bytes, report: EncodeReport
@@ -109,7 +120,7 @@ def ablation_table(prepared: dict[str, Any]) -> list[list[str]]:
         psnr = "inf" if quality["psnr"] is None else f"{quality['psnr']:.3f}"
         size, seconds = f"{step['size_bytes'] / 1e6:.3f}", f"{step['seconds']:.1f}"
         looks = [psnr, f"{quality['ssim']:.4f}"]
-        rows.append([step["name"], f"{step['count']:,}", size, *looks, seconds])
+        rows.append([step["name"], f"{step['gaussians']:,}", size, *looks, seconds])
     return rows
 
 

@@ -1,0 +1,83 @@
+"""What commands print with ``--json``: one document, with the same keys in every command."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any, TextIO
+
+from gs_codec.errors import printable
+from gs_codec.report import SCHEMA, finite
+
+#: Keys that every document has, in this order; null where there is nothing.
+KEYS = (
+    "schema", "command", "input", "output", "gaussians", "sh_degree", "profile", "format",
+    "input_bytes", "output_bytes", "ratio", "bits_per_gaussian", "seconds", "stages", "warnings",
+    "error",
+)  # fmt: skip
+
+#: Names in Python's reports that documents call otherwise.
+_NAMES = {"count": "gaussians", "file_bytes": "output_bytes"}
+
+
+class _Run(logging.Handler):
+    """The command that runs: when it began, its warnings, and where its document goes."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.begin([], None)
+
+    def begin(self, typed: list[str], command: str | None) -> None:
+        self.command, self.as_json = command, "--json" in typed
+        self.start = time.perf_counter()
+        self.warnings: list[str] = []
+        self.file: TextIO | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.warnings.append(printable(record.getMessage()))
+
+
+_run = _Run()
+
+
+def begin_run(typed: list[str], command: str | None) -> None:
+    """Begin the document of a command; `typed` are all of its arguments."""
+    _run.begin(typed, command)
+    logging.getLogger().addHandler(_run)
+
+
+def leave_stdout() -> None:
+    """Print the document to stderr, because stdout gets a scene."""
+    _run.file = sys.stderr
+
+
+def print_document(**told: Any) -> None:
+    """Print the document of the command; `told` are its values, by keys or by Python's names.
+
+    `stages` are seconds by stage, `seconds` by default their sum.
+    """
+    values = _renamed(told)
+    whole = {"schema": SCHEMA, "command": _run.command, "warnings": _run.warnings} | values
+    if whole.get("seconds") is None:
+        stages = whole.get("stages")
+        whole["seconds"] = sum(stages.values()) if stages else time.perf_counter() - _run.start
+    ordered = {key: whole.get(key) for key in KEYS}
+    file = _run.file
+    print(json.dumps(finite(ordered | whole), allow_nan=False), file=file)
+
+
+def print_error(kind: str, text: str) -> None:
+    """Print the document of a command that failed, if it was to print one."""
+    if _run.as_json:
+        print_document(error={"kind": kind, "text": text})
+
+
+def _renamed(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {_NAMES.get(name, name): _renamed(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_renamed(each) for each in value]
+    return value

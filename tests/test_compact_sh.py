@@ -249,7 +249,7 @@ def test_edges(name):
     assert_same_floats(scene, copy)
     assert np.isfinite(compacted.f_dc).all()
     assert np.isfinite(compacted.f_rest).all()
-    assert report["gaussians"] == scene.count
+    assert report["count"] == scene.count
     for group in set(GROUPS) - {"f_dc", "f_rest"}:
         np.testing.assert_array_equal(getattr(compacted, group), getattr(scene, group))
 

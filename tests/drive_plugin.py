@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from drive_viewer import give_up, grab, tell
@@ -16,12 +17,35 @@ from open3d.visualization import O3DVisualizer, gui
 
 import gs_codec
 import viewer
+from viewer.pictures.layers import error_legend, reason_colour
 
 #: Geometries that there may be.
 NAMES = (
     "a.ply: centres", "a.ply: kept", "a.ply: pruned", "b.egs: error against a.ply", "a.ply: splats",
     "cameras.json: cameras",
 )  # fmt: skip
+
+
+#: Colours of legends: of the reason for pruning, and of errors.
+LEGENDS = np.array([reason_colour(0)]), error_legend("error").bar(256, 1)[0]
+
+
+#: Width of the scene beside the visualizer's panel, pixels.
+_WIDE = 320
+
+
+def coloured(
+    actions: Any, visualizer: O3DVisualizer, shown: np.ndarray, legend: np.ndarray
+) -> list:
+    """Pixels of the scene that have a colour of a legend, of how many that are not black."""
+    frame = visualizer.content_rect
+    bottom = frame.get_bottom()
+    if actions._notes.frame is not None:
+        bottom = actions._notes.frame.y - visualizer.os_frame.y
+    part = shown[frame.y + 5 : bottom - 5, frame.x + 5 : frame.x + _WIDE].reshape(-1, 3)
+    lit = part[part.max(axis=1) > 20]
+    apart = np.abs(lit[:, None] - np.rint(255 * legend)).max(axis=2).min(axis=1)
+    return [int((apart <= 2).sum()), len(lit)]
 
 
 def changes(before: np.ndarray, after: np.ndarray) -> int:
@@ -56,9 +80,12 @@ def run(folder: Path) -> dict:
         give_up("the window shows nothing new, or never rests")
 
     show()
+    visualizer.show_skybox(False)
+    visualizer.set_background(np.array([0, 0, 0, 1.0]), None)
+    show()
     refused = {"compare": told(lambda: actions.compare(folder / "b.egs"))}
     refused["nearest"] = told(actions.nearest)
-    named, notes = [], []
+    named, notes, alike = [], [], []
     for action in (
         lambda: actions.open(folder / "a.ply"),
         lambda: actions.pruned(folder / "report"),
@@ -71,6 +98,7 @@ def run(folder: Path) -> dict:
         show()
         named.append([name for name in NAMES if visualizer.scene.has_geometry(name)])
         notes.append(noted(actions, visualizer, pictures[-1]))
+        alike.append([coloured(actions, visualizer, pictures[-1], each) for each in LEGENDS])
     here = visualizer.scene.camera.get_model_matrix()
     look_from(folder, visualizer, 1)
     app.run_one_tick()
@@ -92,6 +120,7 @@ def run(folder: Path) -> dict:
         "count": count,
         "named": named,
         "notes": notes,
+        "alike": alike,
         "here": here[:3, 3].tolist(),
         "ended": ended,
     }

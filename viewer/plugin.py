@@ -105,7 +105,9 @@ def attach(visualizer: Any) -> Actions:
     Splats are drawn by Open3D's shader if a graphics card draws the window, else centres. Names of
     geometries say the file and the layer. Legends and photographs are in a small window of their
     own, which closes with the visualizer: so `set_on_close` of the visualizer is taken. If you set
-    another function, call `Actions.detach` in it.
+    another function, call `Actions.detach` in it. From the first action to `Actions.detach`, the
+    visualizer's post-processing and antialiasing are off, so that colours are those of the legends;
+    lit materials, the background and the sky look darker meanwhile.
 
     Parameters
     ----------
@@ -201,6 +203,7 @@ class Actions:
         self._visualizer.remove_geometry(self._frustums)
         self.cameras, self._images = found, Path(images)
         self._frustums = f"{Path(cameras).name}: cameras"
+        self._process_colours(False)
         from viewer.window.pane import camera_lines
 
         self._visualizer.add_geometry(self._frustums, camera_lines(found), None, _GROUP)
@@ -225,6 +228,7 @@ class Actions:
         """
         self._clear()
         self._visualizer.remove_geometry(self._frustums)
+        self._process_colours(True)
         self.scene, self.cameras, self._attached = None, [], False
 
     def ask_open(self) -> None:
@@ -269,6 +273,7 @@ class Actions:
 
         self._check()
         self._clear()
+        self._process_colours(False)
         splats = splats and scene.count > 0 and draws_splats(find_device())
         for layer, each in points.items():
             self._add(f"{scene.name}: {layer}", *point_geometry(each), not splats)
@@ -278,6 +283,12 @@ class Actions:
                 splat_cloud(scene, Look()),
                 splat_material(scene, Appearance()),
             )
+
+    def _process_colours(self, on: bool) -> None:
+        """Whether Open3D changes colours after drawing, and blends them at edges, as by default."""
+        view = self._visualizer.scene.view
+        view.set_post_processing(on)
+        view.set_antialiasing(on)
 
     def _add(self, name: str, geometry: Any, material: Any, visible: bool = True) -> None:
         self._visualizer.add_geometry(name, geometry, material, _GROUP, 0.0, visible)

@@ -216,6 +216,32 @@ def test_nearer_cubes_hide_others_and_backs_are_not_drawn():
         assert set(np.unique(image[..., 2])) == {0, 153, 204}  # its front and its left side
 
 
+def test_outlined_cubes_show_what_is_behind_them_in_their_colours():
+    cubes = Cubes(
+        np.zeros((1, 3), np.float32), np.ones(1, np.float32), np.array([[1, 0.5, 0]]), filled=False
+    )
+    canvas = Image.new("RGB", (60, 40), (9, 9, 9))
+    draw_cubes(canvas, cubes, Pose(np.eye(3), np.array([0.0, 0.0, -4.0])))
+    found = {tuple(pixel) for pixel in np.asarray(canvas).reshape(-1, 3).tolist()}
+    assert found == {(9, 9, 9), (255, 128, 0)}
+    assert canvas.getpixel((30, 20)) == (9, 9, 9)
+    np.testing.assert_array_equal(cubes.boxes, [[[-0.5] * 3, [0.5] * 3]])
+
+
+def test_cells_hide_neither_centres_nor_splats(files):
+    scene = open_scene(files / "a.ply")
+    pose = look_at(np.array([0.0, 0, -3]), np.zeros(3))
+    layers = Shown(("centres",), scenes=(scene,), octree=OctreeChoice(2))
+    plain = draw_scene(scene, pose, 300, 200, layers, {})[0]
+    seen = (plain > 0).any(axis=2)
+    both = draw_scene(scene, pose, 300, 200, replace(layers, layers=("centres", "octree")), {})[0]
+    same = np.abs(both - plain)[seen].max(axis=1) < 1 / 255
+    assert same.mean() > 0.5
+    alone = OctreeChoice(3)
+    assert alone.among(["octree", "boxes"]).filled
+    assert not any(alone.among(["octree", other]).filled for other in ("splats", "pruned"))
+
+
 @pytest.mark.parametrize("direction", [(1, 0, 0), (-1, 0, 0), (0.3, 1, 0.2), (-1, -1, -1)])
 def test_faces_are_anticlockwise_from_outside(direction):
     """Or the window would draw the insides of cubes."""

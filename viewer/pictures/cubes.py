@@ -1,4 +1,4 @@
-"""Cubes: their faces for the window, and drawn in software."""
+"""Cubes: their faces and edges for the window, and drawn in software."""
 
 from __future__ import annotations
 
@@ -32,29 +32,40 @@ class Cubes:
     sides : ndarray, shape (n,), float32
     colours : ndarray, shape (n, 3), float32, 0-1
     legend : Legend or None
+    filled : bool
+        Whether faces are drawn, not only edges.
     """
 
     middles: NDArray[np.float32]
     sides: NDArray[np.float32]
     colours: NDArray[np.float32]
     legend: Legend | None = None
+    filled: bool = True
+
+    @property
+    def boxes(self) -> NDArray[np.float32]:
+        """Lowest and highest corner of each ``(n, 2, 3)``."""
+        ends = np.array([-0.5, 0.5], np.float32)[:, None] * self.sides[:, None, None]
+        return self.middles[:, None] + ends
 
     def faces(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Corners ``(6, n, 4, 3)``, anticlockwise from outside, and colours ``(6, n, 3)``."""
         units = [np.roll(face, axis, 1) for axis in range(3) for face in (_LOWER, _UPPER)]
         offsets = np.array(units, np.float32)[:, None] * self.sides[:, None, None]
-        return self.middles[:, None] + offsets, _SHADES.repeat(2)[:, None, None] * self.colours
+        shades = _SHADES.repeat(2)[:, None, None] if self.filled else np.ones((6, 1, 1), np.float32)
+        return self.middles[:, None] + offsets, shades * self.colours
 
 
 def draw_cubes(canvas: Image.Image, cubes: Cubes, pose: Pose) -> None:
-    """Draw the faces of cubes that are turned to the camera, nearest on top."""
+    """Draw the faces of cubes that are turned to the camera, or all edges, nearest on top."""
     size = canvas.width, canvas.height
     ahead = pose.position - cubes.middles
     order = np.argsort(-np.linalg.norm(ahead, axis=1), kind="stable")
     # Lower faces are turned to a camera below them, upper ones to a camera above.
     beyond = np.stack([way * ahead[:, axis] for axis in range(3) for way in (-1, 1)])
     corners, colours = cubes.faces()
-    cube, side = np.nonzero((beyond > cubes.sides / 2).T[order])
+    drawn = beyond > cubes.sides / 2 if cubes.filled else np.ones_like(beyond, bool)
+    cube, side = np.nonzero(drawn.T[order])
     some = side, order[cube]
     pixels, depth = pose.project(corners[some].reshape(-1, 3), *size)
     pixels, depth = pixels.reshape(-1, 4, 2), depth.reshape(-1, 4)
@@ -62,6 +73,7 @@ def draw_cubes(canvas: Image.Image, cubes: Cubes, pose: Pose) -> None:
     seen &= (pixels.min(axis=1) < size).all(axis=1)
     pen = ImageDraw.Draw(canvas)
     polygons = np.clip(pixels[seen], -1e6, 1e6).reshape(-1, 8)
-    fills = np.rint(255 * colours[some][seen]).astype(int)
-    for polygon, fill in zip(polygons.tolist(), fills.tolist(), strict=True):
-        pen.polygon(polygon, fill=tuple(fill))
+    shown = np.rint(255 * colours[some][seen]).astype(int)
+    for polygon, colour in zip(polygons.tolist(), shown.tolist(), strict=True):
+        rgb = tuple(colour)
+        pen.polygon(polygon, *((rgb, None) if cubes.filled else (None, rgb)))

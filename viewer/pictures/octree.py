@@ -103,7 +103,7 @@ class Octree:
             some = thinned(len(codes), points or len(codes))
             return Points(middles[some], colours[some], legend)
         sides = side * (_LEAST + (_MOST - _LEAST) * share)
-        return Cubes(middles, sides.astype(np.float32), colours, legend)
+        return Cubes(middles, sides.astype(np.float32), colours, legend, choice.filled)
 
     def _side(self, depth: int) -> float:
         return self._cube.side / 2**depth

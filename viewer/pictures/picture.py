@@ -140,7 +140,7 @@ def draw_scene(
     if "boxes" in shown.layers:
         image = draw_boxes(image, scene.blocks, pose)
     if "octree" in shown.layers:
-        cells = shown.cells.cells(scene, shown.octree)
+        cells = shown.cells.cells(scene, shown.octree.among(shown.layers))
         if isinstance(cells, Cubes):
             canvas = to_pillow(image)
             draw_cubes(canvas, cells, pose)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 
 #: Layers that can be switched on and off.
 LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
@@ -51,10 +52,17 @@ class OctreeChoice:
         In `DEPTHS`.
     colouring : str
         One of `CELL_COLOURINGS`.
+    filled : bool
+        Whether cells are filled; otherwise only their edges are drawn.
     """
 
     depth: int = 6
     colouring: str = "occupancy"
+    filled: bool = True
+
+    def among(self, layers: Collection[str]) -> OctreeChoice:
+        """The same among layers: filled cells would hide splats and points."""
+        return replace(self, filled=not set(layers) - {"octree", "boxes"})
 
 
 @dataclass(frozen=True)

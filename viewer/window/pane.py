@@ -175,7 +175,10 @@ class Pane:
     def show_cells(self, cells: Cubes | Points | None) -> None:
         """Show cells of the octree, or hide them."""
         if isinstance(cells, Cubes):
-            self._replace("octree", *cube_geometry(cells))
+            drawn = (
+                cube_geometry(cells) if cells.filled else box_geometry(cells.boxes, cells.colours)
+            )
+            self._replace("octree", *drawn)
         else:
             self.show_points("octree", cells)
 
@@ -184,16 +187,8 @@ class Pane:
         if boxes is None or not len(boxes):
             self._replace("boxes", None, None)
             return
-        corners, edges = box_lines(boxes)
-        colours = np.array([block_colour(k) for k in range(len(boxes))]).repeat(EDGES, axis=0)
-        lines = o3d.geometry.LineSet(
-            o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(edges)
-        )
-        lines.colors = o3d.utility.Vector3dVector(colours)
-        material = rendering.MaterialRecord()
-        material.shader = "unlitLine"
-        material.line_width = 1.5
-        self._replace("boxes", lines, material)
+        colours = np.array([block_colour(k) for k in range(len(boxes))])
+        self._replace("boxes", *box_geometry(boxes, colours))
 
     def show_splats(self, look: Look | None) -> None:
         """Draw the splats with Open3D's own shader, or stop doing so."""
@@ -252,6 +247,21 @@ def cube_geometry(
     material = rendering.MaterialRecord()
     material.shader = "defaultUnlit"
     return mesh, material
+
+
+def box_geometry(
+    boxes: NDArray, colours: NDArray
+) -> tuple[o3d.geometry.LineSet, rendering.MaterialRecord]:
+    """The edges of boxes ``(n, 2, 3)`` in colours ``(n, 3)``, and a material that shows these."""
+    corners, edges = box_lines(boxes)
+    lines = o3d.geometry.LineSet(
+        o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(edges)
+    )
+    lines.colors = o3d.utility.Vector3dVector(colours.repeat(EDGES, axis=0).astype(np.float64))
+    material = rendering.MaterialRecord()
+    material.shader = "unlitLine"
+    material.line_width = 1.5
+    return lines, material
 
 
 def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:

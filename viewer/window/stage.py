@@ -260,8 +260,8 @@ class Stage:
 
     def show_octree(self) -> None:
         """Update the octree alone to the choice."""
-        choice = self.choice
-        self._octree.show(choice.octree if "octree" in choice.layers else None)
+        octree, layers = self.choice.octree, self.choice.layers
+        self._octree.show(octree.among(layers) if "octree" in layers else None)
 
     def _colour_centres(self) -> None:
         """Start colouring centres, unless they have the chosen colours."""

@@ -21,7 +21,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.reference_views import photographed, read_photographs
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras, read_cameras
-from gs_codec.rendering.images import write_png
+from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.lens import Lens
 from gs_codec.rendering.photographs import read_photograph
 
@@ -249,6 +249,21 @@ def test_coefficients_of_a_lens_are_checked(coefficients):
         Lens(40, 30, 40.0, 40.0, 20.0, 15.0, False, coefficients)
 
 
+def test_distort_is_the_inverse_of_undistort():
+    points = np.random.default_rng(9).uniform(-0.7, 0.7, (2, 40))
+    for fisheye, coefficients, r8 in (
+        (False, (-0.12, 0.03, 0.002, -0.001, 0.01, 0.02, 0.003, 0.001), 0.0),
+        (False, (-0.12, 0.03, 0.002, -0.001, 0.01, 0.0, 0.0, 0.0), 0.004),
+        (True, (0.05, -0.01, 0.003, -0.001), 0.0),
+    ):
+        lens = Lens(800, 600, 500.0, 520.0, 380.0, 310.0, fisheye, coefficients, r8)
+        np.testing.assert_allclose(lens.undistort(lens.distort(points)), points, atol=1e-9)
+        np.testing.assert_allclose(lens.distort(np.zeros((2, 1))), [[380], [310]])
+    for fisheye, r8 in ((False, math.nan), (True, 0.1)):
+        with pytest.raises(InvalidInput, match="lens: r8"):
+            Lens(40, 30, 40.0, 40.0, 20.0, 15.0, fisheye, (0.0,) * (4 if fisheye else 8), r8)
+
+
 # Photographs
 
 
@@ -288,6 +303,31 @@ def test_points_of_a_photograph_come_to_where_the_camera_sees_them(model, scale,
     # A shift of half a pixel would be one of all; at the edges, dots are stretched to one side.
     assert np.abs(np.median(errors, axis=0)).max() < 0.05
     assert np.abs(errors).max() < 0.25
+
+
+@needs_opencv
+def test_photographs_of_a_lens_that_opencv_does_not_have(tmp_path):
+    coefficients = (-0.12, 0.03, 0.002, -0.001, 0.01, 0.0, 0.0, 0.0)
+    plain = Lens(*SIDES, 500.0, 520.0, 380.0, 310.0, False, coefficients)
+    image = np.random.default_rng(10).random((300, 400, 3))
+    write_png(tmp_path / "a.png", image)
+    read = {}
+    for r8 in (0.0, 1e-12, 0.05):
+        lens = replace(plain, r8=r8)
+        camera = Camera("a", **lens.pinhole(), rotation=np.eye(3), position=np.zeros(3))
+        read[r8] = read_photograph(camera, tmp_path / "a.png")
+    np.testing.assert_allclose(read[1e-12][1], read[0.0][1], atol=0.02)
+    # The pixel (x, y) of the undistorted image shows this place of the photograph.
+    camera, straight = read[0.05]
+    x, y = 40, 25
+    u, v = (x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy
+    u, v = brown(u, v, (-0.12, 0.03, 0.01, 0.05), 0.002, -0.001)
+    column, row = (500 * u + 380) / 2 - 0.5, (520 * v + 310) / 2 - 0.5
+    left, top = int(column), int(row)
+    a, b = column - left, row - top
+    four = read_image(tmp_path / "a.png")[top : top + 2, left : left + 2]
+    expected = np.array([1 - b, b]) @ np.tensordot(four, [1 - a, a], (1, 0))
+    np.testing.assert_allclose(straight[y, x], expected, atol=0.03)
 
 
 @needs_opencv

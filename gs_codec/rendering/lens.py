@@ -41,7 +41,7 @@ class Lens:
     A point at ``(x, y)`` on a pinhole camera's plane at distance 1, with ``r2 = x x + y y``, is
     seen from the principal point, in focal lengths, at::
 
-        x (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
+        x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + r8 r2^4) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
             + 2 p1 x y + p2 (r2 + 2 x x)
 
     and alike in y, with p1 and p2 swapped. A fisheye lens sees it, with x and y scaled so that
@@ -50,7 +50,7 @@ class Lens:
         x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4)
 
     These are the models FULL_OPENCV and OPENCV_FISHEYE of COLMAP and OpenCV; COLMAP's others have
-    fewer coefficients.
+    fewer coefficients. `r8` is ``k4`` in RealityCapture, Metashape and nerfstudio.
 
     Parameters
     ----------
@@ -64,6 +64,8 @@ class Lens:
         Whether it is a fisheye lens.
     coefficients : tuple of float
         k1, k2, k3, k4 if `fisheye`, else k1, k2, p1, p2, k3, k4, k5, k6.
+    r8 : float
+        Of the distance to the 8th power; 0 if `fisheye`.
 
     Raises
     ------
@@ -90,6 +92,7 @@ class Lens:
     cy: float
     fisheye: bool
     coefficients: tuple[float, ...]
+    r8: float = 0.0
 
     def __post_init__(self) -> None:
         check_view("lens", self)
@@ -98,6 +101,8 @@ class Lens:
             raise InvalidInput(
                 f"lens: coefficients {self.coefficients}, expected {len(names)} finite numbers"
             )
+        if not np.isfinite(self.r8) or (self.fisheye and self.r8):
+            raise InvalidInput(f"lens: r8 {self.r8}, expected a finite number, 0 of a fisheye lens")
 
     def pinhole(self) -> dict[str, Any]:
         """Fields of a `Camera` that stands for the lens, which is one of them.
@@ -115,6 +120,18 @@ class Lens:
         cx, cy = self.cx * width / self.width, self.cy * height / self.height
         view = (width, height, self.fx, self.fy, cx, cy)
         return {**dict(zip(_VIEW, view, strict=True)), "lens": self}
+
+    def distort(self, points: NDArray) -> NDArray[np.float64]:
+        """Where points ``(2, n)`` on a pinhole camera's plane at distance 1 are in the photograph.
+
+        The inverse of `undistort`, pixels.
+        """
+        x, y = np.asarray(points, np.float64)
+        if self.fisheye:
+            distance = np.hypot(x, y)
+            scale = np.arctan(distance) / np.where(distance > 0, distance, 1.0)
+            x, y = (np.where(distance > 0, scale, 1.0) * along for along in (x, y))
+        return _bend(self, x, y) * [[self.fx], [self.fy]] + [[self.cx], [self.cy]]
 
     def undistort(self, points: NDArray) -> NDArray[np.float64]:
         """Where pixels ``(2, n)`` of the photograph are on a pinhole camera's plane at distance 1.
@@ -147,7 +164,7 @@ def lens_fields(
         Width, height, fx, fy, cx and cy, pixels.
     fisheye : bool
     coefficients : mapping
-        By name; those that are missing are 0.
+        By name, `r8` among them; those that are missing are 0.
 
     Raises
     ------
@@ -158,7 +175,8 @@ def lens_fields(
         return dict(zip(_VIEW, view, strict=True))
     names = FISHEYE if fisheye else BROWN
     try:
-        return Lens(*view, fisheye, tuple(coefficients.get(key, 0.0) for key in names)).pinhole()
+        values = tuple(coefficients.get(key, 0.0) for key in names)
+        return Lens(*view, fisheye, values, coefficients.get("r8", 0.0)).pinhole()
     except InvalidInput as error:
         raise InvalidInput(f"{where}: {error}") from error
 
@@ -190,7 +208,7 @@ def _bend(lens: Lens, x: NDArray, y: NDArray) -> NDArray:
         radial = 1 + squared * (k1 + squared * (k2 + squared * (k3 + squared * k4)))
         return np.stack([x * radial, y * radial])
     k1, k2, p1, p2, k3, k4, k5, k6 = lens.coefficients
-    radial = 1 + squared * (k1 + squared * (k2 + squared * k3))
+    radial = 1 + squared * (k1 + squared * (k2 + squared * (k3 + squared * lens.r8)))
     radial = radial / (1 + squared * (k4 + squared * (k5 + squared * k6)))
     u = x * radial + 2 * p1 * x * y + p2 * (squared + 2 * x * x)
     v = y * radial + 2 * p2 * x * y + p1 * (squared + 2 * y * y)

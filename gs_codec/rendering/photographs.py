@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,13 +85,31 @@ def _undistorted(
             f"{path}: is distorted, and OpenCV cannot be imported ({one_line(error)}): "
             "pip install 'gs-codec[undistort]'"
         ) from error
-    x, y = image.shape[1] / lens.width, image.shape[0] / lens.height
+    scale = image.shape[1] / lens.width, image.shape[0] / lens.height
+    maps = _distorted_pixels(lens, camera, scale) if lens.r8 else _maps(cv2, lens, camera, scale)
+    return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _maps(cv2: Any, lens: Lens, camera: Camera, scale: tuple[float, float]) -> list[NDArray]:
+    """Columns and rows of a photograph that each pixel of the camera sees, in OpenCV's sense."""
+    x, y = scale
     source = _matrix(x * lens.fx, y * lens.fy, x * lens.cx, y * lens.cy)
     target = _matrix(camera.fx, camera.fy, camera.cx, camera.cy)
     find_maps = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
     size = camera.width, camera.height
-    maps = find_maps(source, np.array(lens.coefficients), np.eye(3), target, size, cv2.CV_32FC1)
-    return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return find_maps(source, np.array(lens.coefficients), np.eye(3), target, size, cv2.CV_32FC1)
+
+
+def _distorted_pixels(
+    lens: Lens, camera: Camera, scale: tuple[float, float]
+) -> NDArray[np.float32]:
+    """The same for a lens that OpenCV does not have."""
+    maps = np.empty((2, camera.height, camera.width), np.float32)
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    for row in range(camera.height):
+        y = np.full_like(x, (row + 0.5 - camera.cy) / camera.fy)
+        maps[:, row] = lens.distort(np.stack([x, y])) * np.transpose([scale]) - 0.5
+    return maps
 
 
 def _matrix(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:

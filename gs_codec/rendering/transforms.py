@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -37,6 +38,11 @@ _MODELS = {
     **dict.fromkeys(("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"), False),
     "OPENCV_FISHEYE": True,
 }
+
+#: A number in text, with few enough digits to be read in no time.
+_NUMBER = re.compile(
+    r"\s{0,9}[+-]?[0-9]{1,40}(\.[0-9]{0,40})?([eE][+-]?[0-9]{1,5})?\s{0,9}", re.ASCII
+)
 
 #: Fields of lenses that are not read.
 _OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular", "orthographic", "distortion_params")
@@ -155,10 +161,18 @@ def _intrinsics(where: str, path: Path, fields: Mapping[str, Any], name: str) ->
         for key, side in (("cx", width), ("cy", height))
     )
     names = FISHEYE if fisheye else BROWN
-    coefficients = {key: as_number(where, key, fields.get(key, 0.0)) for key in names}
-    if not fisheye and any(coefficients[key] for key in ("k4", "k5", "k6")):
-        raise InvalidInput(f"{where}: k4 to k6 of a lens that is no fisheye, expected none")
+    coefficients = {key: _coefficient(where, key, fields.get(key, 0.0)) for key in names}
+    if not fisheye and not ("k5" in fields or "k6" in fields):
+        # Only OpenCV, which also has k5 and k6, divides by it.
+        coefficients["r8"] = coefficients.pop("k4")
     return lens_fields(where, (width, height, fx, fy or fx, cx, cy), fisheye, coefficients)
+
+
+def _coefficient(where: str, key: str, value: Any) -> float:
+    """A coefficient of a lens, which nerfstudio copies from RealityCapture's tables as text."""
+    if isinstance(value, str) and _NUMBER.fullmatch(value):
+        value = float(value)
+    return as_number(where, key, value)
 
 
 def _is_fisheye(where: str, fields: Mapping[str, Any]) -> bool:

@@ -440,6 +440,14 @@ def test_several_cameras_may_have_one_name(tmp_path):
 # COLMAP models
 
 
+def test_sizes_in_text_may_have_decimals(tmp_path):
+    path = write_model(tmp_path, ".txt") / "cameras.txt"
+    path.write_text(path.read_text().replace("400 300", "400.0 300."))
+    assert [(c.width, c.height) for c in read_cameras(tmp_path)] == [(400, 300)]
+    path.write_text(path.read_text().replace("400.0", "400.5"))
+    assert_refused(tmp_path, "line 3: b'400.5', expected an integer", told=path)
+
+
 @both_forms
 def test_several_images_may_have_one_name(suffix, tmp_path):
     one = {"quaternion": (1, 0, 0, 0)}
@@ -837,6 +845,51 @@ def test_binary_goes_before_text_and_a_model_before_json(tmp_path):
     write_kind(tmp_path, ".txt", 5.0)
     assert kind(tmp_path) == 5
     assert kind(tmp_path / "cameras.json") == 1
+
+
+def names(count: int) -> list[Image]:
+    return [Image(f"{i}.jpg", image_id=i) for i in range(count)]
+
+
+@both_forms
+def test_of_several_models_that_with_most_images_is_read(suffix, tmp_path, caplog):
+    for number, count in ((0, 2), (2, 3), (10, 5), (11, 1)):
+        write_model(tmp_path / "sparse" / str(number), suffix, names(count))
+    assert len(read_cameras(tmp_path)) == 5
+    assert caplog.messages == [
+        f"{tmp_path}: 4 COLMAP models, images: sparse/0 2, sparse/2 3, sparse/10 5, sparse/11 1; "
+        "taken: sparse/10"
+    ]
+    assert len(read_cameras(tmp_path / "sparse" / "2")) == 3
+    path = tmp_path / "sparse" / "11" / f"images{suffix}"
+    path.write_bytes(b"1 broken")
+    assert_refused(tmp_path, told=path)
+    caplog.clear()
+    for number in (0, 2, 10):
+        (tmp_path / "sparse" / str(number) / f"cameras{suffix}").unlink()
+    assert_refused(tmp_path, told=path)
+    path.write_bytes(WRITERS[suffix][1](names(1)))
+    assert len(read_cameras(tmp_path)) == 1
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["sparse/1", "colmap/sparse/0", "colmap/sparse", "dense/0/sparse", "dense/sparse",
+     "dense/1/sparse", "distorted/sparse/0"],
+)  # fmt: skip
+def test_models_are_found_where_programs_put_them(place, tmp_path):
+    write_kind(tmp_path / place, ".bin", 2.0)
+    assert kind(tmp_path) == 2
+    # nerfstudio puts its own cameras above COLMAP's.
+    write_json(tmp_path / "cameras.json", inria_entry(fx=1.0))
+    assert kind(tmp_path) == (2 if place.startswith("sparse") else 1)
+
+
+def test_models_elsewhere_are_named(tmp_path):
+    for place in ("a/sparse/0", "b c/model"):
+        write_kind(tmp_path / place, ".txt", 2.0)
+    assert_refused(tmp_path, "nor transforms.json; COLMAP models are in 'a/sparse/0', 'b c/model'$")
 
 
 def test_half_a_model_is_none(tmp_path):

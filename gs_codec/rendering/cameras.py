@@ -16,7 +16,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.rendering.auto_cameras import COUNT, auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.camera_paths import read_camera_path, read_supersplat
-from gs_codec.rendering.colmap import find_model, read_colmap
+from gs_codec.rendering.colmap import DEEPER_PLACES, PLACES, find_model, models_below, read_colmap
 from gs_codec.rendering.inria import as_camera, as_entry, read_inria
 from gs_codec.rendering.json_fields import MAX_BYTES, load_json, short
 from gs_codec.rendering.transforms import read_transforms
@@ -63,12 +63,14 @@ def read_cameras(path: str | Path) -> list[Camera]:
     Parameters
     ----------
     path : str or Path
-        A COLMAP sparse model's folder, or one of its files; a dataset's folder with a model in
-        ``sparse/0`` or ``sparse``; a JSON file; or a folder without a model, but with
-        ``cameras.json``, ``transforms.json``, or ``transforms_train.json`` and
-        ``transforms_test.json``. A binary model is preferred to a text model. JSON files are told
-        by their contents: ``cameras.json`` of the INRIA trainer, transforms of nerfstudio,
-        instant-ngp or Blender's datasets, camera paths of nerfstudio, poses of SuperSplat.
+        A COLMAP sparse model's folder, or one of its files; a dataset's folder with models in
+        ``sparse/0``, ``sparse/1`` and so on, or in ``sparse``; a JSON file; or a folder without
+        these, but with ``cameras.json``, ``transforms.json``, or ``transforms_train.json`` and
+        ``transforms_test.json``, or else with models in ``colmap/sparse/0``, ``dense/0/sparse`` or
+        the like. Of several models the one with most images is read, and a log message says so. A
+        binary model is preferred to a text model. JSON files are told by their contents:
+        ``cameras.json`` of the INRIA trainer, transforms of nerfstudio, instant-ngp or Blender's
+        datasets, camera paths of nerfstudio, poses of SuperSplat.
 
     Returns
     -------
@@ -153,16 +155,21 @@ def _entries(path: Path) -> _Entries:
         path = path.parent
     elif not os.path.isdir(path):
         raise InvalidInput(f"{path}: no such file or folder, expected cameras")
-    model = find_model(path)
+    model = find_model(path, PLACES)
     if model is not None:
         return read_colmap(model)
     for names in _JSON_FILES:
         found = [path / name for name in names if os.path.isfile(path / name)]
         if found:
             return chain.from_iterable(map(_read_json, found))
+    model = find_model(path, DEEPER_PLACES)
+    if model is not None:
+        return read_colmap(model)
+    below = models_below(path)
+    others = f"; COLMAP models are in {', '.join(map(short, below[:5]))}" if below else ""
     raise InvalidInput(
         f"{path}: neither a COLMAP model (cameras and images, both .bin or .txt) nor cameras.json "
-        "nor transforms.json"
+        f"nor transforms.json{others}"
     )
 
 

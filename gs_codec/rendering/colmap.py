@@ -6,10 +6,12 @@ COLMAP 3.12 and later are not needed. Layouts: https://colmap.github.io/format.h
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import reprlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
@@ -20,6 +22,8 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
 from gs_codec.rendering.lens import BROWN, FISHEYE, lens_fields
 from gs_codec.runtime.mapped import opened
+
+log = logging.getLogger(__name__)
 
 #: Camera models by their number in binary files.
 _MODELS = (
@@ -41,6 +45,17 @@ _PARAMETERS = {
     "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
     "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", *FISHEYE),
 }
+
+#: Where a capture has models: the best known places, and others, which go after JSON files; # is a
+#: number.
+PLACES = ("", "sparse/#", "sparse")
+DEEPER_PLACES = (
+    *("colmap/sparse/#", "colmap/sparse", "colmap", "dense/#/sparse", "dense/sparse"),
+    *("undistorted/sparse/#", "undistorted/sparse", "distorted/sparse/#", "distorted/sparse"),
+)
+
+#: Most folders that are searched to say where models are.
+_FOLDERS = 1000
 
 #: Every `_HOLDOUT`-th image is for testing, as with ``--eval`` of the INRIA trainer.
 _HOLDOUT = 8
@@ -71,15 +86,58 @@ class _Image(NamedTuple):
     name: str
 
 
-def find_model(folder: Path) -> Path | None:
-    """The model's folder: `folder`, its ``sparse/0`` or its ``sparse``; None without a model."""
-    for model in (folder, folder / "sparse" / "0", folder / "sparse"):
-        if any(_is_model(model, suffix) for suffix in (".bin", ".txt")):
-            return model
+def find_model(folder: Path, places: Sequence[str]) -> Path | None:
+    """The model's folder in the first of `places` that has one; None without a model.
+
+    Of several numbered ones, that with most images is taken, and a log message says so.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a capture.
+    places : sequence of str
+        `PLACES` or `DEEPER_PLACES`.
+
+    Raises
+    ------
+    InvalidInput
+        If images have to be counted, and a file of them is broken.
+    """
+    for place in places:
+        found = folder.glob(place.replace("#", "[0-9]*")) if place else [folder]
+        models = sorted(filter(_is_model, found), key=lambda path: (len(str(path)), path))
+        if len(models) > 1:
+            counts = [len(_images(model)) for model in models]
+            most = models[counts.index(max(counts))]
+            told = [
+                f"{model.relative_to(folder)} {n}" for model, n in zip(models, counts, strict=True)
+            ]
+            log.warning(
+                "%s: %d COLMAP models, images: %s; taken: %s",
+                folder,
+                len(models),
+                ", ".join(told[:9]),
+                most.relative_to(folder),
+            )
+            return most
+        if models:
+            return models[0]
     return None
 
 
-def _is_model(folder: Path, suffix: str) -> bool:
+def models_below(folder: Path) -> list[str]:
+    """Folders of models in a folder, by name; sought in at most `_FOLDERS` folders."""
+    walked = islice(os.walk(folder), _FOLDERS)
+    return sorted(
+        os.path.relpath(below, folder) for below, _, _ in walked if _is_model(Path(below))
+    )
+
+
+def _is_model(folder: Path) -> bool:
+    return any(_has_files(folder, suffix) for suffix in (".bin", ".txt"))
+
+
+def _has_files(folder: Path, suffix: str) -> bool:
     return all(os.path.isfile(folder / (stem + suffix)) for stem in ("cameras", "images"))
 
 
@@ -96,16 +154,14 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     InvalidInput
         If a file is broken, or a camera's model is none of `_PARAMETERS`.
     """
-    if _is_model(folder, ".bin"):
-        cameras_path, images_path = folder / "cameras.bin", folder / "images.bin"
+    if _has_files(folder, ".bin"):
+        cameras_path = folder / "cameras.bin"
         cameras = _read_binary(cameras_path, _binary_camera, 24)
-        images = _read_binary(images_path, _binary_image, 73)
     else:
-        cameras_path, images_path = folder / "cameras.txt", folder / "images.txt"
+        cameras_path = folder / "cameras.txt"
         cameras = _read_text(cameras_path, _text_camera)
-        images = _read_text(images_path, _text_image)
     views = _views(cameras_path, cameras)
-    for index, image in enumerate(sorted(images, key=lambda image: image.name)):
+    for index, image in enumerate(sorted(_images(folder), key=lambda image: image.name)):
         if image.camera_id not in views:
             raise InvalidInput(
                 f"{image.where}: camera {image.camera_id}, which {cameras_path.name} does not have"
@@ -121,6 +177,12 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
                 "split": "train" if index % _HOLDOUT else "test",
             },
         )
+
+
+def _images(folder: Path) -> list[_Image]:
+    if _has_files(folder, ".bin"):
+        return _read_binary(folder / "images.bin", _binary_image, 73)
+    return _read_text(folder / "images.txt", _text_image)
 
 
 def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, Any]]:
@@ -271,7 +333,7 @@ def _text_camera(lines: _Lines, line: bytes) -> _Intrinsics:
     fields = line.split()
     if len(fields) < 4:
         raise InvalidInput(f"{lines.where}: {len(fields)} fields, expected at least 4 of a camera")
-    camera_id, width, height = (_parse(lines.where, int, fields[i]) for i in (0, 2, 3))
+    camera_id, width, height = (_parse(lines.where, _whole, fields[i]) for i in (0, 2, 3))
     parameters = tuple(_parse(lines.where, float, field) for field in fields[4:])
     return _Intrinsics(camera_id, fields[1].decode("latin-1"), width, height, parameters)
 
@@ -295,5 +357,15 @@ def _parse(where: str, kind: Callable[[bytes], T], field: bytes) -> T:
             return kind(field)
     except ValueError:
         pass
-    expected = "an integer" if kind is int else "a number"
+    expected = "a number" if kind is float else "an integer"
     raise InvalidInput(f"{where}: {reprlib.repr(field)}, expected {expected}")
+
+
+def _whole(field: bytes) -> int:
+    """An integer, which some programs write as a float."""
+    if b"." not in field:
+        return int(field)
+    number = float(field)
+    if not (number.is_integer() and abs(number) < 1 << 53):
+        raise ValueError(field)
+    return int(number)

@@ -16,7 +16,7 @@ from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
-from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.clean import finite_ends, identity_for_zero
 from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import bit_layout
 from gs_codec.coding.quantise import CentredQuantiser
@@ -40,7 +40,8 @@ def error_over_bound(
     it draws nearer from where they are drawn. The scene was encoded without views; of `lossless`, a
     bit that differs is an infinite error.
     """
-    scene, _ = identity_for_zero(scene) if config.profile != LOSSLESS else (scene, 0)
+    if config.profile != LOSSLESS:
+        scene, _ = identity_for_zero(finite_ends(scene)[0])
     if config.profile == LOSSLESS:
         errors = _of_bits(scene, decoded, config)
     elif config.profile in PROFILES:

@@ -98,6 +98,15 @@ def edge_scenes() -> dict[str, Scene]:
     }
 
 
+#: Attributes, and values of theirs that are damage; infinite opacities and scales of 0 are none.
+DAMAGE = [
+    (group, value)
+    for group in GROUPS
+    for value in (np.nan, np.inf, -np.inf)
+    if np.isnan(value) or (group != "opacity" and (group, value) != ("log_scale", -np.inf))
+]
+
+
 def assert_same_floats(first: Scene, second: Scene) -> None:
     """All bits of all floats are the same."""
     for group in GROUPS:

@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import REAL_SCENES, assert_same_floats, edge_scenes, random_scene, shared_scene_path
+from scenes import (
+    DAMAGE,
+    REAL_SCENES,
+    assert_same_floats,
+    edge_scenes,
+    random_scene,
+    shared_scene_path,
+)
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs.symbols import order_like
@@ -146,8 +153,7 @@ def test_duplicates_keep_their_own_attributes():
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize(("group", "value"), DAMAGE)
 def test_nonfinite_values_are_refused_or_dropped(group, value):
     scene = random_scene(50, 3, seed=10)
     getattr(scene, group)[0, [3, 17]] = value

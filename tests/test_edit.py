@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import DAMAGE, random_scene
 from scipy.spatial.transform import Rotation
 from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike, matrix_of, some_turn
@@ -137,8 +137,13 @@ def test_conditions_that_make_no_sense_are_refused(text, said):
 
 
 def test_gaussians_that_are_not_finite_go(scene):
-    for i, value in enumerate([np.nan, np.inf, -np.inf] * 2):
-        getattr(scene, GROUPS[i])[-1, 40 * i] = value
+    for i, (group, value) in enumerate(DAMAGE):
+        getattr(scene, group)[-1, 20 * i] = value
+    flat = replace(scene, opacity=scene.opacity.copy(), log_scale=scene.log_scale.copy())
+    flat.opacity[0, 1::2] = np.inf
+    flat.log_scale[2, 1::2] = -np.inf
+    left = act(flat, "remove-nan")
+    assert left.count == scene.count - len(DAMAGE)
     rows = np.concatenate([getattr(scene, group) for group in GROUPS]).T.tolist()
     finite = [all(map(math.isfinite, row)) for row in rows]
     assert_chosen(scene, finite, act(scene, "remove-nan"))

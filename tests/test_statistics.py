@@ -219,6 +219,9 @@ def counted_shares(scene: Scene) -> dict[str, int]:
         words = {group: bytes(value + np.float32(0)) for group, value in values.items()}
         centres[words["positions"]] += 1
         everything[tuple(words.values())] += 1
+        # Opacities of 0 and 1, and scales of 0.
+        values["opacity"] = np.nan_to_num(values["opacity"], nan=np.nan)
+        values["log_scale"] = np.nan_to_num(values["log_scale"], nan=np.nan, posinf=np.inf)
         found["not finite"] += not all(np.isfinite(value).all() for value in values.values())
     found["same centre"] = scene.count - len(centres)
     found["duplicate"] = scene.count - len(everything)

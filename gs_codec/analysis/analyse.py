@@ -165,7 +165,7 @@ def analyse_scene(
     InvalidInput
         If there is no Gaussian, or no camera.
     """
-    scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"))
+    scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"), whole=False)
     if not scene.count:
         left = f"all {dropped:,} hold NaN or infinity" if dropped else "0"
         raise InvalidInput(f"{name}: Gaussians: {left}, expected at least 1 to analyse")

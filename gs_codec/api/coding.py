@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, overload
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.config import Config, Extra, RateTarget
+from gs_codec.config import LOSSLESS, Config, Extra, RateTarget
 from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.formats.cloud import from_cloud, to_cloud
@@ -55,7 +55,9 @@ def read(
         Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with
         K = 0, 3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``,
         ``scale (N, 3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down,
-        forward: a scene that states another system, as `.spz` does, is converted.
+        forward: a scene that states another system, as `.spz` does, is converted. Opacities of 0
+        and 1 and scales of 0, whose logits and logarithms are infinite, become finite numbers that
+        look the same; a warning counts them.
 
     Raises
     ------
@@ -129,8 +131,10 @@ def write(
     >>> gs_codec.write("small.ply", gs_codec.read("small.egs"))
     """
     config = config or Config()
-    extra = config.chosen_extra(keeps=Path(path).suffix.lower() in PLAIN)
-    write_scene(path, from_cloud(cloud, extra), config, overwrite)
+    suffix = Path(path).suffix.lower()
+    extra = config.chosen_extra(keeps=suffix in PLAIN)
+    exact = suffix == ".egs" and config.profile == LOSSLESS
+    write_scene(path, from_cloud(cloud, extra, exact=exact), config, overwrite)
 
 
 @overload
@@ -213,7 +217,8 @@ def encode(
     """
     config = config or Config()
     check_levels(config, rate)
-    scene = from_cloud(source, config.chosen_extra())
+    exact = config.profile == LOSSLESS and plan is None
+    scene = from_cloud(source, config.chosen_extra(), exact=exact)
     with using_threads(config.threads):
         ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
         data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)

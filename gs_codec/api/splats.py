@@ -12,7 +12,8 @@ from numba import config
 from gs_codec.codecs.decode import ChosenPart, carried, choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
-from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.coding.clean import with_finite_ends
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
 from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
@@ -154,6 +155,8 @@ def encode_tensors(splats: Splats, config: Config | None = None, device: str = "
         "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],
     }  # fmt: skip
     scene = scene_of_tensors({name: each.detach().cpu().numpy() for name, each in tensors.items()})
+    if config.profile != LOSSLESS:
+        scene = with_finite_ends(scene)
     return b"".join(encode_camera_free(scene, config, device=device)[0])
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Option
 from gs_codec.errors import MissingTool
 from gs_codec.formats.cloud import from_cloud, to_cloud
@@ -50,7 +51,8 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     >>> len(data) < 60_000
     True
     """
-    return to_cloud(scene_of_tensors({name: _array(each) for name, each in tensors.items()}))
+    scene = scene_of_tensors({name: _array(each) for name, each in tensors.items()})
+    return to_cloud(with_finite_ends(scene))
 
 
 def to_tensors(cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy") -> dict[str, Any]:

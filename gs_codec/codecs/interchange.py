@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
+from gs_codec.coding.clean import finite_ends
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ROUNDED_FORMATS, Config
 from gs_codec.formats import packed_ply, spz
@@ -47,7 +48,7 @@ def decode_interchange(data: bytes | memoryview, config: Config, system: str = C
         path = Path(folder, f"scene.{config.format}")
         path.write_bytes(data)
         with open_scene(path) as file:
-            return turn_axes(file.scene(), system)
+            return turn_axes(finite_ends(file.scene(exact=True))[0], system)
 
 
 def _packed(

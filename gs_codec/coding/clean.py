@@ -1,10 +1,16 @@
-"""Clean a scene before coding: no NaN or infinity, no quaternions of norm 0."""
+"""Values of a scene that cannot be coded as they are.
+
+An opacity of +-infinity (1 or 0 after the sigmoid) and a log-scale of -infinity (flat) are values,
+which readers replace by finite ones. Other infinities and NaN are damage.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,37 +21,88 @@ from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import GROUPS, Scene
 
+log = logging.getLogger(__name__)
 
-def clean_scene(scene: Scene, config: Config) -> tuple[Scene, dict[str, Any]]:
+#: Logit that stands for an opacity of 1, and its negative for 0: within 2^-25 of them.
+_OPAQUE = 17.328679
+
+#: Logarithm of the scale that stands for 0, as a share of the longest axis of the Gaussian: 1e-5,
+#: less than a pixel. Least logarithm of an axis it is a share of. Much smaller scales would take
+#: many bits of centres.
+_FLAT, _LEAST_AXIS = -11.5, -20.0
+
+
+class Ends(NamedTuple):
+    """Number of Gaussians whose opacity was replaced, and of those with a scale that was."""
+
+    opacity: int
+    scale: int
+
+
+def finite_ends(scene: Scene) -> tuple[Scene, Ends]:
+    """Replace infinities that are values by finite numbers that look the same."""
+    ends, flat = np.isinf(scene.opacity), np.isneginf(scene.log_scale)
+    counts = Ends(int(np.count_nonzero(ends)), int(np.count_nonzero(flat.any(axis=0))))
+    if not any(counts):
+        return scene, counts
+    opacity, log_scale = (empty(p.shape, np.float32) for p in (scene.opacity, scene.log_scale))
+    opacity[:] = np.where(ends, np.copysign(np.float32(_OPAQUE), scene.opacity), scene.opacity)
+    longest = np.maximum(scene.log_scale.max(axis=0), np.float32(_LEAST_AXIS))
+    log_scale[:] = np.where(flat, longest + np.float32(_FLAT), scene.log_scale)
+    return replace(scene, opacity=opacity, log_scale=log_scale), counts
+
+
+def with_finite_ends(scene: Scene, where: str | Path = "") -> Scene:
+    """See `finite_ends`; logs what was replaced, and `where`."""
+    scene, counts = finite_ends(scene)
+    log_ends(counts, where)
+    return scene
+
+
+def log_ends(counts: Ends, where: str | Path = "") -> None:
+    """Log what `finite_ends` replaced, if anything, as one line."""
+    what = {"opacity 0 or 1": counts.opacity, "a scale of 0": counts.scale}
+    if any(counts):
+        found = " and ".join(f"{name} in {n:,} Gaussians" for name, n in what.items() if n)
+        where = f"{where}: " if where else ""
+        log.warning("%s%s, read as finite values that look the same", where, found)
+
+
+def clean_scene(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene, dict[str, Any]]:
     """Clean a scene; returns it and the fields of `EncodeReport` that count the changes.
 
-    Profile ``lossless`` keeps every float, unless it is to drop those that are not finite.
+    Profile ``lossless`` keeps every float, unless it is to drop Gaussians with NaN or infinity;
+    nothing may be left of a part of a scene that is not `whole`.
 
     Raises
     ------
     InvalidInput
-        If values are not finite and ``config.nonfinite`` is ``error``, except with ``lossless``.
+        If values are not finite and ``config.nonfinite`` is ``error``, except with ``lossless``; or
+        if no Gaussian is left.
     """
     exact = config.profile == LOSSLESS
     if exact and config.nonfinite == "error":
         return scene, {}
-    scene, dropped = drop_nonfinite(scene, config)
+    if not exact:
+        scene, _ = finite_ends(scene)
+    scene, dropped = drop_nonfinite(scene, config, whole)
     if exact:
         return scene, {"dropped": dropped}
     scene, zero_quaternions = identity_for_zero(scene)
     return scene, {"dropped": dropped, "zero_quaternions": zero_quaternions}
 
 
-def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
+def drop_nonfinite(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene, int]:
     """Drop Gaussians that hold NaN or infinity; returns the scene and their number.
 
     Raises
     ------
     InvalidInput
-        If there are any and ``config.nonfinite`` is ``error``.
+        If there are any and ``config.nonfinite`` is ``error``, or if the scene is `whole` and no
+        Gaussian is left.
     """
     planes = [(group, row) for group in GROUPS for row in getattr(scene, group)]
-    finite = run_all(lambda item: np.count_nonzero(np.isfinite(item[1])), planes)
+    finite = run_all(lambda item: np.count_nonzero(_sound(*item)), planes)
     bad: Counter[str] = Counter()
     for (group, row), count in zip(planes, finite, strict=True):
         bad[group] += row.size - count
@@ -54,8 +111,31 @@ def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
     if config.nonfinite == "error":
         listed = ", ".join(f"{n} in {group}" for group, n in bad.items() if n)
         raise InvalidInput(f"values that are not finite: {listed}; --nonfinite drop removes them")
-    keep = finite_gaussians(scene)
+    keep = sound_gaussians(scene)
+    if whole and not keep.any():
+        raise nothing_left(scene.count)
     return scene.take(keep), int(np.count_nonzero(~keep))
+
+
+def nothing_left(count: int) -> InvalidInput:
+    """The error that all Gaussians of a scene are damaged."""
+    return InvalidInput(f"no Gaussian is left of {count:,}: all hold NaN or infinity")
+
+
+def _sound(group: str, row: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which values of a channel are no damage."""
+    if group == "opacity":
+        return ~np.isnan(row)
+    return row < np.inf if group == "log_scale" else np.isfinite(row)
+
+
+def sound_gaussians(scene: Scene) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` hold neither NaN nor an infinity that is damage."""
+    sound = np.ones(scene.count, bool)
+    for group in GROUPS:
+        for row in getattr(scene, group):
+            sound &= _sound(group, row)
+    return sound
 
 
 def finite_gaussians(scene: Scene) -> NDArray[np.bool_]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.encode import encode_parts
+from gs_codec.coding.clean import nothing_left
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
 from gs_codec.distributed.blocks import Chunks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.chunks import quantise, save_quantised
@@ -120,7 +121,7 @@ def encode_with(
     """Encode a scene in tasks of about `size` Gaussians; see `encode_distributed`."""
     times = StageTimes()
     if not sources.count:
-        return _encode_nothing(sources, target, config, 0)
+        return _encode_nothing(sources, target, config)
     paths = [source.path for source in sources.listed]
     identity = identity_of(paths, config=asdict(config), size=size)
     with work_folder(target, identity) as folder, ExitStack() as stack:
@@ -129,7 +130,7 @@ def encode_with(
             looked = look(workers, job)
         count = sources.count - len(looked.dropped)
         if not count:
-            return _encode_nothing(sources, target, looked.config, sources.count)
+            raise nothing_left(sources.count)
         quantised, chosen, loss = _quantise_all(workers, job, looked, size, times)
         coded = code_blocks(workers, quantised, times)
         beside = carried_sections(sources.head, np.empty(0, np.int64))
@@ -223,9 +224,9 @@ def _quantise(
     save_quantised(job.folder, number, blocks, chunks.coefficients)
 
 
-def _encode_nothing(sources: Sources, target: Path, config: Config, dropped: int) -> EncodeReport:
+def _encode_nothing(sources: Sources, target: Path, config: Config) -> EncodeReport:
     """Encode a scene without Gaussians."""
     parts, report = encode_parts(sources.head, config)
     write_parts(target, parts)
     ratio = sources.ratio_bytes / report.file_bytes
-    return replace(report, dropped=dropped, input_bytes=sources.stored_bytes, ratio=ratio)
+    return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)

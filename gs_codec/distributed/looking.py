@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Bounds, blind_lattice
 from gs_codec.codecs.adaptive.arrange import sample_stride as lattice_stride
 from gs_codec.codecs.adaptive.lattice import Lattice
-from gs_codec.coding.clean import clean_scene, finite_gaussians
+from gs_codec.coding.clean import Ends, clean_scene, finite_ends, log_ends, sound_gaussians
 from gs_codec.config import Config
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.sources import Gaussians, Span
@@ -40,10 +40,11 @@ class Job:
     config: Config
 
     def clean(self, number: int) -> tuple[Scene, Scene, dict[str, Any]]:
-        """A span as it is, cleaned, and what was changed."""
-        scene = self.gaussians.read(self.spans[number])
+        """A span with finite ends, cleaned, and what was changed."""
+        scene, ends = finite_ends(self.gaussians.read(self.spans[number]))
         with located(self.spans[number].source.path):
-            return scene, *clean_scene(scene, self.config)
+            clean, changed = clean_scene(scene, self.config, whole=False)
+        return scene, clean, {"ends": ends, **changed}
 
     def save_scene(self, name: str, scene: Scene, **others: NDArray) -> None:
         """Keep the floats of a scene, and more, as a result."""
@@ -110,8 +111,9 @@ def look(workers: Workers, job: Job, calibrates: bool = True) -> Looked:
         sample = join_scenes([job.load_scene(f"sample-{k}") for k in range(number)])
         windows = choose_windows(sample, job.gaussians.count)
     do_all(workers, job.folder, "scan", partial(_look, job, windows), number)
-    names = ("dropped", "zeros", "bounds")
+    names = ("dropped", "zeros", "bounds", "ends")
     seen = [job.folder.load(f"scan-{k}", *names) for k in range(number)]
+    log_ends(Ends(*np.sum([each["ends"] for each in seen], axis=0).tolist()))
     config = job.config
     if windows.choosing:
         config = calibrated_by(sample, windows.choosing, *job.load_shown("scan", number), config)
@@ -158,7 +160,7 @@ def _look(job: Job, windows: Windows, number: int) -> None:
     scene, clean, changed = job.clean(number)
     gone = np.empty(0, np.int64)
     if changed["dropped"]:
-        gone = job.spans[number].first + np.flatnonzero(~finite_gaussians(scene))
+        gone = job.spans[number].first + np.flatnonzero(~sound_gaussians(scene))
     low = clean.positions.min(axis=1, initial=np.inf)
     high = clean.positions.max(axis=1, initial=-np.inf)
     job.save_shown(f"check-{number}", clean, find_shown(clean, windows.checking))
@@ -169,10 +171,11 @@ def _look(job: Job, windows: Windows, number: int) -> None:
         bounds=np.stack([low, high]),
         dropped=gone,
         zeros=np.array(changed["zero_quaternions"]),
+        ends=np.array(changed["ends"]),
     )
 
 
 def _pick(job: Job, stride: int, dropped: NDArray[np.int64], number: int) -> None:
     index = _numbers(job.spans[number], stride, dropped)
-    scene, _ = clean_scene(job.gaussians.pick(job.spans[number], index), job.config)
+    scene, _ = clean_scene(job.gaussians.pick(job.spans[number], index), job.config, whole=False)
     job.save_scene(f"pick-{number}", scene)

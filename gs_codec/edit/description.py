@@ -145,7 +145,7 @@ def statistics(cloud: PointCloud) -> Statistics:
     """
     from gs_codec.formats.cloud import from_cloud
 
-    return statistics_of(from_cloud(cloud, "keep"))
+    return statistics_of(from_cloud(cloud, "keep", exact=True))
 
 
 def statistics_of(scene: Scene) -> Statistics:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.matching import without_order
-from gs_codec.coding.clean import finite_gaussians
+from gs_codec.coding.clean import sound_gaussians
 from gs_codec.coding.morton import spatial_order
 from gs_codec.edit.actions import COMPARED, read_condition
 from gs_codec.edit.clouds import finite, on_clouds
@@ -152,6 +152,8 @@ def select_where(scene: Scene, name: str, compared: str, number: float) -> Scene
 def remove_nonfinite(scene: Scene) -> Scene:
     """Remove the Gaussians that hold NaN or infinity.
 
+    Infinite opacities, which are 0 or 1, and scales of 0 are no reason.
+
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
@@ -171,7 +173,7 @@ def remove_nonfinite(scene: Scene) -> Scene:
     --------
     >>> cloud = gs_codec.edit.remove_nonfinite(gs_codec.read("scene.ply"))
     """
-    return _keep(scene, _mask(scene, finite_gaussians))
+    return _keep(scene, _mask(scene, sound_gaussians))
 
 
 @on_clouds

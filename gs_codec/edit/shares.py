@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.clean import finite_gaussians
+from gs_codec.coding.clean import sound_gaussians
 from gs_codec.edit.distribution import finite_values, ranked
 from gs_codec.formats.packed_values import sigmoid
 from gs_codec.rendering.project import MIN_ALPHA
@@ -157,7 +157,8 @@ def _repetitions(words: NDArray[np.uint32]) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def _not_finite(scene: Scene) -> _Found:
-    return [("not finite", "NaN or infinity in an attribute", ~finite_gaussians(scene))]
+    rule = "NaN or infinity in an attribute; not opacity 0 or 1, nor a scale of 0"
+    return [("not finite", rule, ~sound_gaussians(scene))]
 
 
 _RULES: Mapping[str, Callable[[Scene], _Found]] = {

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
-from gs_codec.config import EGS, Config, RateTarget
+from gs_codec.config import EGS, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
@@ -127,7 +127,8 @@ def encode_file(
     done: tuple[ActionReport, ...] = ()
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            scene, input_bytes, counted = _read_source(source, config, max_bytes)
+            exact = config.profile == LOSSLESS and plan is None and not actions
+            scene, input_bytes, counted = _read_source(source, config, max_bytes, exact)
         with located(source):
             if actions:
                 with times.stage("edit"):
@@ -150,16 +151,15 @@ def encode_file(
 
 
 def _read_source(
-    source: str | Path, config: Config, max_bytes: int | None
+    source: str | Path, config: Config, max_bytes: int | None, exact: bool
 ) -> tuple[Scene, int, int]:
     """The scene of a file, its size, and the bytes that a ratio counts from."""
     with open_scene(source) as file:
         # Bits of a PLY or .egs stay as they are, and the comment that names another system, which
         # other formats do not state.
         stays = config.format == EGS and file.format in ("egs", "ply")
-        scene = scene_in(
-            file, config.chosen_extra(), None, None if stays else CONVENTION, max_bytes
-        )
+        system = None if stays else CONVENTION
+        scene = scene_in(file, config.chosen_extra(), None, system, max_bytes, exact)
         return scene, file.stored_bytes, file.ratio_bytes(scene.float_bytes)
 
 

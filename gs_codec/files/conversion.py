@@ -157,9 +157,10 @@ def convert_file(
     if own is not None and wanted.upper() not in ("KEEP", CONVENTION, own):
         raise InvalidInput(f"{target}: coordinates {wanted!a:.20}, expected {own} of its format")
     dropped, times = 0, StageTimes()
+    exact = suffix == ".egs" and config.profile == LOSSLESS and not actions
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            scenes = [_read(each, config, stated, progress, max_bytes) for each in sources]
+            scenes = [_read(each, config, stated, progress, max_bytes, exact) for each in sources]
         with located(" + ".join(map(str, sources))):
             before = system_of(scenes[0])
             with times.stage("edit"):
@@ -204,9 +205,14 @@ def _choose(scenes: Sequence[Scene], chosen: NDArray[np.bool_]) -> Scene:
 
 
 def _read(
-    source: str | Path, config: Config, stated: str, progress: Progress | None, most: int | None
+    source: str | Path,
+    config: Config,
+    stated: str,
+    progress: Progress | None,
+    most: int | None,
+    exact: bool,
 ) -> Scene:
     """The scene of a file in the system that it states, or that is said to be its."""
-    scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most)
+    scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most, exact)
     with located(source):
         return state_system(scene, stated.upper()) if stated else scene

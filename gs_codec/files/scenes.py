@@ -19,7 +19,7 @@ from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.coding.clean import clean_scene
+from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
@@ -93,7 +93,8 @@ def _measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | 
 
     clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
     with open_scene(path) as file:
-        return Check.by_plan(clean, None).measure(turn_axes(file.scene()))
+        decoded, _ = finite_ends(file.scene(exact=True))
+        return Check.by_plan(clean, None).measure(turn_axes(decoded))
 
 
 _WRITERS: Mapping[str, Callable[[str | Path, Scene], tuple[str, ...]]] = {
@@ -135,13 +136,15 @@ def read_scene(
     progress: Progress | None = None,
     coordinates: str | None = CONVENTION,
     max_bytes: int | None = None,
+    exact: bool = False,
 ) -> Scene:
     """The scene of a file of any format; see `gs_codec.read` for the options.
 
-    It is converted to the system `coordinates`; None leaves it in the file's.
+    It is converted to the system `coordinates`; None leaves it in the file's. If `exact`, floats
+    are as in the file, those of infinite opacity too.
     """
     with open_scene(path) as file:
-        return scene_in(file, extra, progress, coordinates, max_bytes)
+        return scene_in(file, extra, progress, coordinates, max_bytes, exact)
 
 
 def scene_in(
@@ -150,6 +153,7 @@ def scene_in(
     progress: Progress | None,
     coordinates: str | None,
     max_bytes: int | None,
+    exact: bool = False,
 ) -> Scene:
     """The scene of an opened file; see `read_scene`."""
     if file.format == "egs":
@@ -157,12 +161,13 @@ def scene_in(
             scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
             scene = matching.with_order(scene, matching.order_of_file(describe(read)))
             scene = scene_without(file.path, scene, extra)
+        scene = scene if exact else with_finite_ends(scene, file.path)
     elif current().limit is not None and not file.is_read_in_parts:
         raise InvalidInput(
             f"{file.path}: max-memory: only .egs and binary PLY of floats are read in parts"
         )
     else:
-        scene = file.scene(extra, max_bytes)
+        scene = file.scene(extra, max_bytes, exact)
     with located(file.path):
         return scene if coordinates is None else turn_scene(scene, coordinates)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import listed, say_left_out
@@ -53,13 +54,17 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
 
 
 def from_cloud(
-    cloud: open3d.t.geometry.PointCloud, extra: Extra = "error", tell: bool = True
+    cloud: open3d.t.geometry.PointCloud,
+    extra: Extra = "error",
+    tell: bool = True,
+    exact: bool = False,
 ) -> Scene:
     """The scene of a point cloud with the attributes that `gs_codec.read` lists.
 
     One of ``log_scale`` and ``scale`` is enough. If both are present, they must agree, so that an
     edit of one is never ignored. `extra` says what to do with other attributes and with normals
-    that are not all zero; if `tell`, a log message names those that are left out.
+    that are not all zero; if `tell`, a log message names those that are left out. Infinities that
+    are values become finite, see `finite_ends`, unless `exact`.
 
     Raises
     ------
@@ -99,7 +104,8 @@ def from_cloud(
             kept |= {f"n{axis}": arrays[name][:, i] for i, axis in enumerate("xyz")}
         else:
             kept[name] = _column(name, arrays[name])
-    return Scene(**planes, has_normals=zero_normals, extra=kept)
+    scene = Scene(**planes, has_normals=zero_normals, extra=kept)
+    return scene if exact else with_finite_ends(scene)
 
 
 def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geometry.PointCloud:

@@ -19,6 +19,7 @@ from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.gltf_file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
+    Clipped,
     check_finite,
     left_out,
     sigmoid,
@@ -219,13 +220,14 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
     if not scene.count:
         raise InvalidInput("no Gaussians, glTF has at least one")
     turned = turn_axes(scene, _SYSTEM)
+    clipped = Clipped()
     share = sigmoid(turned.opacity.astype(np.float64))
     colours = np.concatenate([0.5 + SH_C0 * turned.f_dc.astype(np.float64), share])
     planes = {
         "POSITION": turned.positions,
         "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
         f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
-        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale, "glTF"),
+        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale, "glTF", clipped),
         f"{_EXTENSION}:OPACITY": share,
         _sh_name(0, 0): turned.f_dc,
     }
@@ -252,4 +254,5 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
         "meshes": [{"primitives": [primitive]}],
     }
     lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
-    return pack_document(document, arrays, as_text), (lost, *left_out(scene, flag=True))
+    data = pack_document(document, arrays, as_text)
+    return data, (lost, *clipped.sentences(), *left_out(scene, flag=True))

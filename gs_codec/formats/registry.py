@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
 
+from gs_codec.coding.clean import with_finite_ends
 from gs_codec.coding.extent import centre_bounds
 from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
@@ -149,14 +150,22 @@ class SceneFile:
         vertex = header.elements.get("vertex")
         return 0 if vertex is None else 4 * vertex.count * len(vertex.types)
 
-    def scene(self, extra: Extra = "keep", max_bytes: int | None = None) -> Scene:
+    def scene(
+        self, extra: Extra = "keep", max_bytes: int | None = None, exact: bool = False
+    ) -> Scene:
         """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`.
+
+        Infinities that are values become finite, see `finite_ends`, unless `exact`.
 
         Raises
         ------
         InvalidInput
             If it is not a valid file of its format, or is larger than `max_bytes`.
         """
+        scene = self._scene(extra, max_bytes)
+        return scene if exact else with_finite_ends(scene, self.path)
+
+    def _scene(self, extra: Extra, max_bytes: int | None) -> Scene:
         if self.format == "ply":
             return scene_of(self.ply, extra, max_bytes)
         readers = {

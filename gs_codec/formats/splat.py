@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.activated import linear_scales, log_scales_of
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
@@ -31,9 +32,6 @@ _ROW = np.dtype(
 #: Bytes of a Gaussian.
 RECORD = _ROW.itemsize
 
-#: Largest log-scale whose scale is a finite float32.
-_LARGEST = 88.0
-
 
 def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.splat` file; see `SceneFile.scene`."""
@@ -44,15 +42,13 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
             )
         check_count(len(data) // RECORD, 0, len(data), max_bytes)
         rows = np.frombuffer(bytes(data), _ROW)
-    with np.errstate(divide="ignore", invalid="ignore"):  # non-finite values are reported later
-        log_scale = np.log(rows["scale"].T.astype(np.float64))
     colour = rows["colour"].T
     return Scene(
         np.ascontiguousarray(rows["position"].T),
         sh_of_colours(colour[:3] / 255),
         np.empty((0, len(rows)), np.float32),
         opacities_of(path, colour[3]),
-        np.ascontiguousarray(log_scale, np.float32),
+        np.ascontiguousarray(log_scales_of(rows["scale"].T)),
         np.ascontiguousarray((rows["rot"].T.astype(np.float32) - 128) / 128),
     )
 
@@ -68,14 +64,11 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     check_finite(scene, ".splat")
     if not scene.count:
         raise InvalidInput("no Gaussians, .splat has at least one")
-    if scene.log_scale.max(initial=0) > _LARGEST:
-        raise InvalidInput(f"log-scale {scene.log_scale.max()}, .splat holds up to {_LARGEST}")
-    rows = np.empty(scene.count, _ROW)
+    rows, clipped = np.empty(scene.count, _ROW), Clipped()
     rows["position"] = scene.positions.T
     with np.errstate(under="ignore"):
-        rows["scale"] = np.exp(scene.log_scale).T
+        rows["scale"] = linear_scales(scene.log_scale, ".splat", clipped).T
     colour = 255 * (0.5 + SH_C0 * scene.f_dc.astype(np.float64))
-    clipped = Clipped()
     rows["colour"][:, :3] = clipped.limited("colours", np.rint(colour), 0, 255).T
     rows["colour"][:, 3] = np.rint(255 * sigmoid(scene.opacity[0].astype(np.float64)))
     rot = np.rint(128 * unit_quaternions(scene.rot))

@@ -20,7 +20,13 @@ from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.limits import check_count, most_bytes, refusing
-from gs_codec.formats.packed_values import check_finite, left_out, sigmoid, unit_quaternions
+from gs_codec.formats.packed_values import (
+    Clipped,
+    check_finite,
+    left_out,
+    sigmoid,
+    unit_quaternions,
+)
 from gs_codec.formats.similarity import move_scene
 from gs_codec.formats.usd_names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.formats.zip_file import ZIP, write_zip
@@ -151,7 +157,8 @@ def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
     """
     require_usd_core()
     check_finite(scene, "USD")
-    stage = _stage(turn_axes(scene, _SYSTEM))
+    clipped = Clipped()
+    stage = _stage(turn_axes(scene, _SYSTEM), clipped)
     name = f"scene{'.usdc' if suffix == '.usdz' else suffix}"
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         path = Path(folder, name)
@@ -162,10 +169,10 @@ def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
         write_zip(zipped, {name: data}, _MULTIPLE)
         data = zipped.getvalue()
     lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
-    return data, (lost, *left_out(scene, flag=True))
+    return data, (lost, *clipped.sentences(), *left_out(scene, flag=True))
 
 
-def _stage(scene: Scene) -> Any:
+def _stage(scene: Scene, clipped: Clipped) -> Any:
     """A stage with the scene as its only prim."""
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
@@ -181,7 +188,7 @@ def _stage(scene: Scene) -> Any:
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Scene")
     stage.SetDefaultPrim(splats.GetPrim())
-    scales = linear_scales(scene.log_scale, "USD")
+    scales = linear_scales(scene.log_scale, "USD", clipped)
     splats.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(rows(scene.positions)))
     rotations = rows(unit_quaternions(scene.rot)[[1, 2, 3, 0]])
     splats.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(rotations))

@@ -90,7 +90,7 @@ def sample_of(scene: Scene) -> Scene:
 
 def cleaned(sample: Scene) -> Scene:
     """A sample without Gaussians that are not finite."""
-    return clean_scene(sample, Config(nonfinite="drop"))[0]
+    return clean_scene(sample, Config(nonfinite="drop"), whole=False)[0]
 
 
 def choose_windows(sample: Scene, count: int) -> Windows:

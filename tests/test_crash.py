@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from scenes import random_scene
 from gs_codec.cli import main as cli
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
+from gs_codec.files.scenes import write_scene
 from gs_codec.formats.ply import write_ply
 from gs_codec.runtime import atomic
 from gs_codec.runtime.atomic import atomic_writer
@@ -210,6 +212,43 @@ def test_a_folder_without_permission_is_one_line(folder, name, capsys, monkeypat
     Path("locked").mkdir()
     line = refused(WRITING[name].format("locked"), capsys, monkeypatch)
     assert "no permission to write in 'locked'" in line or "'locked' is not writable" in line
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "encode scene.ply out.egs",
+        "encode scene.ply out.egs --max-memory 1GB",
+        "convert scene.ply out.spz",
+        "decode scene.egs out.ply",
+        "convert scene.egs out.ply --max-memory 1GB",
+        "convert scene.splat out.ply",
+    ],
+)
+@pytest.mark.parametrize("reads", [1, 2])
+def test_a_file_that_is_truncated_while_it_is_read_is_one_line(
+    folder, command, reads, capsys, monkeypatch
+):
+    """A mapped file would end the process by SIGBUS."""
+    monkeypatch.chdir(folder)
+    if "splat" in command:
+        write_scene("scene.splat", random_scene(200, 0, seed=70), Config())
+    source, size = command.split()[1], 100 * reads
+    done: list[int] = []
+
+    def truncating(*arguments: Any) -> int:
+        done.append(reading(*arguments))
+        if len(done) == reads:
+            os.truncate(source, size)
+        return done[-1]
+
+    reading = os.preadv
+    monkeypatch.setattr(os, "preadv", truncating)
+    line = refused(command, capsys, monkeypatch)
+    truncated = f"truncated while it was read: {size} bytes, expected"
+    assert f"{source}: {truncated}" in line or f"{source}: was changed while it was read" in line
+    assert line.count(source) == 1
+    assert not list(Path().glob("out.*"))
 
 
 def test_output_that_nothing_takes_is_one_line(folder):

@@ -22,7 +22,7 @@ from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.selection import select_blocks
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
-from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, SectionId, read_file
+from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, Readable, SectionId, read_file
 from gs_codec.egs.index import index_of
 from gs_codec.egs.levels import levels_of, open_level, within
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
@@ -38,7 +38,7 @@ _SLAB = 1 << 18
 
 
 def decode_scene(
-    data: bytes | memoryview,
+    data: bytes | Readable,
     threads: int | None = None,
     max_bytes: int | None = None,
     progress: Progress | None = None,
@@ -47,7 +47,7 @@ def decode_scene(
     return decode_part(data, Part(), threads, max_bytes, progress)[0]
 
 
-def decode_as(config: Config, data: bytes | memoryview, progress: Progress | None = None) -> Scene:
+def decode_as(config: Config, data: bytes | Readable, progress: Progress | None = None) -> Scene:
     """Decode what was encoded by a configuration, which names its format."""
     if config.format == EGS:
         return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
@@ -55,7 +55,7 @@ def decode_as(config: Config, data: bytes | memoryview, progress: Progress | Non
 
 
 def decode_part(
-    data: bytes | memoryview,
+    data: bytes | Readable,
     part: Part,
     threads: int | None = None,
     max_bytes: int | None = None,
@@ -114,7 +114,7 @@ def _kept(scene: Scene) -> Scene:
 
 
 def choose_part(
-    data: bytes | memoryview,
+    data: bytes | Readable,
     part: Part,
     max_bytes: int | None = None,
     tmc3: str | Path | None = None,

@@ -18,7 +18,7 @@ from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
-from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file, section_label
+from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Readable, SectionId, read_file, section_label
 from gs_codec.egs.index import Box, bounds_of
 from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
@@ -191,7 +191,7 @@ class Info:
         return plain
 
 
-def inspect_bytes(data: bytes | memoryview) -> Info:
+def inspect_bytes(data: bytes | Readable) -> Info:
     """Describe a stream by its header and the sections that describe its blocks, without these.
 
     Raises

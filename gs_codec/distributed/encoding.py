@@ -138,7 +138,7 @@ def encode_with(
             with times.stage("levels"):
                 levels = code_levels(workers, coded, sources.head, config, size)
             for number, path in enumerate(levels, 1):
-                data = stack.enter_context(opened(path))
+                data = stack.enter_context(opened(path))[:]
                 beside.append(Section(SectionId.LEVEL, number, data, optional=True))
         with times.stage("write"):
             sized = write_blocks(target, coded, beside)

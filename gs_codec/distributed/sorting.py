@@ -75,7 +75,7 @@ def planes_of(scene: Scene) -> list[NDArray[np.float32]]:
 
 def scene_of_rows(rows: NDArray[np.float32], head: Scene) -> Scene:
     """The scene whose planes are the columns of ``rows (N, C)``; the rest is that of `head`."""
-    planes = to_planes(rows, list(range(rows.shape[1])))
+    planes = to_planes(rows)
     sizes = group_rows(len(head.f_rest) // 3)
     ends = np.cumsum([sizes[group] for group in GROUPS])[:-1]
     groups: dict[str, Any] = dict(zip(GROUPS, np.split(planes, ends), strict=True))

@@ -15,6 +15,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.egs.header import FIELDS, TOO_LARGE, Feature, Header, pack_header, unpack_header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.arrays import current
+from gs_codec.runtime.mapped import FileBytes
 
 Parsed = TypeVar("Parsed")
 
@@ -29,6 +30,9 @@ MINOR, MINOR_LEVELS = 0, 1
 _START = "<8sHHI"
 _ENTRY = "<HHIQI"
 _OPTIONAL_FLAG = 1
+
+#: Bytes of the checksum that ends the header.
+_CHECKSUM = 4
 
 #: Sections begin at multiples of this from the start of the file.
 _ALIGNMENT = 4
@@ -103,6 +107,9 @@ _FEATURE_SECTIONS = {
 #: Sections of a block that come after those of all blocks that are not listed, in this order.
 _LATER = (SectionId.SH1, SectionId.SH2, SectionId.SH3)
 
+#: What a file is read from.
+Readable = memoryview | FileBytes
+
 #: ``wanted(id, block)`` tells whether to read a section.
 Wanted = Callable[[int, int], bool]
 
@@ -135,7 +142,7 @@ class EgsFile:
     """A file with its checked header and those of its sections that were read and checked."""
 
     header: Header
-    data: memoryview
+    data: Readable
     header_size: int
     table: dict[tuple[int, int], Entry]
     sections: dict[tuple[int, int], memoryview]
@@ -221,7 +228,7 @@ def _padded(size: int) -> int:
 
 def _header_size(sections: int) -> int:
     fixed = struct.calcsize(_START) + struct.calcsize("<" + FIELDS) + 4
-    return fixed + sections * struct.calcsize(_ENTRY) + 4
+    return fixed + sections * struct.calcsize(_ENTRY) + _CHECKSUM
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
@@ -270,7 +277,7 @@ def padded_parts(section: Section) -> list[bytes | memoryview]:
     return [section.data, bytes(_padded(size) - size)]
 
 
-def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile:
+def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
     """Parse a file and check it.
 
     Parameters
@@ -284,10 +291,11 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     ------
     TruncatedStream, CorruptStream, UnsupportedVersion
     """
-    view = memoryview(data)
+    view = data if isinstance(data, FileBytes) else memoryview(data)
     if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:
         raise CorruptStream("not an .egs file (it does not begin with the EGS signature)")
-    reader = ByteReader(view, "header")
+    start = view[: _header_size(0) - _CHECKSUM]
+    reader = ByteReader(start, "header")
     _, version, _, header_size = reader.unpack(_START[1:])
     fields = reader.unpack(FIELDS)
     entries = reader.unpack("I")[0]
@@ -298,17 +306,17 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     needed, left = expected - reader.position, len(view) - reader.position
     if left < needed:
         raise TruncatedStream(f"header: {left} bytes of section table, expected {needed}")
-    table = [reader.unpack(_ENTRY[1:]) for _ in range(entries)]
-    checksum = crc32c(view[: reader.position])
-    if reader.unpack("I")[0] != checksum:
+    rest = view[reader.position : expected]
+    listed, checksum = rest[:-_CHECKSUM], rest[-_CHECKSUM:]
+    if int.from_bytes(checksum, "little") != crc32c(listed, crc32c(start)):
         raise CorruptStream("header: checksum does not match")
     header = unpack_header(*fields)
     if version != header.version:
         named = ", ".join(header.features.labels) or "none"
         raise CorruptStream(f"header: version {version} with features: {named}")
-    located = _locate(reader.position, len(view), header, table)
+    located = _locate(expected, len(view), header, list(struct.iter_unpack(_ENTRY, listed)))
     _check_features(header.features, located)
-    return EgsFile(header, view, reader.position, located, {}, version).read(wanted)
+    return EgsFile(header, view, expected, located, {}, version).read(wanted)
 
 
 def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> None:

@@ -30,7 +30,7 @@ from gs_codec.formats.tensors import (
 )
 from gs_codec.formats.zip_file import opened_zip, read_entry, write_zip
 from gs_codec.runtime.atomic import atomic_writer
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ _MULTIPLE = 64
 _MODEL = "_model.gauss_params."
 
 
-def is_checkpoint(data: memoryview) -> bool:
+def is_checkpoint(data: FileBytes) -> bool:
     """Whether the first entry of a zip file is the pickle of a checkpoint."""
     name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
     return name.rpartition(b"/")[2] == PICKLE.encode()

@@ -80,7 +80,7 @@ def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
     coefficients = 0 if sh is None else _check_sh(sh.types, sh.count, vertex.count)
     degree = SH_COEFFICIENTS.index(coefficients)
     check_count(vertex.count, degree, len(ply.data), max_bytes)
-    rows, limits = ply.rows("vertex"), ply.rows("chunk")
+    rows, limits = ply.rows("vertex").all(), ply.rows("chunk").all()
     position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in _PACKED)
     rgba = np.stack([(colour >> shift) & 255 for shift in (24, 16, 8, 0)]).astype(np.uint8)
     shares = rgba[:3] / 255
@@ -151,7 +151,7 @@ def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
     share = (np.arange(256) + 0.5) / 256
     share[[0, 255]] = 0, 1
     values = ((share - 0.5) * 8).astype(np.float32)
-    rows = ply.rows("sh")
+    rows = ply.rows("sh").all()
     for i, plane in enumerate(planes):
         plane[:] = values[rows[f"f_rest_{i}"]]
     return planes

@@ -16,7 +16,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import refuse_beyond, say_left_out
 from gs_codec.formats.limits import check_bytes
 from gs_codec.formats.packed_ply import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
-from gs_codec.formats.ply_body import Ply, ply_of, to_planes, to_rows
+from gs_codec.formats.ply_body import Ply, Rows, ply_of, to_rows
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
@@ -82,7 +82,7 @@ def scene_of(
         elements = _other_elements(ply, PACKED_ELEMENTS if packed else ("vertex",))
         if packed:
             return _read_packed(ply, elements, extra, max_bytes)
-        data = ply.rows("vertex")[index]
+        data = ply.rows("vertex").pick(index)
     groups, colours = _find_groups(path, data.dtype)
     wanted = [name for group in GROUPS for name in groups[group]]
     row = 4 * len(wanted)
@@ -90,19 +90,24 @@ def scene_of(
         row += sum(data.dtype[name].itemsize for name in set(data.dtype.names or ()) - {*wanted})
     with located(path):
         check_bytes(len(data) * row, len(data), len(ply.data), max_bytes)
-    planes = _read_planes(path, data, wanted)
+    used = {*wanted}
+    others = [name for name in data.dtype.names or () if name not in used]
+    normals = [*NORMALS] if set(NORMALS) <= set(others) else []
+    kept = [name for name in others if extra == "keep" and is_extra_name(name)]
+    planes, columns, given = _read_columns(path, data, wanted, kept, normals)
+    if not given:
+        others = [name for name in others if name not in normals]
+        columns = {name: column for name, column in columns.items() if name not in normals}
     if colours:
         planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0
     bounds = np.cumsum([0] + [len(groups[group]) for group in GROUPS])
     parts = {g: planes[a:b] for g, a, b in zip(GROUPS, bounds[:-1], bounds[1:], strict=True)}
-    others, has_normals = _others(data, set(wanted), extra)
+    has_normals = bool(normals) and not set(normals) & set(columns)
     with located(path):
         if extra == "error":
             refuse_beyond(others, elements)
-        kept = [name for name in others if extra == "keep" and is_extra_name(name)]
         if tell:
-            say_left_out(path, [name for name in others if name not in kept], elements)
-        columns = {name: _column(data[name]) for name in kept}
+            say_left_out(path, [name for name in others if name not in columns], elements)
         return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=columns)
 
 
@@ -146,41 +151,42 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
     return groups, colours
 
 
-def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[np.float32]:
-    """Planes of the wanted properties; fast, directly from the mapped rows, if all are float32."""
-    names = list(data.dtype.names or ())
-    packed = data.dtype.itemsize == 4 * len(names)
-    if packed and all(data.dtype[name] == np.dtype("<f4") for name in names):
-        rows = np.ascontiguousarray(data).view("<f4").reshape(len(data), len(names))
-        return to_planes(rows, [names.index(name) for name in wanted])
-    planes = empty((len(wanted), len(data)), np.float32)
-    for plane, name in zip(planes, wanted, strict=True):
-        with np.errstate(over="ignore", invalid="ignore"):
-            plane[:] = data[name]
-            changed = int(np.count_nonzero((plane != data[name]) & (data[name] == data[name])))
+def _read_columns(
+    path: str | Path, rows: Rows, wanted: list[str], kept: list[str], normals: list[str]
+) -> tuple[NDArray[np.float32], dict[str, NDArray], bool]:
+    """Planes of the wanted properties, columns to keep, and whether there are normals, in one pass.
+
+    Normals are written back as +0, so a -0 that is to be kept is one.
+    """
+    planes = empty((len(wanted), len(rows)), np.float32)
+    columns = {name: empty((len(rows),), rows.dtype[name].newbyteorder("=")) for name in kept}
+    rounded: list[tuple[str, int]] = []
+    given: list[bool | np.bool] = []
+
+    def use(place: slice, tile: NDArray) -> None:
+        for plane, name in zip(planes, wanted, strict=True):
+            if count := _fill(plane[place], tile[name]):
+                rounded.append((name, count))
+        for name, column in columns.items():
+            column[place] = tile[name]
+        for name in normals:
+            given.append(tile[name].any() or (name in columns and np.signbit(tile[name]).any()))
+
+    rows.for_tiles(use)
+    for name in wanted:
+        changed = sum(count for other, count in rounded if other == name)
         if changed:
             log.warning("%s: %s rounded to float32 in %d Gaussians", path, name, changed)
-    return planes
+    return planes, columns, any(given)
 
 
-def _others(data: NDArray, used: set[str], extra: Extra) -> tuple[list[str], bool]:
-    """Properties beyond the layout, and whether there are normals to restore as zeros."""
-    others = [name for name in data.dtype.names or () if name not in used]
-    normals = [name for name in NORMALS if name in others]
-    if len(normals) < 3:
-        return others, False
-    # Normals are written back as +0, so with "keep" a -0 makes them extra properties.
-    differs = np.signbit if extra == "keep" else np.zeros_like
-    if not any(np.any(data[n]) or np.any(differs(data[n])) for n in normals):
-        others = [name for name in others if name not in normals]
-    return others, extra != "keep" or normals[0] not in others
-
-
-def _column(values: NDArray) -> NDArray:
-    """A copy of a property of the mapped rows, in the byte order of this machine."""
-    column = empty((len(values),), values.dtype.newbyteorder("="))
-    column[:] = values
-    return column
+def _fill(plane: NDArray[np.float32], column: NDArray) -> int:
+    """Fill a plane; return how many numbers were rounded."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        plane[:] = column
+        if np.can_cast(column.dtype, np.float32):
+            return 0
+        return int(np.count_nonzero((plane != column) & ~np.isnan(column)))
 
 
 def write_ply(path: str | Path, scene: Scene) -> tuple[()]:

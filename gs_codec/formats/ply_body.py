@@ -5,20 +5,19 @@ from __future__ import annotations
 import io
 import logging
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice, takewhile
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyParseError
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.ply_header import Element, PlyHeader, read_header
-from gs_codec.runtime.arrays import current, empty
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.threads import run_all
 
 log = logging.getLogger(__name__)
@@ -28,13 +27,13 @@ _TILE = 4096
 _CHUNK = 1 << 16
 
 
-def to_planes(rows: NDArray[np.float32], columns: list[int]) -> NDArray[np.float32]:
-    """Planes ``(C, N)`` of C columns of ``rows (N, P)``."""
-    planes = empty((len(columns), len(rows)), np.float32)
+def to_planes(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Planes ``(C, N)`` of rows ``(N, C)``."""
+    planes = empty((rows.shape[1], len(rows)), np.float32)
 
     def gather(start: int, stop: int) -> None:
-        for channel, column in enumerate(columns):
-            planes[channel, start:stop] = rows[start:stop, column]
+        for channel, plane in enumerate(planes):
+            plane[start:stop] = rows[start:stop, channel]
 
     _for_tiles(gather, len(rows))
     return planes
@@ -52,7 +51,7 @@ def to_rows(planes: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return rows
 
 
-def _for_tiles(move, count: int) -> None:
+def _for_tiles(move: Callable[[int, int], None], count: int) -> None:
     def run(start: int) -> None:
         end = min(start + _CHUNK, count)
         for tile in range(start, end, _TILE):
@@ -62,17 +61,63 @@ def _for_tiles(move, count: int) -> None:
 
 
 @dataclass(frozen=True)
+class Rows:
+    """Rows of an element, which are read tile by tile.
+
+    Attributes
+    ----------
+    dtype : numpy.dtype
+        Type of a row; its fields are the properties.
+    count : int
+        Number of rows.
+    read : callable
+        ``read(start, stop)`` returns these rows, ``(stop - start,)``.
+    """
+
+    dtype: np.dtype
+    count: int
+    read: Callable[[int, int], NDArray]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def for_tiles(self, use: Callable[[slice, NDArray], None]) -> None:
+        """Call ``use(place, rows)`` with all rows, tile by tile, from several threads."""
+        _for_tiles(lambda a, b: use(slice(a, b), self.read(a, b)), self.count)
+
+    def all(self) -> NDArray:
+        """All rows at once."""
+        return self.read(0, self.count)
+
+    def pick(self, index: slice | NDArray[np.int64]) -> Rows:
+        """The rows that `index` selects; a slice is of step 1."""
+        if isinstance(index, slice):
+            first, end, _ = index.indices(self.count)
+            size = max(end - first, 0)
+            return Rows(self.dtype, size, lambda a, b: self.read(first + a, first + b))
+
+        def read(start: int, stop: int) -> NDArray:
+            wanted = index[start:stop]
+            found = np.empty(len(wanted), self.dtype)
+            for tile in np.unique(wanted // _TILE).tolist():
+                own, first = wanted // _TILE == tile, tile * _TILE
+                rows = self.read(first, min(first + _TILE, self.count))
+                found[own] = rows[wanted[own] - first]
+            return found
+
+        return Rows(self.dtype, len(index), read)
+
+
+@dataclass(frozen=True)
 class Ply:
-    """A PLY file, mapped: `data` has all its bytes."""
+    """A PLY file: `data` has all its bytes."""
 
     path: Path
     header: PlyHeader
-    data: NDArray[np.uint8]
+    data: FileBytes
 
-    def rows(self, name: str) -> NDArray:
-        """Structured rows of an element; for a binary file, a view of the file as plyfile maps it.
-
-        plyfile takes 9 times as long as this module for the rows of a text file.
+    def rows(self, name: str) -> Rows:
+        """Rows of an element; those of a text file are read at once.
 
         Raises
         ------
@@ -89,7 +134,7 @@ class Ply:
             return self._binary_rows(element, before)
         return self._text_rows(element, sum(e.count for e in before if e.types or e.lists))
 
-    def _binary_rows(self, element: Element, before: list[Element]) -> NDArray:
+    def _binary_rows(self, element: Element, before: list[Element]) -> Rows:
         start = self.header.size
         for other in before:
             if other.lists and other.count:
@@ -107,23 +152,16 @@ class Ply:
         if len(before) == len(self.header.elements) - 1 and end < len(self.data):
             surplus = len(self.data) - end
             log.warning("%s: %d bytes after the last %s not read", self.path, surplus, element.name)
-        if start == end:
-            return np.empty(0, dtype)
-        head = io.BytesIO(element.header(self.header.byte_order))
-        with refusing(f"element '{element.name}'", PlyParseError), open(self.path, "rb") as file:
-            if file.read(self.header.size) != self.data[: self.header.size].tobytes():
-                raise InvalidInput("the file was replaced while it was read")
-            file.seek(start)
-            # plyfile reads this header only, and maps the rows where the file stands.
-            part = SimpleNamespace(
-                read=head.read, tell=file.tell, seek=file.seek, fileno=file.fileno
-            )
-            rows = PlyData.read(part, mmap="r")[element.name].data
-        current().watch(rows._mmap)
-        return rows.view(dtype, np.ndarray)
 
-    def _text_rows(self, element: Element, skipped: int) -> NDArray:
-        body = self.data[self.header.size :].tobytes()
+        def read(first: int, last: int) -> NDArray:
+            data = np.empty((last - first) * dtype.itemsize, np.uint8)
+            self.data.read_into(data, start + first * dtype.itemsize)
+            return data.view(dtype) if dtype.itemsize else np.empty(last - first, dtype)
+
+        return Rows(dtype, element.count, read)
+
+    def _text_rows(self, element: Element, skipped: int) -> Rows:
+        body = bytes(self.data[self.header.size :])
         # A number takes at least a digit and a space.
         if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
             raise InvalidInput(
@@ -142,7 +180,8 @@ class Ply:
                 f"element '{element.name}': {len(table)} rows of {table.shape[1]} numbers, "
                 f"expected {element.count} of {len(element.types)}"
             )
-        return _typed(table, element)
+        rows = _typed(table, element)
+        return Rows(rows.dtype, len(rows), lambda first, last: rows[first:last])
 
 
 def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
@@ -156,9 +195,8 @@ def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
     return rows
 
 
-def ply_of(path: str | Path, data: memoryview) -> Ply:
+def ply_of(path: str | Path, data: FileBytes) -> Ply:
     """Read the header of a PLY file from its bytes; raises as `read_header` does."""
-    array = np.frombuffer(data, np.uint8)
     with located(path):
-        header = read_header(array)
-    return Ply(Path(path), header, array)
+        header = read_header(data)
+    return Ply(Path(path), header, data)

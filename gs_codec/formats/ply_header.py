@@ -6,12 +6,16 @@ import re
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.mapped import FileBytes
 
 #: Longest header. `.egs` files keep up to 2^20 bytes of comments; PLY adds a word to each line.
 _HEADER_BYTES = 1 << 24
+
+#: Bytes read first; a trainer's header has 1,500.
+_FIRST_BYTES = 1 << 16
+
 _PROPERTIES = 1 << 16
 _ELEMENTS = 64
 
@@ -54,13 +58,6 @@ class Element:
         """Type of a row in a binary file."""
         return np.dtype([(name, byte_order + code) for name, code in self.types.items()])
 
-    def header(self, byte_order: str) -> bytes:
-        """Header of a binary file of these rows alone; columns have numbers, which are short."""
-        form = next(name for name, order in _FORMATS.items() if order == byte_order)
-        lines = ["ply", f"format {form} 1.0", f"element {self.name} {self.count}"]
-        lines += [f"property {_CODES[code][0]} {i}" for i, code in enumerate(self.types.values())]
-        return "\n".join([*lines, "end_header", ""]).encode()
-
 
 @dataclass
 class PlyHeader:
@@ -86,7 +83,7 @@ class PlyHeader:
     size: int
 
 
-def read_header(data: NDArray[np.uint8]) -> PlyHeader:
+def read_header(data: memoryview | FileBytes) -> PlyHeader:
     """Read the header of a PLY file; the body is not touched.
 
     Raises
@@ -94,7 +91,7 @@ def read_header(data: NDArray[np.uint8]) -> PlyHeader:
     InvalidInput
         If it is not the header of a PLY file.
     """
-    lines, size = _split_lines(data[:_HEADER_BYTES].data)
+    lines, size = _split_lines(data)
     byte_order: str | None = None
     elements: dict[str, Element] = {}
     element: Element | None = None
@@ -122,14 +119,19 @@ def read_header(data: NDArray[np.uint8]) -> PlyHeader:
     return PlyHeader(byte_order, elements, tuple(comments), obj_info, size)
 
 
-def _split_lines(head: memoryview) -> tuple[list[str], int]:
+def _split_lines(data: memoryview | FileBytes) -> tuple[list[str], int]:
     """The lines between ``ply`` and ``end_header``, and where the body begins."""
+    head = data[:_FIRST_BYTES]
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
     if not start:
         raise _error(1, f"{bytes(head[:20])!a}, expected 'ply'")
     # Use one kind of line end: the first byte of the body may look like part of another kind.
     newline = start[1]
-    end = re.compile(rb"(?<=[\r\n])end_header[ \t]*" + newline).search(head, start.end())
+    ending = re.compile(rb"(?<=[\r\n])end_header[ \t]*" + newline)
+    end = ending.search(head, start.end())
+    if not end:
+        head = data[:_HEADER_BYTES]
+        end = ending.search(head, start.end())
     if not end:
         where = "beyond 16 MiB" if len(head) == _HEADER_BYTES else "early end-of-file"
         raise InvalidInput(f"not a readable PLY file (no end of the header: {where})")

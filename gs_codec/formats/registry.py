@@ -31,7 +31,7 @@ from gs_codec.formats import (
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
 from gs_codec.formats.zip_file import ZIP
-from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.mapped import FileBytes, opened
 from gs_codec.scene import Scene, float_bytes
 
 Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "usd", "ksplat", "pt", "streamed sog"]
@@ -63,7 +63,7 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
 _BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((spz_file.GZIP, "spz"), (b"{", "sog"))
 
 
-def _in_zip(data: memoryview) -> Format:
+def _in_zip(data: FileBytes) -> Format:
     """The format of a zip file, by its first entry."""
     if checkpoint.is_checkpoint(data):
         return "pt"
@@ -77,12 +77,12 @@ class SceneFile:
     Attributes
     ----------
     path : Path
-    data : memoryview
-        All bytes of the file, mapped.
+    data : FileBytes
+        The bytes of the file.
     """
 
     path: Path
-    data: memoryview
+    data: FileBytes
 
     @cached_property
     def format(self) -> Format:
@@ -104,6 +104,10 @@ class SceneFile:
         return _BY_SUFFIX[suffix]
 
     @cached_property
+    def _whole(self) -> memoryview:
+        return self.data[:]
+
+    @cached_property
     def ply(self) -> Ply:
         """The file as a PLY, with its header read."""
         return ply_of(self.path, self.data)
@@ -122,8 +126,8 @@ class SceneFile:
     def stored_bytes(self) -> int:
         """Size of the scene, bytes: of this file, or of all files of a SOG scene."""
         if self.format == "streamed sog":
-            return streamed_sog.streamed_bytes(self.path, self.data)
-        return sog.sog_bytes(self.path, self.data) if self.format == "sog" else len(self.data)
+            return streamed_sog.streamed_bytes(self.path, self._whole)
+        return sog.sog_bytes(self.path, self._whole) if self.format == "sog" else len(self.data)
 
     def ratio_bytes(self, raw_bytes: int) -> int:
         """Bytes that a ratio counts from: of a PLY, or the floats' `raw_bytes` if compressed."""
@@ -141,7 +145,7 @@ class SceneFile:
             "pt": checkpoint.stated_size,
         }
         if self.format in sizes:
-            return float_bytes(*sizes[self.format](self.path, self.data))
+            return float_bytes(*sizes[self.format](self.path, self._whole))
         if self.format == "splat":
             return float_bytes(len(self.data) // splat.RECORD, 0)
         header = self.ply.header
@@ -167,7 +171,13 @@ class SceneFile:
 
     def _scene(self, extra: Extra, max_bytes: int | None) -> Scene:
         if self.format == "ply":
-            return scene_of(self.ply, extra, max_bytes)
+            scene = scene_of(self.ply, extra, max_bytes)
+        else:
+            scene = self._read_whole(max_bytes)
+        self.data.check_unchanged()
+        return scene
+
+    def _read_whole(self, max_bytes: int | None) -> Scene:
         readers = {
             "splat": splat.read_splat,
             "spz": spz.read_spz,
@@ -178,7 +188,7 @@ class SceneFile:
             "ksplat": ksplat.read_ksplat,
             "pt": checkpoint.read_checkpoint,
         }
-        return readers[self.format](self.path, self.data, max_bytes)
+        return readers[self.format](self.path, self._whole, max_bytes)
 
 
 @contextmanager

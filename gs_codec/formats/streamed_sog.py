@@ -101,7 +101,7 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     scenes = []
     for file, _ in _units(path, data, finest=True):
         with opened(file) as content:
-            scenes.append(sog.read_sog(file, content, max_bytes))
+            scenes.append(sog.read_sog(file, content[:], max_bytes))
     return join_scenes(scenes)
 
 
@@ -122,7 +122,7 @@ def _whole(stated: Sequence[tuple[int, int]]) -> tuple[int, int]:
 
 def _size(path: Path) -> int:
     with opened(path) as data:
-        return sog.sog_bytes(path, data)
+        return sog.sog_bytes(path, data[:])
 
 
 def _units(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Path, tuple[int, int]]]:
@@ -132,7 +132,7 @@ def _units(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Path, t
     for name in names:
         file = path.parent / name
         with opened(file) as content:
-            yield file, sog.stated_size(file, content)
+            yield file, sog.stated_size(file, content[:])
 
 
 def _names(data: memoryview, finest: bool) -> list[str]:

@@ -30,7 +30,7 @@ from gs_codec.formats.packed_values import (
 from gs_codec.formats.similarity import move_scene
 from gs_codec.formats.usd_names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.formats.zip_file import ZIP, write_zip
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.programs import Limits, run_on_files
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
 
@@ -68,7 +68,7 @@ def require_usd_core(suffix: str = ".usd") -> None:
         raise MissingTool("usd-core is not installed: pip install 'gs-codec[usd]'")
 
 
-def is_usdz(data: memoryview) -> bool:
+def is_usdz(data: FileBytes) -> bool:
     """Whether the first entry of a zip file is a layer of USD."""
     name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
     return name.lower().endswith(tuple(suffix.encode() for suffix in LAYERS))

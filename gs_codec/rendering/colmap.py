@@ -247,7 +247,8 @@ def _read_binary(
     path: Path, parse: Callable[[Path, memoryview, ByteReader], T], smallest: int
 ) -> list[T]:
     """All entries of a file, each of `smallest` bytes or more."""
-    with opened(path) as data:
+    with opened(path) as file:
+        data = file[:]
         reader = ByteReader(data, str(path))
         try:
             (count,) = reader.unpack("Q")

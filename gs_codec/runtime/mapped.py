@@ -1,19 +1,81 @@
-"""Map files into memory, and put their names into errors."""
+"""Read parts of files, and put the names of files into errors."""
 
 from __future__ import annotations
 
-import mmap
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.arrays import current
 
 
+class FileBytes:
+    """The bytes of an open file; a part is read when it is asked for, and belongs to the caller.
+
+    Input files are not memory-mapped: if another program truncates a mapped file, the next access
+    ends the process.
+
+    Parameters
+    ----------
+    path : str or Path
+        Named in errors.
+    number : int
+        Number of the open file.
+    """
+
+    def __init__(self, path: str | Path, number: int) -> None:
+        self._path, self._number = path, number
+        self._stamp = self._look()
+
+    def _look(self) -> tuple[int, int]:
+        status = os.fstat(self._number)
+        return status.st_size, status.st_mtime_ns
+
+    def __len__(self) -> int:
+        return self._stamp[0]
+
+    def __getitem__(self, part: slice) -> memoryview:
+        start, stop, _ = part.indices(len(self))
+        data = np.empty(max(stop - start, 0), np.uint8)
+        self.read_into(data, start)
+        return current().keep(data).data.toreadonly()
+
+    def __bytes__(self) -> bytes:
+        return bytes(self[:])
+
+    def read_into(self, data: NDArray[np.uint8], start: int) -> None:
+        """Fill `data` with the bytes from `start` on; `InvalidInput` if they are gone."""
+        done, view = 0, data.data
+        while done < len(view):
+            try:
+                read = os.preadv(self._number, [view[done:]], start + done)
+            except OSError as error:
+                raise self._error(str(error.strerror)) from error
+            if not read:
+                raise self._error(
+                    f"truncated while it was read: {self._look()[0]} bytes, expected {len(self)}"
+                )
+            done += read
+
+    def check_unchanged(self) -> None:
+        """`InvalidInput` if the file was written to since it was opened."""
+        if self._look() != self._stamp:
+            raise self._error("was changed while it was read")
+
+    def _error(self, text: str) -> InvalidInput:
+        error = InvalidInput(f"{self._path}: {text}")
+        error.of_another_file = True  # names its file already
+        return error
+
+
 @contextmanager
-def opened(path: str | Path) -> Iterator[memoryview]:
-    """The bytes of a file, memory-mapped.
+def opened(path: str | Path) -> Iterator[FileBytes]:
+    """The bytes of a file.
 
     Raises
     ------
@@ -21,23 +83,16 @@ def opened(path: str | Path) -> Iterator[memoryview]:
         If it is missing, empty, a directory, or not readable.
     """
     try:
-        with open(path, "rb") as file:
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except ValueError:
-        raise InvalidInput(f"{path}: empty file") from None
+        file = open(path, "rb")  # noqa: SIM115 (closed below)
     except IsADirectoryError:
         raise InvalidInput(f"{path}: a directory, expected a file") from None
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror}") from error
-    current().watch(mapped)
-    view = memoryview(mapped)
-    try:
-        yield view
-    finally:
-        # An exception being raised may still hold parts of the view; they are freed with it.
-        with suppress(BufferError):
-            view.release()
-            mapped.close()
+    with file:
+        data = FileBytes(path, file.fileno())
+        if not len(data):
+            raise InvalidInput(f"{path}: empty file")
+        yield data
 
 
 @contextmanager

@@ -51,7 +51,7 @@ class Streams:
         ------
         TruncatedStream, CorruptStream
         """
-        data[: len(file.data)] = np.frombuffer(file.data, np.uint8)
+        data[: len(file.data)] = np.frombuffer(file.data[:], np.uint8)
         data[len(file.data) :] = 0
         places = [_places(file, SectionId.of_stream(stream)) for stream in streams]
         first, last = np.stack(places, axis=1).transpose(2, 0, 1)

@@ -92,7 +92,7 @@ def decode_points(
 def _read_rows(ply: bytes, count: int) -> NDArray:
     """The rows of a binary PLY that has `count` vertices, and nothing else."""
     try:
-        header = read_header(np.frombuffer(ply, np.uint8))
+        header = read_header(memoryview(ply))
     except InvalidInput as error:
         raise ToolFailed(f"wrote a file that is {error}") from None
     others = any(element.count for name, element in header.elements.items() if name != "vertex")

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import batch_work
@@ -21,6 +22,7 @@ from gs_codec.batch import run
 from gs_codec.batch.run import Batch, run_batch
 from gs_codec.batch.scenes import Options
 from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.formats.ply import write_ply
 from gs_codec.preparation.steps import Plan, Steps
@@ -326,6 +328,7 @@ def test_scheduler_that_is_not_there_is_one_line(scenes, place):
 STRANGER = """
 import socket, ssl, sys, tempfile
 from pathlib import Path
+from types import SimpleNamespace
 from distributed import Security
 
 def said(port, context=None):
@@ -393,3 +396,21 @@ def test_local_cluster_does_the_same(scenes, place, tmp_path):
     assert "3 scenes encoded, 1 failed" in out
     assert place.outputs() == {f"{name}.egs": wanted[f"{name}.egs"] for name in names}
     assert list(place.temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError("Stream is closed"), "tls://a:1: the worker ended, or cannot be reached"),
+        (ModuleNotFoundError("No module named 'gs_codec'"), "no gs_codec (No module named"),
+        (RuntimeError("other"), "tls://a:1: the worker failed (other)"),
+        (("0.1", "host", 1), "tls://a:1: gs_codec 0.1, expected gs_codec"),
+    ],
+    ids=["killed", "missing", "failed", "version"],
+)
+def test_what_happened_to_a_worker_is_told(error, said):
+    client = pytest.importorskip("gs_codec.batch.client", exc_type=ImportError)
+    answers = SimpleNamespace(run=lambda *a, **b: {"tls://a:1": error})
+    with pytest.raises(InvalidInput) as caught:
+        client.threads_of_hosts(answers)
+    assert said in str(caught.value)

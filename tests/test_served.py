@@ -11,8 +11,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import pytest
 from scenes import random_scene
@@ -20,6 +22,7 @@ from test_web_page import Job, built, in_browser, open_pages
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from viewer import served
 from viewer.main import main
 from viewer.served import Page, serve
 
@@ -108,6 +111,43 @@ def test_addresses_differ():
     for page in pages:
         page.server_close()
     assert len({urlsplit(page.url).path for page in pages}) == 2
+
+
+def test_silent_connections_are_few_and_end(page, monkeypatch):
+    monkeypatch.setattr(served._Handler, "timeout", 0.2)
+    before = threading.active_count()
+    silent = [
+        socket.create_connection((page.server_address[0], page.server_port)) for _ in range(90)
+    ]
+    for connection in silent:  # each is closed: at once if there are too many, or as it is silent
+        connection.settimeout(60)
+        with suppress(ConnectionError):
+            assert connection.recv(1) == b""
+        connection.close()
+        assert threading.active_count() - before <= served._CONNECTIONS
+    assert answer(page, urlsplit(page.url).path) == (200, b"page")
+
+
+def test_the_address_is_no_argument_of_the_browser(page, monkeypatch, tmp_path, capsys):
+    told: list[tuple[str, int, str]] = []
+
+    def opening(address: str) -> None:
+        path = Path(url2pathname(urlsplit(address).path))
+        told.append((address, path.stat().st_mode & 0o777, path.read_text()))
+
+    monkeypatch.setattr(served, "_has_screen", lambda: True)
+    monkeypatch.setattr(served.webbrowser, "open", opening)
+    monkeypatch.setattr(served.Path, "home", lambda: tmp_path)
+    monkeypatch.setattr(page, "serve_forever", lambda: None)
+    page.run()
+    [(address, mode, text)] = told
+    secret = urlsplit(page.url).path
+    assert address.startswith("file:///")
+    assert secret not in address
+    assert mode == 0o600
+    assert f'content="0; url={page.url}"' in text
+    assert list(tmp_path.iterdir()) == []
+    assert page.url in capsys.readouterr().out
 
 
 @pytest.mark.thorough

@@ -5,9 +5,14 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import socket
 import sys
+import tempfile
+import threading
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -21,6 +26,9 @@ from gs_codec.report import Progress
 
 #: This machine alone.
 _HOST = "127.0.0.1"
+
+#: Seconds that a connection may be silent; most connections at once, of which a browser has six.
+_SILENT, _CONNECTIONS = 10.0, 64
 
 
 class Page(ThreadingHTTPServer):
@@ -47,30 +55,43 @@ class Page(ThreadingHTTPServer):
         self.contents = {root + quote(name): data for name, data in files.items()}
         self.contents[root] = self.contents.pop(root + PAGE)
         self.url = f"http://{_HOST}:{self.server_port}{root}"
+        self._free = threading.BoundedSemaphore(_CONNECTIONS)
+
+    def verify_request(self, request: object, client_address: object) -> bool:
+        """Whether a connection is served: not if too many are; its thread then frees its place."""
+        return self._free.acquire(blocking=False)
+
+    def process_request_thread(
+        self, request: socket.socket | tuple[bytes, socket.socket], client_address: object
+    ) -> None:
+        """Serve a connection in a thread of its own."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def run(self) -> None:
         """Tell the address, open a browser where there is a screen, and serve until Ctrl-C."""
         print_text(f"{self.url}  (Ctrl-C ends)")
-        if _has_screen():
-            webbrowser.open(self.url)
-        elif "SSH_CONNECTION" in os.environ:
-            port = self.server_port
-            print_text(f"elsewhere: ssh -L {port}:{_HOST}:{port} HOST, then open the address there")
-        try:
+        with ExitStack() as stack:
+            if _has_screen():
+                webbrowser.open(stack.enter_context(_leading_to(self.url)))
+            elif "SSH_CONNECTION" in os.environ:
+                port, there = self.server_port, "then open the address there"
+                print_text(f"elsewhere: ssh -L {port}:{_HOST}:{port} HOST, {there}")
+            stack.callback(self.server_close)
+            stack.enter_context(suppress(KeyboardInterrupt))
             self.serve_forever()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            self.server_close()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Say nothing of a connection that was cut, as when a page is closed."""
-        if not isinstance(sys.exc_info()[1], ConnectionError):
+        if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: Page
+    timeout = _SILENT
 
     def do_GET(self) -> None:
         data = self._head()
@@ -113,6 +134,21 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *arguments: object) -> None:
         """Say nothing of requests."""
+
+
+@contextmanager
+def _leading_to(url: str) -> Iterator[str]:
+    """Address of a file that leads to `url` and that others cannot read.
+
+    All users see the arguments of a browser. Browsers in a sandbox read no folder for temporary
+    files, but they read the home folder.
+    """
+    home = Path.home()
+    folder = home if os.access(home, os.W_OK) else None
+    with tempfile.NamedTemporaryFile("w", prefix="gs-viewer-", suffix=".html", dir=folder) as file:
+        file.write(f'<meta http-equiv="refresh" content="0; url={escape(url)}">\n')
+        file.flush()
+        yield Path(file.name).as_uri()
 
 
 def _range_of(text: str, size: int) -> range | None:

@@ -70,12 +70,23 @@ def threads_of_hosts(client: distributed.Client) -> Counter[str]:
     """
     hosts = Counter[str]()
     for worker, found in client.run(_introduced, on_error="return").items():
-        version, host, threads = found if isinstance(found, tuple) else (None, "", 0)
+        if not isinstance(found, tuple):
+            raise InvalidInput(f"{worker}: {_why_silent(found)}")
+        version, host, threads = found
         if version != __version__:
-            has = f"gs_codec {version}" if version else "no gs_codec"
+            has = f"gs_codec {version}"
             raise InvalidInput(f"{worker}: {has}, expected gs_codec {__version__} on workers")
         hosts[host] += threads
     return hosts
+
+
+def _why_silent(error: Any) -> str:
+    """Why a worker did not introduce itself."""
+    if isinstance(error, ModuleNotFoundError):
+        return f"no gs_codec ({one_line(error)}), expected gs_codec {__version__} on workers"
+    if isinstance(error, OSError):
+        return "the worker ended, or cannot be reached"
+    return f"the worker failed ({one_line(error) or type(error).__name__})"
 
 
 def _introduced(dask_worker: Any) -> tuple[str, str, int]:

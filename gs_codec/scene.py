@@ -24,6 +24,9 @@ GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 #: Value of the SH basis function of degree 0: a colour is 0.5 + SH_C0 * f_dc.
 SH_C0 = 0.28209479177387814
 
+#: What stands for a scale of 0, which has no logarithm (the least float32 above 0).
+FLAT = -103.0
+
 #: Factors of the SH basis functions of degrees 1, 2 and 3.
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes import random_scene
+from test_ply import assert_refused
 
+from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.ply import write_ply
-from gs_codec.scene import Scene
+from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
+from gs_codec.scene import GROUPS, Scene, property_names
 
 #: Elements that Apple's SHARP writes after the Gaussians, with their rows.
 SHARP = {
@@ -61,3 +64,204 @@ def test_properties_in_an_egs_follow_the_same_rule(tmp_path, caplog):
     assert extras == [["label"], [], ["label"]]
     with pytest.raises(InvalidInput, match=r"properties label .*--extra keep or --extra drop"):
         encode_file(tmp_path / "a.egs", tmp_path / "d.egs", Config(extra="error"))
+
+
+def mip_filtered(scene: Scene, deviations: np.ndarray) -> Scene:
+    """The scene as `save_fused_ply` of Mip-Splatting writes it, in float64."""
+    squares = np.exp(2 * scene.log_scale.astype(np.float64))
+    wide = squares + deviations.astype(np.float64) ** 2
+    opacity = 1 / (1 + np.exp(-scene.opacity.astype(np.float64)))
+    opacity = opacity * np.sqrt(squares.prod(axis=0) / wide.prod(axis=0))
+    logit = np.log(opacity / (1 - opacity))
+    return replace(
+        scene,
+        log_scale=(np.log(wide) / 2).astype(np.float32),
+        opacity=logit.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("profile", ["m", "lossless"])
+def test_the_filter_of_mip_splatting_is_fused_seed21(profile, tmp_path, caplog):
+    scene = random_scene(40, 1, seed=21)
+    deviations = np.linspace(0, 3, 40, dtype="<f4")
+    write_ply(tmp_path / "a.ply", replace(scene, extra={"filter_3D": deviations}))
+    expected, back = mip_filtered(scene, deviations), read_scene(tmp_path / "a.ply", "error")
+    np.testing.assert_allclose(back.log_scale, expected.log_scale, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(back.opacity, expected.opacity, rtol=1e-5, atol=1e-6)
+    assert back.opacity[0, 0] == scene.opacity[0, 0]
+    line = f"{tmp_path / 'a.ply'}: filter_3D of Mip-Splatting fused into scales and opacity"
+    assert caplog.messages == [line]
+    write_ply(tmp_path / "b.ply", back)
+    for name in "ab":
+        encode_file(tmp_path / f"{name}.ply", tmp_path / f"{name}.egs", Config(profile))
+    assert caplog.messages == 2 * [line]
+    assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
+
+
+def test_a_filter_that_an_egs_keeps_apart_is_fused_when_it_is_read(tmp_path, caplog):
+    scene = replace(random_scene(40, 1), extra={"filter_3D": np.full(40, 0.5, "<f4")})
+    data, _ = encode_scene(scene, Config("lossless", extra="keep", keep_order=True))
+    (tmp_path / "a.egs").write_bytes(data)
+    back, expected = read_scene(tmp_path / "a.egs"), mip_filtered(scene, np.full(40, 0.5))
+    np.testing.assert_allclose(back.log_scale, expected.log_scale, rtol=1e-6, atol=1e-6)
+    assert back.extra == {}
+    assert "filter_3D of Mip-Splatting fused" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("names", "named"),
+    [
+        (["trbf_center", "trbf_scale", "motion_0", "omega_3"], "trbf_center, trbf_scale, motion_0"),
+        (["t", "scale_t", "label"], "t, scale_t say"),
+    ],
+)
+@pytest.mark.parametrize("extra", ["keep", "drop"])
+def test_scenes_that_move_are_named_as_such(names, named, extra, tmp_path, caplog):
+    columns = {name: np.ones(9, "<f4") for name in names}
+    write_ply(tmp_path / "a.ply", replace(random_scene(9, 0), extra=columns))
+    back = read_scene(tmp_path / "a.ply", extra)
+    assert list(back.extra) == (names if extra == "keep" else [])
+    first, *rest = caplog.messages
+    assert first.startswith(f"{tmp_path / 'a.ply'}: a 4D scene: {named}")
+    left_out = "label" in names and extra == "drop"
+    assert rest == ([f"{tmp_path / 'a.ply'}: left out: properties label"] if left_out else [])
+
+
+def test_coordinates_of_a_texture_are_no_time(tmp_path, caplog):
+    columns = {name: np.ones(9, "<f4") for name in "st"}
+    write_ply(tmp_path / "a.ply", replace(random_scene(9, 0), extra=columns))
+    read_scene(tmp_path / "a.ply", "drop")
+    assert caplog.messages == [f"{tmp_path / 'a.ply'}: left out: properties s, t"]
+
+
+def rewritten(path: Path, *pairs: tuple[bytes, bytes]) -> Path:
+    """A file of which some bytes are replaced once."""
+    data = path.read_bytes()
+    for old, new in pairs:
+        assert old in data
+        data = data.replace(old, new, 1)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("before", [b"scalar_", b"scalar_scalar_"])
+def test_names_of_cloud_compare_are_those_of_the_layout(before, tmp_path, caplog):
+    scene = replace(random_scene(9, 1), extra={"label": np.arange(9, dtype="<f4")})
+    write_ply(tmp_path / "a.ply", scene)
+    names = [*(f"f_dc_{i}" for i in range(3)), "opacity", "label", "rot_3", "f_rest_0", "scale_2"]
+    changes = [(b" %b\n" % name.encode(), b" %b%b\n" % (before, name.encode())) for name in names]
+    back = read_scene(rewritten(tmp_path / "a.ply", *changes))
+    assert list(back.extra) == [f"{before.decode()}label"]
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(back, group), getattr(scene, group))
+    assert caplog.messages == []
+
+
+def test_a_scalar_field_beside_the_property_itself_is_another(tmp_path):
+    columns = {"scalar_opacity": np.ones(9, "<f4")}
+    scene = replace(random_scene(9, 0), extra=columns)
+    write_ply(tmp_path / "a.ply", scene)
+    back = read_scene(tmp_path / "a.ply")
+    np.testing.assert_array_equal(back.opacity, scene.opacity)
+    assert list(back.extra) == ["scalar_opacity"]
+
+
+def text_ply(names: list[str], rows: list[str], *lines: str) -> str:
+    header = ["ply", "format ascii 1.0", *lines, f"element vertex {len(rows)}"]
+    return "\n".join([*header, *(f"property float {n}" for n in names), "end_header", *rows, ""])
+
+
+LAYOUT = [name for group in property_names(0).values() for name in group]
+
+
+def test_2d_gaussians_are_flat(tmp_path, caplog):
+    names = [name for name in LAYOUT if name != "scale_2"]
+    path = tmp_path / "a.ply"
+    path.write_text(text_ply(names, ["1 2 3 4 5 6 7 8 9 1 0 0 0"] * 2))
+    scene = read_scene(path)
+    np.testing.assert_array_equal(scene.log_scale[:, 0], np.float32([8, 9, -103]))
+    np.testing.assert_array_equal(scene.rot[:, 1], [1, 0, 0, 0])
+    assert caplog.messages == [f"{path}: a 2DGS scene without scale_2; its Gaussians are flat"]
+
+
+@pytest.mark.parametrize("profile", ["l", "paper-l"])
+def test_2d_gaussians_are_as_flat_after_encoding(profile, tmp_path):
+    scene = random_scene(200, 0)
+    scene.log_scale[2] = -103
+    write_ply(tmp_path / "a.ply", scene)
+    encode_file(tmp_path / "a.ply", tmp_path / "a.egs", Config(profile))
+    assert (np.sort(read_scene(tmp_path / "a.egs").log_scale, axis=0)[0] < -30).all()
+
+
+NOT_GAUSSIANS = {
+    "points": (["x", "y", "z", "red"], "", "a point cloud without opacity and scales, not"),
+    "mesh": (["x", "y", "z", "nx"], "element face 12\nproperty list uchar int vertex_indices\n",
+             "a mesh of 12 faces without opacity and scales, not Gaussians"),
+    "Scaffold-GS": (["x", "y", "z", "f_offset_0", "f_anchor_feat_0", "opacity", "scale_5"], "",
+                    "anchors of Scaffold-GS, of which a neural network makes Gaussians, not"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NOT_GAUSSIANS)
+def test_what_is_no_scene_is_named(kind, tmp_path):
+    names, element, said = NOT_GAUSSIANS[kind]
+    path = tmp_path / "a.ply"
+    path.write_text(text_ply(names, [" ".join("1" for _ in names)]))
+    rewritten(path, (b"end_header", element.encode() + b"end_header"))
+    assert_refused(path, said)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "cp932"])
+def test_comments_that_are_not_ascii_are_dropped_with_a_warning(encoding, tmp_path, caplog):
+    scene = replace(random_scene(9, 0), comments=("one", "two"))
+    write_ply(tmp_path / "a.ply", scene)
+    text = {"cp1252": "Übersicht", "cp932": "工場のソ"}.get(encoding, "Übersicht 工厂")
+    changed = f"comment {text}".encode(encoding)
+    back = read_scene(rewritten(tmp_path / "a.ply", (b"comment one", changed)))
+    np.testing.assert_array_equal(back.positions, scene.positions)
+    assert back.comments == ("two",)
+    assert caplog.messages == [f"{tmp_path / 'a.ply'}: 1 comments not kept: not plain ASCII"]
+
+
+def test_names_that_are_not_ascii_are_left_out(tmp_path, caplog):
+    scene = random_scene(9, 0)
+    write_ply(tmp_path / "a.ply", replace(scene, extra={"height": np.ones(9, "<f4")}))
+    back = read_scene(rewritten(tmp_path / "a.ply", (b"height", "höhe".encode())))
+    assert (back.count, back.extra) == (9, {})
+    assert caplog.messages == [f"{tmp_path / 'a.ply'}: left out: properties höhe"]
+
+
+ROWS = [
+    "1 2 3 0 0 0 -nan(ind) 1 1 1 1 0 0 0",
+    "1 2 3 0 nan(snan) -1.#QNAN 1.#INF -1.#INF00 -inf infinity 1 0 1.#IND -1.#IND00",
+]
+READ = [
+    [1, 2, 3, 0, 0, 0, np.nan, 1, 1, 1, 1, 0, 0, 0],
+    [1, 2, 3, 0, np.nan, np.nan, np.inf, -np.inf, -np.inf, np.inf, 1, 0, np.nan, np.nan],
+]
+
+
+@pytest.mark.parametrize("start", [b"", b"\xef\xbb\xbf"], ids=["", "byte order mark"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"], ids=["lf", "crlf", "cr"])
+@pytest.mark.parametrize("space", [" ", "\t"], ids=["spaces", "tabs"])
+def test_text_of_other_compilers_and_editors_is_read(start, newline, space, tmp_path):
+    text = text_ply(LAYOUT, ROWS, "obj_info of a scanner").replace(" ", space)
+    path = tmp_path / "a.ply"
+    path.write_bytes(start + text.replace("\n", newline).encode())
+    rows = vertex_rows(read_ply(path)).tolist()
+    np.testing.assert_array_equal(rows, READ)
+
+
+def test_a_byte_order_mark_tells_a_ply_by_any_name(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"\xef\xbb\xbf" + text_ply(LAYOUT, ["1 " * 14]).encode())
+    assert read_scene(path).count == 1
+
+
+def test_a_network_is_named_as_such(tmp_path):
+    with zipfile.ZipFile(tmp_path / "color_mlp.pt", "w") as archive:
+        archive.writestr("color_mlp/data.pkl", b"\x80\x02}.")
+        archive.writestr("color_mlp/code/__torch__/torch/nn.py", "")
+    assert_refused(
+        tmp_path / "color_mlp.pt", r"a network of TorchScript \(as of Scaffold-GS\), not"
+    )

@@ -28,6 +28,7 @@ from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.csv_table import write_csv
+from gs_codec.formats.dialects import with_filter
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.usd import require_usd_core
@@ -160,7 +161,7 @@ def scene_in(
         with located(file.path):
             scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
             scene = matching.with_order(scene, matching.order_of_file(describe(read)))
-            scene = scene_without(file.path, scene, extra)
+            scene = scene_without(file.path, with_filter(file.path, scene), extra)
         scene = scene if exact else with_finite_ends(scene, file.path)
     elif current().limit is not None and not file.is_read_in_parts:
         raise InvalidInput(

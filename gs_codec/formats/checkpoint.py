@@ -74,6 +74,8 @@ def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, str, dict[str, Stored
             order = read_entry(archive, f"{folder}byteorder", 16)
             if order != b"little":
                 raise InvalidInput(f"byte order {order!a}, expected b'little'")
+        if any(name.startswith(f"{folder}code/") for name in archive.namelist()):
+            raise InvalidInput("a network of TorchScript (as of Scaffold-GS), not Gaussians")
         yield archive, folder, _splats(parse_pickle(read_entry(archive, names[0], _PICKLE_BYTES)))
 
 

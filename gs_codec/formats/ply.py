@@ -14,6 +14,15 @@ from numpy.typing import NDArray
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import refuse_beyond, say_left_out
+from gs_codec.formats.dialects import (
+    FILTER,
+    fuse_filter,
+    is_flat,
+    moving,
+    refuse_no_gaussians,
+    say_dialect,
+    with_flat,
+)
 from gs_codec.formats.limits import check_bytes
 from gs_codec.formats.packed_ply import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
 from gs_codec.formats.ply_body import Ply, Rows, ply_of, to_rows
@@ -77,11 +86,14 @@ def scene_of(
     path = ply.path
     if tell and ply.header.obj_info:
         log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
+    if tell and ply.header.odd_comments:
+        log.warning("%s: %d comments not kept: not plain ASCII", path, ply.header.odd_comments)
     with located(path):
         packed = is_packed(ply.header)
         elements = _other_elements(ply, PACKED_ELEMENTS if packed else ("vertex",))
         if packed:
             return _read_packed(ply, elements, extra, max_bytes)
+        refuse_no_gaussians(ply.header.elements)
         data = ply.rows("vertex").pick(index)
     groups, colours = _find_groups(path, data.dtype)
     wanted = [name for group in GROUPS for name in groups[group]]
@@ -93,7 +105,7 @@ def scene_of(
     used = {*wanted}
     others = [name for name in data.dtype.names or () if name not in used]
     normals = [*NORMALS] if set(NORMALS) <= set(others) else []
-    kept = [name for name in others if extra == "keep" and is_extra_name(name)]
+    kept = [n for n in others if n == FILTER or (extra == "keep" and is_extra_name(n))]
     planes, columns, given = _read_columns(path, data, wanted, kept, normals)
     if not given:
         others = [name for name in others if name not in normals]
@@ -102,12 +114,19 @@ def scene_of(
         planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0
     bounds = np.cumsum([0] + [len(groups[group]) for group in GROUPS])
     parts = {g: planes[a:b] for g, a, b in zip(GROUPS, bounds[:-1], bounds[1:], strict=True)}
+    if len(groups["log_scale"]) == 2:
+        parts["log_scale"] = with_flat(parts["log_scale"])
+    if FILTER in others:
+        fuse_filter(parts["log_scale"], parts["opacity"], columns.pop(FILTER))
+        others.remove(FILTER)
     has_normals = bool(normals) and not set(normals) & set(columns)
     with located(path):
         if extra == "error":
             refuse_beyond(others, elements)
         if tell:
-            say_left_out(path, [name for name in others if name not in columns], elements)
+            say_dialect(path, data.dtype.names or ())
+            told = {*columns, *moving(others)}
+            say_left_out(path, [name for name in others if name not in told], elements)
         return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=columns)
 
 
@@ -136,9 +155,9 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in [3 * k for k in SH_COEFFICIENTS]:
         raise InvalidInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
-    if "scale_0" in names and "scale_1" in names and "scale_2" not in names:
-        raise InvalidInput(f"{path}: a scene of flat Gaussians (2DGS): no scale_2, expected 3DGS")
     groups = property_names(rest // 3)
+    if is_flat(names):
+        groups["log_scale"].remove("scale_2")
     # Trainers without SH (nerfstudio) write colours as bytes.
     colours = "f_dc_0" not in names and all(
         name in names and dtype[name] == np.uint8 for name in _COLOURS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.dialects import layout_names
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.ply_header import Element, PlyHeader, read_header
 from gs_codec.runtime.arrays import empty
@@ -25,6 +27,10 @@ log = logging.getLogger(__name__)
 #: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
 _TILE = 4096
 _CHUNK = 1 << 16
+
+#: ``nan(ind)``, ``nan(snan)``, ``1.#QNAN``, ``1.#IND00``; ``1.#INF``.
+_NOT_A_NUMBER = re.compile(rb"\b(?:nan\(\w*\)|1\.#(?:[qs]nan|ind)\d*)", re.IGNORECASE)
+_INFINITY = re.compile(rb"\b1\.#inf\d*", re.IGNORECASE)
 
 
 def to_planes(rows: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -161,7 +167,7 @@ class Ply:
         return Rows(dtype, element.count, read)
 
     def _text_rows(self, element: Element, skipped: int) -> Rows:
-        body = bytes(self.data[self.header.size :])
+        body = _plain_numbers(bytes(self.data[self.header.size :]))
         # A number takes at least a digit and a space.
         if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
             raise InvalidInput(
@@ -184,6 +190,13 @@ class Ply:
         return Rows(rows.dtype, len(rows), lambda first, last: rows[first:last])
 
 
+def _plain_numbers(body: bytes) -> bytes:
+    """The rows of a text file, with infinity and NaN as C++ compilers of Microsoft spell them."""
+    if b"(" not in body and b"#" not in body:
+        return body
+    return _INFINITY.sub(b"inf", _NOT_A_NUMBER.sub(b"nan", body))
+
+
 def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
     """Convert numbers read from text to rows of the types that the header states."""
     rows = np.empty(len(table), element.dtype("<"))
@@ -199,4 +212,7 @@ def ply_of(path: str | Path, data: FileBytes) -> Ply:
     """Read the header of a PLY file from its bytes; raises as `read_header` does."""
     with located(path):
         header = read_header(data)
+        if "vertex" in header.elements:
+            vertex = header.elements["vertex"]
+            vertex.types = layout_names(vertex.types)
     return Ply(Path(path), header, data)

@@ -10,6 +10,9 @@ import numpy as np
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.mapped import FileBytes
 
+#: Byte order mark, which some editors of text write first.
+BOM = b"\xef\xbb\xbf"
+
 #: Longest header. `.egs` files keep up to 2^20 bytes of comments; PLY adds a word to each line.
 _HEADER_BYTES = 1 << 24
 
@@ -31,6 +34,7 @@ _CODES = {
     "f8": ("double", "float64"),
 }
 _TYPES = {name: code for code, names in _CODES.items() for name in names}
+_PLAIN = re.compile(r"[ -~\t]*")
 _COUNT = re.compile(r"\d{1,18}", re.ASCII)
 
 
@@ -70,6 +74,9 @@ class PlyHeader:
     elements : dict of str to Element
         By name, in the order of the file.
     comments : tuple of str
+        Those of printable ASCII and tabs.
+    odd_comments : int
+        Number of the others.
     obj_info : int
         Number of ``obj_info`` lines.
     size : int
@@ -79,6 +86,7 @@ class PlyHeader:
     byte_order: str
     elements: dict[str, Element]
     comments: tuple[str, ...]
+    odd_comments: int
     obj_info: int
     size: int
 
@@ -96,13 +104,16 @@ def read_header(data: memoryview | FileBytes) -> PlyHeader:
     elements: dict[str, Element] = {}
     element: Element | None = None
     comments: list[str] = []
-    obj_info = 0
+    obj_info = odd_comments = 0
     for number, line in enumerate(lines, 2):
         words = line.split()
         if not words:
             continue
         if words[0] == "comment":
-            comments.append(line.strip()[len("comment ") :])
+            text = line.strip()[len("comment ") :]
+            plain = _PLAIN.fullmatch(text) is not None
+            comments += [text] if plain else []
+            odd_comments += not plain
         elif words[0] == "obj_info":
             obj_info += 1
         elif words[0] == "format" and byte_order is None:
@@ -116,13 +127,13 @@ def read_header(data: memoryview | FileBytes) -> PlyHeader:
             raise _error(number, f"{line[:60]!a} is not expected there")
     if byte_order is None:
         raise _error(len(lines) + 2, "no format")
-    return PlyHeader(byte_order, elements, tuple(comments), obj_info, size)
+    return PlyHeader(byte_order, elements, tuple(comments), odd_comments, obj_info, size)
 
 
 def _split_lines(data: memoryview | FileBytes) -> tuple[list[str], int]:
     """The lines between ``ply`` and ``end_header``, and where the body begins."""
     head = data[:_FIRST_BYTES]
-    start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    start = re.match(rb"(?:%b)?ply[ \t]*(\r\n|\n|\r)" % BOM, head)
     if not start:
         raise _error(1, f"{bytes(head[:20])!a}, expected 'ply'")
     # Use one kind of line end: the first byte of the body may look like part of another kind.
@@ -135,10 +146,12 @@ def _split_lines(data: memoryview | FileBytes) -> tuple[list[str], int]:
     if not end:
         where = "beyond 16 MiB" if len(head) == _HEADER_BYTES else "early end-of-file"
         raise InvalidInput(f"not a readable PLY file (no end of the header: {where})")
+    # A header is ASCII by the specification, but comments and names of programs are not always.
+    raw = bytes(head[start.end() : end.start()])
     try:
-        text = str(head[start.end() : end.start()], "ascii")
+        text = raw.decode()
     except UnicodeDecodeError:
-        raise InvalidInput("not a readable PLY file (its header is not ASCII text)") from None
+        text = raw.decode("latin-1")
     return text.split(newline.decode())[:-1], end.end()
 
 

@@ -30,6 +30,7 @@ from gs_codec.formats import (
 )
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
+from gs_codec.formats.ply_header import BOM
 from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.mapped import FileBytes, opened
 from gs_codec.scene import Scene, float_bytes
@@ -52,6 +53,7 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (EGS, "egs"),
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
+    (BOM + b"ply", "ply"),
     (spz_file.MAGIC, "spz"),
     (ZIP, "sog"),
     (gltf_file.MAGIC, "gltf"),

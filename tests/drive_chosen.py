@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,12 @@ def run(folder: Path) -> dict:
     viewer.loading.open(str(folder / "b.egs"), 0)
     driver.wait(lambda: viewer.stage.scenes[0].name == "b.egs")
     found["other"] = [viewer.visits.number, viewer.visits.where, viewer.choice.up]
+    driver.wait(lambda: len(viewer.visits.viewpoints) > 1)
+    # A scene that does not show which way is up says so, until another axis is taken.
+    viewer.visits.put(replace(viewer.visits.views, up_certain=False), 0)
+    found["unsure"] = [viewer.panel.status.text]
+    driver.key("u")
+    found["unsure"].append(viewer.panel.status.text)
     return found
 
 

@@ -26,7 +26,9 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
-from gs_codec.rendering.upright import UPS, up_of
+from gs_codec.rendering.inria import as_camera
+from gs_codec.rendering.upright import UNSURE, UPS, up_of
+from gs_codec.rendering.widest import widest_view
 from viewer.main import app, main
 from viewer.pictures import screenshot
 from viewer.pictures.centres import centres, pruned_centres
@@ -354,8 +356,39 @@ def test_cameras_of_a_file_say_what_is_up(files):
     viewpoints = find_viewpoints(open_scene(files / "a.ply"), views, "cameras")
     assert [viewpoint.name for viewpoint in viewpoints[:2]] == ["overview", "view"]
     assert first_view(Request(cameras=given), views) == 1
-    assert viewpoints[0].pose.rotation[1] @ up < -0.5
+    assert viewpoints[0].pose.rotation[0] @ up == pytest.approx(0, abs=1e-2)
     np.testing.assert_array_equal(viewpoints[3].pose.rotation, given[2].rotation)
+
+
+def test_the_overview_of_given_cameras_is_from_the_one_that_shows_most(files):
+    scene = open_scene(files / "a.ply")
+    middle = np.median(scene.positions, axis=0).astype(np.float64)
+    size = float(np.quantile(np.abs(scene.positions - middle), 0.8))
+    side, up = np.array([1.0, 0, 0]), np.array([0.0, 0, 1.0])
+    poses = [look_at(middle + far * size * side, middle, up) for far in (0.5, 1, 4)]
+    away = look_at(middle + 9 * size * side, middle + 99 * size * side, up)
+    cameras = [as_camera(pose.camera(60, 40)) for pose in (*poses, away)]
+    assert widest_view(scene.gaussians, cameras) == 2
+    overview = find_viewpoints(scene, given_views(cameras), "-y")[0]
+    np.testing.assert_array_equal(overview.pose.position, cameras[2].position)
+    assert overview.pose.rotation[1][1] > 0.9  # upright by the axis asked for
+    assert widest_view(scene.gaussians, cameras[3:]) == 0
+
+
+@pytest.mark.usefixtures("few_cameras")
+def test_it_is_said_if_the_scene_does_not_show_which_way_is_up(caplog, tmp_path, capsys):
+    # Without SH-AC it says nothing of up.
+    write_ply(tmp_path / "a.ply", random_scene(3000, 0, seed=8))
+    path, size = str(tmp_path / "a.ply"), ["--width", "64", "--height", "64"]
+    film = ["--turntable", str(tmp_path / "film"), "--frames", "2"]
+    for asked in (["--screenshot", str(tmp_path / "a.png")], film):
+        for up, expected in (([], [UNSURE]), (["--up=z"], [])):
+            caplog.clear()
+            app([path, *asked, *size, *up, "--overwrite"], standalone_mode=False)
+            assert [record.getMessage() for record in caplog.records] == expected
+    scene = open_scene(tmp_path / "a.ply")
+    assert not find_views(Request(), scene).up_certain
+    assert find_views(Request(up="z"), scene).up_certain
 
 
 # Pictures

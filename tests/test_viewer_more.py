@@ -231,6 +231,14 @@ def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(c
     np.testing.assert_allclose(model[:3, 2], np.array(chosen["at_first"])[0, :3, 2], atol=1e-5)
 
 
+def test_the_panel_says_if_the_scene_does_not_show_which_way_is_up(chosen):
+    unsure, afterwards = chosen["unsure"]
+    assert unsure.replace("\n", " ") == (
+        "The scene does not show which way is up: U takes another axis."
+    )
+    assert afterwards == ""
+
+
 def test_another_scene_in_its_place_begins_with_its_own_overview(chosen):
     number, where, up = chosen["other"]
     assert (number, up) == (0, "cameras")

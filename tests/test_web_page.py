@@ -36,6 +36,7 @@ from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.cameras import write_cameras
 from gs_codec.rendering.renderer import render
 from gs_codec.rendering.upright import UPS, up_of
+from gs_codec.rendering.widest import widest_view
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 from viewer.pictures.layers import error_image
@@ -474,6 +475,20 @@ def test_pages_hold_what_may_be_up(files, tmp_path):
         np.testing.assert_allclose(told["ups"]["cameras"], by_cameras, atol=1e-12)
         assert told["ups"]["-z"] == [0, 0, -1]
         assert len(told["views"]) == 3
+
+
+@in_browser
+def test_home_is_the_given_camera_that_shows_most(files, tmp_path):
+    cameras = sorted(files.cameras, key=lambda camera: camera is files.cameras[0])
+    near = replace(cameras[0], fx=9 * cameras[0].fx, fy=9 * cameras[0].fy)
+    write_cameras(tmp_path / "cameras.json", [near, *cameras[1:]])
+    share([files.folder / "a.egs"], tmp_path / "page.html", tmp_path / "cameras.json")
+    home = described(tmp_path / "page.html")["home"]
+    assert home == widest_view(files.a, [near, *cameras[1:]]) > 0
+    shown = ("value", "Number(document.getElementById('views').value)")
+    job = Job((tmp_path / "page.html").as_uri(), [shown, ("key", "Home"), shown])
+    [told] = open_pages(job)
+    assert told.values == [0, None, home]
 
 
 @pytest.mark.usefixtures("few_cameras")

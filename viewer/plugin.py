@@ -18,8 +18,8 @@ from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, open_scene, read_pruned
 from viewer.scenes.pose import of_camera
-from viewer.scenes.request import Request, parse_layers
-from viewer.scenes.viewpoints import choose_views, find_viewpoints, nearest_camera
+from viewer.scenes.request import Request, find_views, parse_layers
+from viewer.scenes.viewpoints import find_viewpoints, nearest_camera
 from viewer.window.device import find_device
 
 #: The group of the geometries that actions show.
@@ -36,6 +36,7 @@ def draw(
     octree_depth: int = OctreeChoice.depth,
     octree_colour: str = OctreeChoice.colouring,
     mode: str = "side",
+    up: str | None = None,
     width: int = 1280,
     height: int = 800,
 ) -> None:
@@ -66,6 +67,8 @@ def draw(
         mean of these Gaussians' bits.
     mode : {"side", "wipe", "flip"}
         Two scenes side by side, or in one view: divided by a line, or switched by a key.
+    up : {"-y", "y", "-z", "z", "-x", "x"}, optional
+        Which axis is up; by default cameras say it, given or estimated.
     width, height : int
         Size of the window, 64-16384 pixels.
 
@@ -86,7 +89,7 @@ def draw(
     octree, size = OctreeChoice(octree_depth, octree_colour), (width, height)
     request = Request(
         a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree,
-        scale=colour_scale,
+        up=up, scale=colour_scale,
     )  # fmt: skip
     request.check()
     device = find_device()
@@ -164,14 +167,16 @@ class Actions:
         self.cameras: list[gs_codec.Camera] = []
         visualizer.set_on_close(self._closing)
 
-    def open(self, path: str | Path) -> None:
-        """Show a scene, replacing the previous one, from its overview."""
+    def open(self, path: str | Path, up: str | None = None) -> None:
+        """Show a scene, replacing the previous one, from its overview; `up` is as for `draw`."""
+        request = Request(up=up)
+        request.check()
         scene = open_scene(path)
+        views = find_views(request, scene)
         points = centres(scene, "colour", [scene])
         self._show(scene, {"centres": points}, splats=True)
         self.scene = scene
-        views = choose_views(scene, count=1)
-        pose = find_viewpoints(scene, views, views.ups[0])[0].pose
+        pose = find_viewpoints(scene, views, up or views.ups[0])[0].pose
         _, down, forward = pose.rotation
         middle = np.median(scene.positions, axis=0) if scene.count else pose.position + forward
         centre = pose.position + forward * np.linalg.norm(middle - pose.position)

@@ -26,7 +26,8 @@ from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.rendering.auto_cameras import COUNT, estimate_views
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.inria import as_entry
-from gs_codec.rendering.upright import BY_CAMERAS, UPS, up_axis, up_of
+from gs_codec.rendering.upright import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
+from gs_codec.rendering.widest import widest_view
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
@@ -177,22 +178,22 @@ def _entry(one: SharedScene) -> dict[str, Any]:
 def _views(
     cameras: str | Path, scene: Scene, up: str | None, progress: Progress | None
 ) -> dict[str, Any]:
-    """The views of a page, what may be up in them, by name, and which of these is."""
+    """The views of a page and its overview, what may be up, by name, and which of these is."""
+    home = 0
     if str(cameras) == "auto":
         asked = None if up is None else up_axis(up)
         found = estimate_views(scene, COUNT, asked, progress)
         views, by_cameras = found.cameras, found.up
         if up is None and not found.up_certain:
-            log.warning(
-                "cameras 'auto': the scene does not show which way is up; "
-                "choose an axis (up), or give its cameras"
-            )
+            log.warning(UNSURE)
     else:
         views = find_cameras(cameras, scene)
         by_cameras = up_of([view.rotation for view in views])
+        home = widest_view(scene, views)
     ups = {BY_CAMERAS: by_cameras} | UPS
     return {
         "views": [as_entry(index, camera) for index, camera in enumerate(views)],
+        "home": home,
         "ups": {name: axis.tolist() for name, axis in ups.items()},
         "up": up or BY_CAMERAS,
     }

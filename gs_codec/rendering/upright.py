@@ -18,6 +18,12 @@ UPS: dict[str, NDArray[np.float64]] = {
 #: Name of the up axis that is taken from cameras, given or estimated.
 BY_CAMERAS = "cameras"
 
+#: What to say where the up axis of a scene is not certain.
+UNSURE = (
+    "cameras 'auto': the scene does not show which way is up; "
+    "choose an axis (up), or give its cameras"
+)
+
 #: Least mean square of right axes along a direction that is not level.
 _LOOSE = 1e-3
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.images import seek_images
-from gs_codec.rendering.upright import up_axis
+from gs_codec.rendering.upright import UNSURE, up_axis
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -23,6 +24,8 @@ from viewer.scenes.choice import (
 )
 from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.scenes.viewpoints import Views, choose_views, given_views
+
+log = logging.getLogger(__name__)
 
 #: Largest side of a picture, pixels.
 _MAX_SIDE = 1 << 14
@@ -171,6 +174,8 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
 def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
     """The cameras to look from; of those chosen from the scene `count`, or all for `view`.
 
+    A warning is logged if it is not certain which way is up.
+
     Raises
     ------
     gs_codec.GsCodecError
@@ -182,6 +187,8 @@ def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
         views = given_views(find_cameras(request.cameras, scene.gaussians))
         if request.images is not None:
             seek_images(request.images, views.cameras)
+    if not views.up_certain:
+        log.warning(UNSURE)
     number = len(views.cameras)
     if request.view is not None and not 0 <= request.view < number:
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT, estimate_views
 from gs_codec.rendering.upright import BY_CAMERAS, UPS, up_of
+from gs_codec.rendering.widest import widest_view
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose, of_camera, overview, upright
 
@@ -28,11 +29,14 @@ class Views:
     chosen : bool
         Whether cameras were chosen from the scene: the first is an overview, and all are rolled
         until they are upright.
+    up_certain : bool
+        Whether `up` is certain.
     """
 
     cameras: Sequence[Any] = field(default_factory=list)
     up: NDArray[np.float64] | None = None
     chosen: bool = False
+    up_certain: bool = True
 
     @property
     def first(self) -> int:
@@ -86,11 +90,13 @@ def choose_views(scene: Opened, up: str | None = None, count: int = COUNT) -> Vi
         found = estimate_views(scene.gaussians, count, None if up is None else UPS[up])
     except gs_codec.InvalidInput:
         return Views()
-    return Views(found.cameras, found.up, chosen=True)
+    return Views(found.cameras, found.up, True, found.up_certain or up is not None)
 
 
 def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
     """The overview first, then the cameras.
+
+    With given cameras, the overview is from the one that shows most.
 
     Parameters
     ----------
@@ -101,7 +107,11 @@ def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
     """
     axis = views.up_axis(up)
     if not views.chosen:
-        pose = overview(scene.positions, scene.opacities, axis)
+        if views.cameras:
+            widest = widest_view(scene.gaussians, views.cameras)
+            pose = upright(of_camera(views.cameras[widest]), axis)
+        else:
+            pose = overview(scene.positions, scene.opacities, axis)
         others = [Viewpoint(view.name, of_camera(view), view) for view in views.cameras]
         return [Viewpoint("overview", pose), *others]
     names = ["overview", *(view.name for view in views.cameras[1:])]

@@ -10,10 +10,14 @@ from open3d.visualization import gui
 import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
+from gs_codec.rendering.upright import BY_CAMERAS
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
 from viewer.window.backdrop import picture_of
 from viewer.window.pane import HIDDEN
 from viewer.window.worker import Stale
+
+#: What the panel says where the up axis is not certain.
+_UNSURE = "The scene does not show which way is up: U takes another axis."
 
 
 class Visits:
@@ -57,6 +61,8 @@ class Visits:
         self.go_to(first)
         # Choosing views takes seconds; if the rasteriser draws, do it after the first full picture.
         self._more_views = views.chosen and len(views.cameras) == 1
+        if not views.up_certain:
+            self._say_up()
         if not viewer.stage.by_hand:
             self.choose_more()
 
@@ -72,9 +78,9 @@ class Visits:
             return choose_views(scene, up)
 
         def done(views: Views) -> None:
-            viewer.panel.say("")
             here = self.viewpoints[0]
             self.views = views
+            self._say_up()
             self._find()
             self.viewpoints[0] = here
             viewer.refresh_panel()
@@ -88,9 +94,16 @@ class Visits:
         self.viewpoints = find_viewpoints(viewer.stage.scenes[0], self.views, up)
         viewer.stage.navigator.up = self.views.up_axis(up)
 
+    def _say_up(self) -> None:
+        """Say so if it is not certain what is up."""
+        unsure = not self.views.up_certain and self._viewer.choice.up == BY_CAMERAS
+        self._viewer.panel.say(_UNSURE if unsure else "")
+
     def set_up(self, up: str) -> None:
         """Set the up axis, for the overview and for cameras chosen from the scene."""
         self._viewer.choice.up = up
+        if not self.views.up_certain:
+            self._say_up()
         if self.viewpoints:
             self._find()
             self.go_to(self.number if self._viewer.request.chosen else 0)

@@ -19,8 +19,9 @@ function defaultBudget() {
 }
 
 class Viewer {
-  constructor({ scenes, views, middle, ups, up }) {
+  constructor({ scenes, views, home, middle, ups, up }) {
     this.views = views;
+    this.home = home; // the number of the view that is an overview
     this.middle = middle;
     this.ups = ups; // vectors by name, the cameras' first
     this.axis = up;

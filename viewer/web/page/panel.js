@@ -86,13 +86,14 @@ export class Panel {
 
   #key(event) {
     const { viewer, two } = this;
-    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented) return;
     if (event.target.tagName === 'SELECT' || event.target.id === 'budget') return;
     const show = (name) => two && viewer.set({ show: name });
     const actions = {
       n: () => viewer.choose(viewer.view + 1),
       p: () => viewer.choose(viewer.view - 1),
       r: () => viewer.choose(viewer.view),
+      home: () => viewer.choose(viewer.home),
       u: () => viewer.setUp(this.#nextUp),
       1: () => show('a'),
       2: () => show('b'),

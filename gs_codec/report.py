@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,6 +17,9 @@ NOMINAL_ERROR = 1e-3
 #: Version of the keys of JSON documents and of lines in reports of batches; it rises when one is
 #: removed or changes its meaning.
 SCHEMA = 1
+
+#: Sections that all entropy-coded channels have together.
+_SHARED = ("states", "channels", "lattice")
 
 #: Called with a stage's name, steps done, and steps in all.
 Progress = Callable[[str, int, int], None]
@@ -247,9 +250,25 @@ class EncodeReport:
     def entropy_overhead(self) -> float:
         """Size of words, states, models and quantisers over Shannon entropy, less 1."""
         entropy = sum(cost.shannon_bits for cost in self.costs)
-        coded = {cost.stream for cost in self.costs} | {"states", "channels", "lattice"}
-        bits = 8 * sum(self.section_bytes.get(name, 0) for name in coded)
-        return bits / entropy - 1 if entropy else 0.0
+        return self.coded_bits(self.costs) / entropy - 1 if entropy else 0.0
+
+    def coded_bits(self, channels: Sequence[ChannelCost]) -> float:
+        """Bits of all channels of some streams, with an equal share for each of what all use.
+
+        Parameters
+        ----------
+        channels : sequence of ChannelCost
+            All channels of one or several streams.
+
+        Returns
+        -------
+        float
+            Words, and a share of states, models and quantisers.
+        """
+        names = {cost.stream for cost in channels}
+        shared = sum(self.section_bytes.get(name, 0) for name in _SHARED)
+        words = sum(self.section_bytes.get(name, 0) for name in names)
+        return 8 * (words + shared * len(channels) / max(len(self.costs), 1))
 
 
 def bits_per_gaussian(size: int, count: int) -> float | None:

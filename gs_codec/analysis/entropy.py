@@ -24,7 +24,8 @@ _SECTIONS = {
 def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
     """Coded bits of each rANS-coded group, its Shannon entropy, and the paper's figures.
 
-    ``total`` counts everything that a decoder needs: words, states, models and quantisers.
+    Coded bits are all that a decoder needs: words, and for each channel an equal share of states,
+    models and quantisers, which channels have together.
     """
     groups: dict[str, list[ChannelCost]] = {}
     for cost in report.costs:
@@ -32,7 +33,7 @@ def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
     result: dict[str, dict[str, Any]] = {}
     for group, members in groups.items():
         entropy = sum(cost.shannon_bits for cost in members)
-        size = 8 * sum(report.section_bytes[stream] for stream in {cost.stream for cost in members})
+        size = report.coded_bits(members)
         parametric = sum(cost.parametric_bits for cost in members)
         symbols = report.count * len(members)
         result[group] = {

@@ -296,6 +296,15 @@ def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog, monkeyp
     assert "refine: held-out views would lose " in caplog.text
 
 
+def test_refinement_that_costs_held_out_views_is_kept_where_asked_for(scene, caplog, monkeypatch):
+    monkeypatch.setattr(optimise, "_SHARE", 1e9)
+    _, report = prepare_scene(scene, plan(prune=30, refine=5, keep_refined=True))
+    pruned, refined = report.steps[-2:]
+    assert "left_out" not in refined.details
+    assert refined.quality.psnr < pruned.quality.psnr
+    assert "would lose" not in caplog.text
+
+
 def test_steps_that_need_something_to_see_refuse_an_empty_scene():
     with pytest.raises(InvalidInput, match="no view shows anything"):
         prepare_scene(random_scene(0), Plan(Steps(prune=10)))

@@ -71,8 +71,8 @@ def test_the_width_gives_a_laplace_distribution_the_papers_entropy():
 def test_options_are_those_that_differ_from_the_defaults():
     assert PRESET.options() == {
         "prune_importance": 65.0, "prune_geometry": 0.2, "geometry_rule": "largest",
-        "rectify": 7.5, "refine": 6000, "profile": "paper-m", "geometry": "auto",
-        "laplace_scales": 7.5,
+        "rectify": 7.5, "refine": 6000, "keep_refined": True,
+        "profile": "paper-m", "geometry": "auto", "laplace_scales": 7.5,
     }  # fmt: skip
     assert Preset(Steps(), Config()).options() == {}
 
@@ -101,6 +101,12 @@ def test_the_command_is_the_library(folder, monkeypatch):
     steps = ["importance pruning", "geometry pruning", "rectification", "optimisation"]
     rows = [line.split("  ")[0] for line in result.stdout.splitlines()]
     assert [row for row in rows if row in steps] == steps
+
+
+def test_what_is_pruned_is_told_in_the_order_of_the_steps(folder):
+    percent = ["--prune-geometry", "5", "--prune-importance", "20", "--cameras", "cameras.json"]
+    rows = run("prepare", "scene.ply", "pruned.ply", *percent).stdout.splitlines()
+    assert [row.split(":")[0] for row in rows[:2]] == ["pruned by importance", "pruned by geometry"]
 
 
 def test_what_is_typed_comes_before_the_preset(folder):
@@ -204,12 +210,14 @@ def test_its_page_is_what_it_measured(reproduced):
     page = (folder / "out" / "paper.md").read_text()
     assert result.stdout.strip() == page.strip()
     assert page == tables_of(lines_of(folder))
+    assert "| PSNR dB | delta-PSNR | SSIM | delta-SSIM | LPIPS | delta-LPIPS |" in page
     for published in ("0.41", "2.436", "26.9", "28.3x", "-0.04", "16.4"):
         assert published in page
     lines = lines_of(folder)
     medium = next(x for x in lines if x["kind"] == "profile" and x["profile"] == "paper-m")
     assert f"| still | `paper-m` | {medium['file_bytes'] / 1e6:.2f} | " in page
     assert f"{medium['ply_bytes'] / medium['file_bytes']:.1f}x" in page
+    assert f"| {medium['quality']['ssim']:.4f} | {medium['delta']['ssim']:+.4f} |" in page
     titles = [row for row in page.splitlines() if row.startswith("## ")]
     assert len(titles) == 5
     tables = [block for block in page.split("\n\n") if block.startswith("|")]

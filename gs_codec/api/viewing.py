@@ -221,7 +221,7 @@ def prepare(
     >>> plan = gs_codec.Plan(gs_codec.Steps(prune=30), "cameras.json", width=48)
     >>> pruned, report = gs_codec.prepare(gs_codec.read("scene.ply"), plan)
     >>> report.removed
-    {'geometry': 0, 'importance': 0, 'leave-one-out': 600}
+    {'importance': 0, 'geometry': 0, 'leave-one-out': 600}
     >>> [step.name for step in report.steps]
     ['original', 'leave-one-out pruning']
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,6 +18,8 @@ from gs_codec.bench.suite.tables import escaped, markdown
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
+from gs_codec.metrics.images import Quality
+from gs_codec.metrics.lpips import VARIABLE
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.report import PrepareReport, StepReport, coding_steps
@@ -28,6 +31,9 @@ Line = dict[str, Any]
 
 _PRESET = PRESETS["entropygs"]
 
+#: Metrics of quality by their titles: names in lines, and digits.
+_METRICS = {"PSNR dB": ("psnr", 2), "SSIM": ("ssim", 4), "LPIPS": ("lpips", 4)}
+
 #: Timed runs of the codec, whose medians count.
 _REPEATS = 3
 
@@ -35,7 +41,8 @@ _INTRODUCTION = (
     "The preset `entropygs` on each scene, beside the figures published for "
     "EntropyGS (arXiv 2508.10227; means over Mip-NeRF 360, on other machines). PSNR is that of "
     "views held out, against photographs where a scene has any, else against its own renders. "
-    "Times smaller count from the PLY, in the ablation from its floats."
+    f"LPIPS is measured where {VARIABLE} names weights. Times smaller count from the PLY, in the "
+    "ablation from its floats."
 )
 
 
@@ -65,6 +72,7 @@ def reproduce(
     yield machine() | {"command": command, "iterations": iterations}
     steps = replace(_PRESET.steps, refine=iterations)
     for measured in scenes:
+        lpips = os.environ.get(VARIABLE) or None
         plan = Plan(
             steps,
             cameras_beside(measured.path),
@@ -75,8 +83,9 @@ def reproduce(
         prepared, report = prepare_scene(measured.scene, plan, advance)
         for step in report.steps:
             yield _step_line(measured, step, None, report)
+        original = report.views.held_out.quality(measured.scene, lpips=lpips)
         for profile in PROFILES:
-            yield from _profile_lines(measured, prepared, profile, report)
+            yield from _profile_lines(measured, prepared, profile, report, original, lpips)
 
 
 def _advance(progress: Progress, name: str, stage: str, done: int, total: int) -> None:
@@ -84,19 +93,26 @@ def _advance(progress: Progress, name: str, stage: str, done: int, total: int) -
 
 
 def _profile_lines(
-    measured: MeasuredScene, scene: Scene, profile: str, prepared: PrepareReport
+    measured: MeasuredScene,
+    scene: Scene,
+    profile: str,
+    prepared: PrepareReport,
+    original: Quality,
+    lpips: str | None,
 ) -> Iterator[Line]:
-    """What a profile makes of a prepared scene."""
+    """What a profile makes of a prepared scene, beside the original's quality."""
     config = replace(_PRESET.config, profile=profile)
     seconds: dict[str, list[float]] = {"encode": [], "decode": []}
     for _ in range(_REPEATS):
         start = time.perf_counter()
         data, report = encode_scene(scene, config)
         middle = time.perf_counter()
-        decode_scene(data)
+        decoded = decode_scene(data)
         seconds["encode"].append(middle - start)
         seconds["decode"].append(time.perf_counter() - middle)
-    for step in coding_steps(scene, config, data, report, prepared.views.held_out):
+    held_out = prepared.views.held_out
+    quality = held_out.quality(decoded, lpips=lpips)
+    for step in coding_steps(scene, config, data, report, held_out):
         yield _step_line(measured, step, profile, prepared)
     yield {
         "kind": "profile",
@@ -107,6 +123,8 @@ def _profile_lines(
         "geometry": "gpcc" if "gpcc" in report.section_bytes else "octree",
         "seconds": {name: median(runs) for name, runs in seconds.items()},
         "models": entropy_by_group(report),
+        "quality": quality.as_dict(),
+        "delta": quality.over(original).as_dict(),
     }
 
 
@@ -176,24 +194,28 @@ def _depths(_: Sequence[Line], __: Sequence[str]) -> list[str]:
 def _results(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
     rows = []
     for scene in scenes:
-        steps = _of(lines, "step", scene)
-        first = steps[0]["psnr"]
         for line in _of(lines, "profile", scene):
-            last = [step for step in steps if step["profile"] == line["profile"]][-1]
             rows.append([
                 escaped(scene), f"`{line['profile']}`", f"{line['file_bytes'] / 1e6:.2f}",
-                f"{line['ply_bytes'] / line['file_bytes']:.1f}x", f"{last['psnr']:.2f}",
-                _delta(last["psnr"], first), f"{last['ssim']:.4f}", line["geometry"],
+                f"{line['ply_bytes'] / line['file_bytes']:.1f}x", line["geometry"],
+                *(
+                    _shown(line[kind][metric], f"{sign}.{digits}f")
+                    for metric, digits in _METRICS.values()
+                    for kind, sign in (("quality", ""), ("delta", "+"))
+                ),
             ])  # fmt: skip
     (psnr, size), (first, whole) = paper.ABLATION["geometry coding"], paper.ABLATION["original"]
     rows.append([
-        "*the paper, its mean scene*", "", f"{size}", f"{whole / size:.1f}x", f"{psnr:.2f}",
-        _delta(psnr, first), "", "gpcc",
+        "*the paper, its mean scene*", "M", f"{size}", f"{whole / size:.1f}x", "gpcc",
+        f"{psnr:.2f}", f"{psnr - first:+.2f}", "", "", "", "",
     ])  # fmt: skip
-    return markdown(
-        ["scene", "profile", "MB", "times smaller", "PSNR dB", "delta-PSNR", "SSIM", "geometry"],
-        rows,
-    )
+    known = (label for name in _METRICS for label in (name, f"delta-{name.split()[0]}"))
+    return markdown(["scene", "profile", "MB", "times smaller", "geometry", *known], rows)
+
+
+def _shown(value: float | None, form: str) -> str:
+    """A figure; empty for one that is not known, such as the PSNR of equal images."""
+    return "" if value is None else format(value, form)
 
 
 def _delta(psnr: float, before: float | None) -> str:

@@ -255,6 +255,7 @@ def plan_of(asked: Asked, config: Config) -> Plan | None:
     if not steps.refine:
         asked.refuse(["checkpoint"], "needs --refine, whose state it keeps")
         asked.refuse(["device"], "needs --refine, which it does")
+        asked.refuse(["keep_refined"], "needs --refine, whose result it keeps")
     if not steps.wanted and not _goes_by_views(asked, config):
         return None
     return asked.build(Plan, steps=steps)

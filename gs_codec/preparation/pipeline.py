@@ -292,6 +292,8 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
     fitted, details = optimise(
         scene, targets, plan.steps.refine, plan.checkpoint, context.progress, plan.device
     )
+    if plan.steps.keep_refined:
+        return None, fitted, details
     against = _against(scene, fitted, context) if details["iterations"] else "nothing is to win"
     if against:
         log.warning("refine: %s, so it is left out", against)

@@ -50,6 +50,7 @@ PRESETS: Mapping[str, Preset] = {
             geometry_rule="largest",
             rectify=_LAPLACE_SCALES,
             refine=6000,
+            keep_refined=True,
         ),
         Config("paper-m", geometry="auto", laplace_scales=_LAPLACE_SCALES),
     )

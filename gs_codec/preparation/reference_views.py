@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
@@ -58,9 +59,11 @@ class ReferenceViews:
         cameras, images = evenly(self.cameras, number), evenly(self.images, number)
         return replace(self, cameras=tuple(cameras), images=tuple(images))
 
-    def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
-        """Quality of a scene's images against these, mean over the views."""
-        return mean_quality(self._of_each(scene, compare_images, progress))
+    def quality(
+        self, scene: Scene, progress: Progress | None = None, lpips: str | None = None
+    ) -> Quality:
+        """Quality of a scene's images against these, mean over the views; `lpips` are weights."""
+        return mean_quality(self._of_each(scene, partial(compare_images, lpips=lpips), progress))
 
     def error(self, scene: Scene, progress: Progress | None = None) -> float:
         """Mean squared error of a scene's images, mean over the views."""

@@ -25,6 +25,9 @@ from gs_codec.scene import Scene
 #: Why an input Gaussian was removed; its label is the index in this tuple.
 LABELS = ("kept", "geometry", "importance", "leave-one-out")
 
+#: The same in the order of the steps.
+_ORDER = ("importance", "geometry", "leave-one-out")
+
 
 @dataclass(frozen=True)
 class StepReport:
@@ -86,9 +89,9 @@ class PrepareReport:
 
     @property
     def removed(self) -> dict[str, int]:
-        """How many Gaussians were removed for each reason."""
+        """How many Gaussians were removed for each reason, in the order of the steps."""
         counts = np.bincount(self.labels, minlength=len(LABELS))
-        return {label: int(n) for label, n in zip(LABELS[1:], counts[1:], strict=True)}
+        return {label: int(counts[LABELS.index(label)]) for label in _ORDER}
 
     def as_dict(self) -> dict[str, Any]:
         """Everything but the labels as plain types, for JSON."""

@@ -64,7 +64,10 @@ class Steps:
         only this limits it.
     refine : int
         Iterations of Adam on all attributes of the remaining Gaussians. Left out, with a warning,
-        if held-out views lose by it.
+        if held-out views lose by it, unless `keep_refined`.
+    keep_refined : bool
+        Keep what `refine` makes even if held-out views lose by it, as the paper does; no effect
+        without `refine`.
     compact_sh : float
         Strength of SH energy compaction, 0 and up: about the mean squared error of an image value
         (0-1) that it may cost; 3e-5 is usual.
@@ -118,6 +121,11 @@ class Steps:
         "Refine all attributes with N iterations of Adam, 1000 if N is left out.",
         metavar="[N]", shown="none", alone=1000, **_ITERATIONS,
     )  # fmt: skip
+    keep_refined: bool = option(
+        False,
+        "Keep what --refine makes, even if held-out views lose by it, as the paper does.",
+        kind=bool,
+    )
     compact_sh: float = option(
         0.0,
         "Move SH energy to fewer coefficients; 3e-5 is usual.",
@@ -142,7 +150,7 @@ class Steps:
     @property
     def wanted(self) -> bool:
         """Whether there is anything to do."""
-        return replace(self, prune=self.prune or None) != Steps()
+        return replace(self, prune=self.prune or None, keep_refined=False) != Steps()
 
     @property
     def by_leave_one_out(self) -> bool:

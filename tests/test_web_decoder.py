@@ -7,14 +7,17 @@ import hashlib
 import json
 import re
 import shutil
+import struct
 import subprocess
+import zlib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import reference_tools
-from damage import FAR, changed, sample, with_checksums, with_section
+from damage import FAR, changed, flipped, sample, with_checksums, with_section
 from scenes import (
     edge_scenes,
     encode_by,
@@ -389,12 +392,12 @@ def decoded(data: bytes) -> str | None:
 @pytest.mark.parametrize("right", [False, True], ids=["wrong checksums", "right checksums"])
 @pytest.mark.parametrize("profile", ["m", FAR, "paper-m"])
 def test_damage_is_refused_or_gives_what_python_gives(profile, right):
-    """Of files without extra properties, which this decoder does not read."""
     rng = np.random.default_rng(71)
-    scene = random_scene(40, 2, seed=60)
+    extra = {"label": np.arange(40, dtype="<i4"), "mark": rng.integers(0, 9, 40).astype("<u2")}
+    scene = replace(random_scene(40, 2, seed=60), extra=extra)
     if profile == FAR:
         profile, scene = "m", with_far(scene, 12)
-    data = encode_scene(scene, Config(profile, block_size=1024))[0]
+    data = encode_scene(scene, Config(profile, block_size=1024, extra="keep"))[0]
     files = [bytes(changed(data, rng)) for _ in range(300)]
     files = [with_checksums(each) if right else each for each in files]
     refused = 0
@@ -409,3 +412,57 @@ def test_damage_is_refused_or_gives_what_python_gives(profile, right):
         else:
             assert found.get("hash") == expected, found
     assert refused > 200
+
+
+def one_property(name: bytes = b"mark", kind: int = 1, packed: bytes | None = None) -> bytes:
+    """A section `extra` of one property of 5 Gaussians."""
+    packed = zlib.compress(bytes(5)) if packed is None else packed
+    head = struct.pack("<B", len(name)) + name + struct.pack("<BQ", kind, len(packed))
+    return struct.pack("<H", 1) + head + packed
+
+
+EXTRA = {
+    "as it is": (one_property(), None),
+    "no bytes": (b"", "CorruptError"),
+    "no properties": (bytes(2), "CorruptError"),
+    "a name of the layout": (one_property(b"f_rest_77"), "CorruptError"),
+    "an empty name": (one_property(b""), "CorruptError"),
+    "a name of other bytes": (one_property(b"\xc3\xa9"), "CorruptError"),
+    "another type": (one_property(kind=8), "CorruptError"),
+    "twice": (b"\x02\x00" + 2 * one_property()[2:], "CorruptError"),
+    "one more stated": (b"\x02\x00" + one_property()[2:], "CorruptError"),
+    "bytes left": (one_property() + b"\x00", "CorruptError"),
+    "too few values": (one_property(packed=zlib.compress(bytes(4))), "CorruptError"),
+    "too many values": (one_property(packed=zlib.compress(bytes(1 << 24))), "CorruptError"),
+    "no zlib stream": (one_property(packed=b"12345678"), "CorruptError"),
+    "nothing": (one_property(packed=b""), "CorruptError"),
+    "cut off": (one_property(packed=zlib.compress(bytes(5))[:-1]), "CorruptError"),
+    "wrong sum": (one_property(packed=zlib.compress(bytes(5))[:-1] + b"\x77"), "CorruptError"),
+    "bytes after": (one_property(packed=zlib.compress(bytes(5)) + b"\x00"), "CorruptError"),
+    "another stream": (one_property(packed=2 * zlib.compress(bytes(5))), "CorruptError"),
+}
+
+
+def test_extra_properties_are_checked_as_in_python():
+    data = sample("m")
+    files = [with_section(data, SectionId.EXTRA, lambda _, e=e: e) for e, _ in EXTRA.values()]
+    whole = run(*({"bytes": each, "maxBytes": 1 << 20} for each in files))
+    parts = run(*({"bytes": each, "shDegree": 0} for each in files))
+    for name, file, found, part in zip(EXTRA, files, whole, parts, strict=True):
+        _, error = EXTRA[name]
+        assert found.get("error") == error, (name, found)
+        assert (decoded(file) is None) == (error is not None), name
+        assert "error" not in part, name
+    most = decode_scene(data).float_bytes
+    [few] = run({"bytes": files[0], "maxBytes": most + 4})
+    [enough] = run({"bytes": files[0], "maxBytes": most + 5})
+    assert (few.get("error"), enough.get("error")) == ("TooLargeError", None)
+
+
+def test_flipped_bits_of_extra_properties_are_told_as_in_python():
+    data = sample("m")
+    at = data.index(b"label") - 3
+    files = [with_checksums(flipped(data, bit)) for bit in range(8 * at, 8 * len(data), 5)]
+    found = run(*({"bytes": each, "maxBytes": 1 << 20} for each in files))
+    assert [each.get("hash") for each in found] == [decoded(each) for each in files]
+    assert 0 < sum("error" in each for each in found) < len(found)

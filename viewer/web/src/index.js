@@ -2,9 +2,10 @@
 import { checkBox, checkSupport, readComments } from './container.js';
 import { Ending } from './ending.js';
 import { CorruptError } from './errors.js';
+import { checkExtra } from './extra.js';
 import { Opened, readHeader, runsOf, takeRun } from './opened.js';
 import { createPool } from './pool.js';
-import { Scene, checkFloats } from './scene.js';
+import { Scene, checkFloats, floatBytes } from './scene.js';
 import { openSource } from './source.js';
 
 export {
@@ -97,12 +98,12 @@ class Decoding {
       opened.rest.filter((entry) => this.#wants(entry)),
       (entry, content) => {
         if (entry.name === 'comments') comments = readComments(content);
+        else if (entry.name === 'extra') this.#await(this.#checkExtra(content.slice()));
         else this.#take(entry, content);
       },
     );
     await Promise.all(this.pending);
-    const isWhole = !options.box && this.degree === header.degree;
-    if (isWhole && !(await input.endsAt(header.end))) {
+    if (this.#isWhole && !(await input.endsAt(header.end))) {
       throw new CorruptError('bytes after the last section', 'file');
     }
     this.scene.comments = comments;
@@ -123,7 +124,7 @@ class Decoding {
 
   /** Learn from the first sections which blocks there are and what they have. */
   #begin(opened) {
-    const { input, header, options, degree } = this;
+    const { header, options, degree } = this;
     opened.begin(degree);
     this.opened = opened;
     this.boxes = opened.boxes;
@@ -133,14 +134,34 @@ class Decoding {
       this.blocks.set(block, { first, sections: {}, next: 0 });
       first += header.blockCount(block);
     }
-    checkFloats(first, degree, options.maxBytes ?? Math.max(2 ** 30, 1000 * (input.size ?? 0)));
+    checkFloats(first, degree, this.#maxBytes);
     this.scene = new Scene(header, first, degree);
     this.pool = createPool([opened.setup], this.blocks.size, options);
     // Values of blocks without sections are constant.
     if (opened.parts[0].length === 0) for (const block of this.blocks.keys()) this.#advance(block);
   }
 
+  get #isWhole() {
+    return !this.options.box && this.degree === this.header.degree;
+  }
+
+  get #maxBytes() {
+    return this.options.maxBytes ?? Math.max(2 ** 30, 1000 * (this.input.size ?? 0));
+  }
+
+  #checkExtra(content) {
+    const { count, degree } = this.header;
+    return checkExtra(content, count, this.#maxBytes - floatBytes(count, degree));
+  }
+
+  /** Work that has to be done at the end, and whose error is one of all. */
+  #await(work) {
+    work.catch((error) => this.ending.end(error));
+    this.pending.push(work);
+  }
+
   #wants({ name, block }) {
+    if (name === 'extra') return this.#isWhole;
     const isPart = this.opened.parts.some((names) => names.includes(name));
     return name === 'comments' || (isPart && this.blocks.has(block));
   }
@@ -161,9 +182,7 @@ class Decoding {
       if (!names.every((name) => sections[name])) return;
       const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
       for (const name of names) delete sections[name];
-      const done = this.#decode(block, waiting.next, given);
-      done.catch((error) => this.ending.end(error));
-      this.pending.push(done);
+      this.#await(this.#decode(block, waiting.next, given));
     }
   }
 

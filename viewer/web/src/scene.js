@@ -10,9 +10,12 @@ const ARRAYS = [
   ['rotation', 4],
 ];
 
+/** Bytes of the floats of so many Gaussians, up to an SH degree. */
+export const floatBytes = (count, degree) => 4 * count * (14 + 3 * ((degree + 1) ** 2 - 1));
+
 /** Refuse so many Gaussians, up to an SH degree, if their floats take more than `maxBytes`. */
 export function checkFloats(count, degree, maxBytes) {
-  const floats = 4 * count * (14 + 3 * ((degree + 1) ** 2 - 1));
+  const floats = floatBytes(count, degree);
   if (floats > maxBytes) throw new TooLargeError(`${floats} bytes of floats, at most ${maxBytes}`);
 }
 

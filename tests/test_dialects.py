@@ -144,7 +144,7 @@ def rewritten(path: Path, *pairs: tuple[bytes, bytes]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("before", [b"scalar_", b"scalar_scalar_"])
+@pytest.mark.parametrize("before", [b"scalar_", b"scalar_scalar_", b"scalar_scal_", b"scal_"])
 def test_names_of_cloud_compare_are_those_of_the_layout(before, tmp_path, caplog):
     scene = replace(random_scene(9, 1), extra={"label": np.arange(9, dtype="<f4")})
     write_ply(tmp_path / "a.ply", scene)

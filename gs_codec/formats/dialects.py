@@ -26,11 +26,11 @@ log = logging.getLogger(__name__)
 #: Property of Mip-Splatting: the standard deviation of the filter that is still to be applied.
 FILTER = "filter_3D"
 
-#: What CloudCompare writes before the names of scalar fields.
-_SCALAR = re.compile("(?:scalar_)+(.+)", re.DOTALL)
+#: What CloudCompare writes before the names of scalar fields, and 3dgsconverter for it.
+_SCALAR = re.compile("(?:scalar_|scal_)+(.+)", re.DOTALL)
 
 #: Properties of scenes that move: of SpacetimeGaussians and 4DGS.
-_MOVING = re.compile(r"t|(?:motion|omega)_\d+|trbf_\w+|scale_t|(?:rot_r|rotr)_\d+", re.ASCII)
+_MOVING = re.compile(r"t|(?:motion|omega|f_t)_\d+|trbf_\w+|scale_t|(?:rot_r|rotr)_\d+", re.ASCII)
 
 
 def layout_names(types: Mapping[str, str]) -> dict[str, str]:

@@ -299,8 +299,8 @@ EXACT_FORMATS = ("glb", "gltf", "usd", "usda", "usdc", "usdz")
 FORMATS = (EGS, *ROUNDED_FORMATS, "compressed.ply", "splat", *EXACT_FORMATS)
 
 #: The name of a SOG scene whose files are not in a zip, and of one as streamed SOG, which is made
-#: with coarser levels.
-UNBUNDLED, STREAMED = "meta.json", "lod-meta.json"
+#: with coarser levels; the suffix of a zip of the latter.
+UNBUNDLED, STREAMED, SSOG = "meta.json", "lod-meta.json", ".ssog"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import json
 import logging
 import math
 import struct
+import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -532,6 +533,35 @@ def test_sog_is_read_as_its_formula_says(degree, version, tmp_path):
         assert scene.antialiased == (degree == 1)
         for i in range(30):
             assert_gaussian(scene, i, sog_gaussian(meta, images, i))
+
+
+def sog_with(*more: str, twice: str = "") -> bytes:
+    """A sound SOG scene in a folder of a zip, of which files are there again under other names."""
+    data = io.BytesIO(foreign.sog_file(*foreign.sog_parts(30, 2, 0, seed=2), "a/"))
+    with zipfile.ZipFile(data, "a") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that a name is there already
+        for name in more:
+            archive.writestr(name, archive.read(f"a/{name.rpartition('/')[2]}"))
+        if twice:
+            archive.writestr(twice, b"")
+    return data.getvalue()
+
+
+TWO_IN_A_ZIP = {
+    "two scenes": (sog_with("meta.json"), r"a zip of 2 scenes \('a/meta.json', 'meta.json'\)"),
+    "five scenes": (
+        sog_with(*(f"{x}/meta.json" for x in "bcde")),
+        r"a zip of 5 scenes \('a/meta.json', 'b/meta.json', 'c/meta.json', \.\.\.\), expected one",
+    ),
+    "two of a name": (sog_with(twice="a/sh0.webp"), r"two zip entries 'a/sh0\.webp'"),
+    "two of a name but for slashes": (sog_with(twice="a\\sh0.webp"), "two zip entries"),
+}
+
+
+@pytest.mark.parametrize("case", TWO_IN_A_ZIP)
+def test_a_zip_that_may_mean_two_things_is_refused(case, tmp_path):
+    data, message = TWO_IN_A_ZIP[case]
+    assert_refused(written(tmp_path / "two.sog", data), message)
 
 
 def test_sog_without_gaussians_is_read(tmp_path):

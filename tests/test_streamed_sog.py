@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from other_programs import PROGRAMS, check, stored_numbers
-from scenes import random_scene
+from scenes import assert_same_floats, random_scene
 from test_web_page import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 
 from gs_codec.coding.morton import spatial_order
@@ -289,6 +291,110 @@ def test_no_gaussians_and_nan_are_refused():
         stream_levels(scene, CONFIG)
     files, _ = stream_levels(scene, replace(CONFIG, nonfinite="drop"))
     assert json.loads(files[STREAMED])["counts"] == [29]
+
+
+# All files in one zip
+
+
+def zipped(folder: Path, path: Path, inside: str = "", order: int = 1, slash: str = "/") -> Path:
+    """A zip of the files of a folder, placed below `inside`."""
+    files = sorted(file for file in folder.rglob("*") if file.is_file())[::order]
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in files:
+            name = f"{inside}{file.relative_to(folder).as_posix()}"
+            entry = zipfile.ZipInfo(name)
+            entry.filename = entry.orig_filename = name.replace("/", slash)
+            archive.writestr(entry, file.read_bytes())
+    return path
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize(
+    ("inside", "slash"), [("", "/"), ("mouse/", "/"), ("./", "/"), ("a/b/", "\\")]
+)
+def test_a_zip_is_read_as_its_folder_is(inside, slash, order, folder, tmp_path):
+    path = zipped(folder, tmp_path / "scene.zip", inside, order, slash)
+    assert_same_floats(read_scene(path), read_scene(folder / STREAMED))
+    told = overview_of(path)
+    assert (told.format, told.count) == ("streamed sog", 1150)
+    assert told.file_bytes == path.stat().st_size
+
+
+def test_units_may_be_bundles(folder, tmp_path):
+    """Each SOG scene of a level may be a zip, in a folder and in a zip."""
+    meta = json.loads((folder / STREAMED).read_text())
+    units = tmp_path / "units"
+    units.mkdir()
+    for name in meta["filenames"]:
+        unit = name.split("/")[0]
+        zipped(folder / unit, units / f"{unit}.sog")
+    names = [name.replace("/meta.json", ".sog") for name in meta["filenames"]]
+    (units / STREAMED).write_text(json.dumps(meta | {"filenames": names}))
+    expected = read_scene(folder / STREAMED)
+    assert_same_floats(read_scene(units / STREAMED), expected)
+    assert_same_floats(read_scene(zipped(units, tmp_path / "all.ssog")), expected)
+    stored = overview_of(units / STREAMED).file_bytes
+    assert stored == sum(path.stat().st_size for path in units.iterdir())
+
+
+def test_names_of_files_may_have_backslashes(copy, scene):
+    meta = json.loads((copy / STREAMED).read_text())
+    names = [name.replace("/", "\\") for name in meta["filenames"]]
+    (copy / STREAMED).write_text(json.dumps(meta | {"filenames": names}))
+    assert read_scene(copy / STREAMED).count == scene.count
+
+
+def test_ssog_is_a_zip_of_the_same_files(tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(300, 1))
+    done = convert_file(tmp_path / "scene.ply", tmp_path / "scene.ssog")
+    (tmp_path / "apart").mkdir()
+    convert_file(tmp_path / "scene.ply", tmp_path / "apart" / STREAMED)
+    with zipfile.ZipFile(tmp_path / "scene.ssog") as archive:
+        names = archive.namelist()
+        assert names[0] == STREAMED
+        for name in names:
+            assert archive.read(name) == (tmp_path / "apart" / name).read_bytes()
+    assert len(names) == sum(file.is_file() for file in (tmp_path / "apart").rglob("*"))
+    assert done.file_bytes == (tmp_path / "scene.ssog").stat().st_size
+
+
+LATER = ("0_1", "0_2", "1_0", "2_0")
+
+
+def of_one_file(folder: Path) -> None:
+    """Leave the first SOG scene of streamed SOG, in its folder."""
+    for part in LATER:
+        shutil.rmtree(folder / part)
+    (folder / STREAMED).unlink()
+
+
+SEVERAL: dict[str, Callable[[Path], object]] = {
+    "'a/lod-meta.json', 'b/lod-meta.json'": lambda root: None,
+    "'a/lod-meta.json', 'b/0_0/meta.json'": lambda root: of_one_file(root / "b"),
+    "'a/0_0/meta.json', 'b/0_0/meta.json'": lambda root: [of_one_file(root / x) for x in "ab"],
+    "'a/lod-meta.json', 'a/meta.json'": lambda root: (
+        shutil.rmtree(root / "b"),
+        shutil.copy(root / "a" / "0_0" / "meta.json", root / "a"),
+    ),
+    "'a/b/lod-meta.json', 'a/lod-meta.json'": lambda root: (root / "b").rename(root / "a" / "b"),
+}
+
+
+@pytest.mark.parametrize("names", SEVERAL)
+def test_a_zip_of_several_scenes_is_refused_with_their_names(names, folder, tmp_path):
+    for each in "ab":
+        shutil.copytree(folder, tmp_path / "root" / each)
+    SEVERAL[names](tmp_path / "root")
+    path = zipped(tmp_path / "root", tmp_path / "two.zip")
+    with pytest.raises(InvalidInput, match=re.escape(f"a zip of 2 scenes ({names}), expected one")):
+        read_scene(path)
+
+
+def test_a_zip_without_a_file_that_its_scene_needs_is_refused(copy, tmp_path):
+    (copy / "0_1" / "meta.json").unlink()
+    path = zipped(copy, tmp_path / "a.ssog")
+    with pytest.raises(InvalidInput, match=r"0_1/meta.json: zip entry '0_1/meta.json': missing"):
+        read_scene(path)
 
 
 # What is not sound

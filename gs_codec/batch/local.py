@@ -22,7 +22,7 @@ from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 log = logging.getLogger(__name__)
 
 #: Suffixes of the files in a folder that are taken as scenes.
-SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb", *usd.SUFFIXES)
+SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".ssog", ".glb", *usd.SUFFIXES)
 
 
 @dataclass(frozen=True)

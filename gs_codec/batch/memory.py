@@ -18,7 +18,7 @@ _DRAWING = 20
 _PIXEL = 320
 
 #: Bytes of raw floats per byte of a compressed file, by suffix.
-_PACKED = {".splat": 2, ".ksplat": 4, ".spz": 20, ".sog": 20, ".egs": 30}
+_PACKED = {".splat": 2, ".ksplat": 4, ".spz": 20, ".sog": 20, ".ssog": 20, ".egs": 30}
 
 #: If the header was not read, a file may have this many times the floats that its size suggests,
 #: and always at least this many bytes of floats.

@@ -21,7 +21,7 @@ from gs_codec.cli.output import (
     size_text,
 )
 from gs_codec.cli.streams import is_stdout, piped
-from gs_codec.config import STREAMED, Config
+from gs_codec.config import SSOG, STREAMED, Config
 from gs_codec.edit.actions import KINDS
 from gs_codec.files.suffixes import PLAIN, format_of, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
@@ -43,7 +43,8 @@ def command(
     target: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help=f"File to write: {WRITTEN_SHOWN}; or {STREAMED}. - is stdout."
+            metavar="OUT",
+            help=f"File to write: {WRITTEN_SHOWN}; {SSOG} or {STREAMED}. - is stdout.",
         ),
     ],
     asked: Asked,

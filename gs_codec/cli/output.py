@@ -17,8 +17,8 @@ SECONDS_A_LINE = 10
 
 #: What commands read.
 SCENES = (
-    "A scene: .ply, .egs, .splat, .ksplat, .spz, .glb, .usd, .sog, meta.json, lod-meta.json, .pt, "
-    ".ckpt."
+    "A scene: .ply, .egs, .splat, .ksplat, .spz, .glb, .usd, .sog, .ssog, meta.json, "
+    "lod-meta.json, .pt, .ckpt."
 )
 SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
 

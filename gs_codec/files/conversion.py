@@ -105,8 +105,8 @@ def convert_file(
         Scenes; several are merged, see `gs_codec.edit.merge`.
     target : str or Path
         Its suffix selects the format, one of `FORMATS`, ``.ply``, ``.pt`` (gsplat's checkpoint),
-        ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes) or ``lod-meta.json`` (streamed
-        SOG: with coarser levels, its files beside it).
+        ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes), ``lod-meta.json`` (streamed
+        SOG: with coarser levels, its files beside it) or ``.ssog`` (a zip of the same).
     config : Config, optional
         How to encode the target. The last four use only its options for extra properties and NaN.
     coordinates : str

@@ -20,10 +20,10 @@ from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bit
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
-from gs_codec.config import STREAMED, UNBUNDLED, Config, Extra
+from gs_codec.config import SSOG, STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import PLAIN, WRITTEN, config_for, suffix_of
+from gs_codec.files.suffixes import LEVELLED, PLAIN, WRITTEN, config_for, suffix_of
 from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
@@ -32,6 +32,7 @@ from gs_codec.formats.dialects import with_filter
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.usd import require_usd_core
+from gs_codec.formats.zip_file import write_zip
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.levels.encoding import add_levels
 from gs_codec.levels.streaming import stream_levels
@@ -72,11 +73,15 @@ def write_scene(path: str | Path, scene: Scene, config: Config, overwrite: bool 
     check_writable(path, overwrite)
     if suffix in PLAIN:
         written = Written(_WRITERS[suffix](path, scene))
-    elif suffix == STREAMED:
+    elif suffix in LEVELLED:
         with located(path):
-            config = config_for(path, config, (STREAMED,))
+            config = config_for(path, config, LEVELLED)
             files, lost = stream_levels(scene, config)
-        write_files(Path(path).parent, files)
+        if suffix == SSOG:
+            with atomic_writer(path) as file:
+                write_zip(file, {STREAMED: files.pop(STREAMED), **files})
+        else:
+            write_files(Path(path).parent, files)
         written = Written(lost, _measured(path, scene, config))
     else:
         with located(path):

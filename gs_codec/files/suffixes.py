@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from gs_codec.config import EGS, FORMATS, STREAMED, UNBUNDLED, Config
+from gs_codec.config import EGS, FORMATS, SSOG, STREAMED, UNBUNDLED, Config
 from gs_codec.errors import InvalidInput
 
-#: Of formats that scenes are encoded to, of those of plain floats, and of all that are written.
+#: Of formats that scenes are encoded to, of those of plain floats, of those with levels made by
+#: `convert`, and of all that are written.
 ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)
 PLAIN = (".ply", ".pt", ".ckpt", ".csv")
-WRITTEN = (*ENCODED, STREAMED, *PLAIN)
+LEVELLED = (SSOG, STREAMED)
+WRITTEN = (*ENCODED, *LEVELLED, *PLAIN)
 
 #: Of formats that are written part by part, below a memory limit.
 IN_PARTS = (".egs", ".ply", ".csv")
@@ -44,7 +46,7 @@ def known_suffix(path: str | Path) -> str:
 
 def format_of(suffix: str) -> str:
     """The format of a suffix from `suffix_of`."""
-    return "sog" if suffix in (UNBUNDLED, STREAMED) else suffix.removeprefix(".")
+    return "sog" if suffix in (UNBUNDLED, *LEVELLED) else suffix.removeprefix(".")
 
 
 def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODED) -> Config:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import re
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,7 +27,7 @@ from gs_codec.formats.tensors import (
     scene_of_tensors,
     tensors_of,
 )
-from gs_codec.formats.zip_file import opened_zip, read_entry, write_zip
+from gs_codec.formats.zip_file import Archive, only_scene, opened_zip, write_zip
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import SH_COEFFICIENTS, Scene
@@ -63,20 +62,18 @@ def is_checkpoint(data: FileBytes) -> bool:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, str, dict[str, StoredTensor]]]:
+def _opened(path: Path) -> Iterator[tuple[Archive, str, dict[str, StoredTensor]]]:
     """The zip, the folder in it, and the tensors of Gaussians by name."""
     with located(path), opened_zip(path) as archive:
-        names = [name for name in archive.namelist() if name.rpartition("/")[2] == PICKLE]
-        if not names:
-            raise InvalidInput(f"a zip without {PICKLE}, expected a checkpoint of PyTorch")
-        folder = names[0].removesuffix(PICKLE)
-        if f"{folder}byteorder" in archive.namelist():
-            order = read_entry(archive, f"{folder}byteorder", 16)
+        name = only_scene(archive.named(PICKLE), f"{PICKLE}, expected a checkpoint of PyTorch")
+        folder = name.removesuffix(PICKLE)
+        if f"{folder}byteorder" in archive.names:
+            order = archive.read(f"{folder}byteorder", 16)
             if order != b"little":
                 raise InvalidInput(f"byte order {order!a}, expected b'little'")
-        if any(name.startswith(f"{folder}code/") for name in archive.namelist()):
+        if any(each.startswith(f"{folder}code/") for each in archive.names):
             raise InvalidInput("a network of TorchScript (as of Scaffold-GS), not Gaussians")
-        yield archive, folder, _splats(parse_pickle(read_entry(archive, names[0], _PICKLE_BYTES)))
+        yield archive, folder, _splats(parse_pickle(archive.read(name, _PICKLE_BYTES)))
 
 
 def _splats(root: Any) -> dict[str, StoredTensor]:
@@ -114,14 +111,12 @@ def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scen
     return scene
 
 
-def _numbers(
-    archive: zipfile.ZipFile, folder: str, tensor: StoredTensor, most: int
-) -> NDArray[np.float32]:
+def _numbers(archive: Archive, folder: str, tensor: StoredTensor, most: int) -> NDArray[np.float32]:
     """Numbers of a tensor, copied: its storage may be larger."""
     if tensor.kind not in _TYPES:
         raise InvalidInput(f"tensor of {tensor.kind!a:.40}, expected floats")
     dtype = np.dtype(_TYPES[tensor.kind])
-    data = read_entry(archive, f"{folder}data/{tensor.key}", most)
+    data = archive.read(f"{folder}data/{tensor.key}", most)
     if len(data) != tensor.length * dtype.itemsize:
         raise InvalidInput(f"storage {tensor.key[:20]!a}: {len(data)} bytes of {tensor.length}")
     strides = tuple(dtype.itemsize * stride for stride in tensor.strides)

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.coding.extent import centre_bounds
-from gs_codec.config import Extra
+from gs_codec.config import SSOG, Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
@@ -41,6 +41,7 @@ _BY_SUFFIX: dict[str, Format] = {
     f".{name}": name for name in get_args(Format) if name != "streamed sog"
 } | {
     ".json": "sog",
+    SSOG: "streamed sog",
     ".glb": "gltf",
     ".ckpt": "pt",
     **dict.fromkeys(usd.SUFFIXES, "usd"),
@@ -65,11 +66,13 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
 _BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((spz_file.GZIP, "spz"), (b"{", "sog"))
 
 
-def _in_zip(data: FileBytes) -> Format:
-    """The format of a zip file, by its first entry."""
+def _in_zip(path: Path, data: FileBytes) -> Format:
+    """The format of a zip file, by its first entry, or if it has a `lod-meta.json`."""
     if checkpoint.is_checkpoint(data):
         return "pt"
-    return "usd" if usd.is_usdz(data) else "sog"
+    if usd.is_usdz(data):
+        return "usd"
+    return "streamed sog" if streamed_sog.is_streamed(path, data) else "sog"
 
 
 @dataclass(frozen=True)
@@ -90,14 +93,14 @@ class SceneFile:
     def format(self) -> Format:
         """The format, recognised by content, then by suffix; `InvalidInput` if by neither."""
         head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
-        if head.startswith(b"{") and streamed_sog.is_streamed(self.path):
+        if head.startswith(b"{") and streamed_sog.is_streamed(self.path, self.data):
             return "streamed sog"
         # Both .gltf and the meta.json of SOG are JSON.
         plain = suffix in (".splat", ".gltf")
         known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
             if head.startswith(begin):
-                return _in_zip(self.data) if begin == ZIP else name
+                return _in_zip(self.path, self.data) if begin == ZIP else name
         if suffix not in _BY_SUFFIX:
             listed = ", ".join(SUFFIXES)
             raise InvalidInput(

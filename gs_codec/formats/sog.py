@@ -15,79 +15,79 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.formats.sog_files import (
     FIRST_TAG,
     PALETTE_COLUMNS,
-    Files,
     Meta,
-    parse_meta,
+    Unit,
+    opened_files,
+    opened_unit,
     read_pixels,
-    sog_files,
-    stored_bytes,
 )
-from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
 
-_META_BYTES = 1 << 22
 #: Loads the pixels of an image, given its name and the most pixels it may have.
 _Load = Callable[[str, int], NDArray[np.uint8]]
 
 
 @contextmanager
-def _opened(path: Path, data: memoryview) -> Iterator[tuple[Files, Meta, int]]:
-    """What reads the files of a scene, its `meta.json`, and the size of all its files."""
-    is_zip = data[: len(ZIP)] == ZIP
-    with located(path), sog_files(path, is_zip) as read:
-        meta = parse_meta(read(UNBUNDLED, _META_BYTES))
-        yield read, meta, len(data) if is_zip else stored_bytes(path, meta.files)
+def _opened(path: Path, data: memoryview) -> Iterator[tuple[Unit, int]]:
+    """The scene of a `.sog` or `meta.json` of these bytes, and the size of all its files."""
+    with located(path), opened_files(path, data) as (files, name), opened_unit(files, name) as unit:
+        yield unit, unit.stored_bytes or len(data)
 
 
 def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.sog` file, or the scene of a `meta.json`; see `SceneFile.scene`."""
-    with _opened(path, data) as (read, meta, file_bytes):
-        if meta.model == "2dgs":
-            raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
-        if meta.model not in ("default", "antialiased"):
-            log.warning("%s: model '%s' not known, not kept", path, ascii(meta.model)[1:40])
+    with _opened(path, data) as (unit, file_bytes):
+        return scene_of_unit(path, unit, file_bytes, max_bytes)
 
-        def load(name: str, most: int) -> NDArray[np.uint8]:
-            # A pixel is four bytes; no writer makes a file twice as large as its pixels.
-            return read_pixels(read(name, 8 * most), name, most)
 
-        check_count(meta.count, meta.bands or 0, file_bytes, max_bytes)
-        colours = _values(meta, "sh0", load)
-        if meta.version == 1:
-            opacity = meta.tables["sh0"][colours[3], 3][None]
-        else:
-            opacity = opacities_of(path, colours[3])
-        return Scene(
-            _centres(meta, load),
-            _looked_up(meta.tables["sh0"], colours),
-            _read_palette(meta, load, file_bytes, max_bytes),
-            opacity,
-            _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
-            _quaternions(path, _values(meta, "quats", load)),
-            comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
-        )
+def scene_of_unit(where: str | Path, unit: Unit, file_bytes: int, max_bytes: int | None) -> Scene:
+    """Read a scene of files of `file_bytes` in all; warnings begin with `where`."""
+    meta = unit.meta
+    if meta.model == "2dgs":
+        raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
+    if meta.model not in ("default", "antialiased"):
+        log.warning("%s: model '%s' not known, not kept", where, ascii(meta.model)[1:40])
+
+    def load(name: str, most: int) -> NDArray[np.uint8]:
+        # A pixel is four bytes; no writer makes a file twice as large as its pixels.
+        return read_pixels(unit.files.read(name, 8 * most), name, most)
+
+    check_count(meta.count, meta.bands or 0, file_bytes, max_bytes)
+    colours = _values(meta, "sh0", load)
+    if meta.version == 1:
+        opacity = meta.tables["sh0"][colours[3], 3][None]
+    else:
+        opacity = opacities_of(where, colours[3])
+    return Scene(
+        _centres(meta, load),
+        _looked_up(meta.tables["sh0"], colours),
+        _read_palette(meta, load, file_bytes, max_bytes),
+        opacity,
+        _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
+        _quaternions(where, _values(meta, "quats", load)),
+        comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
+    )
 
 
 def sog_bytes(path: Path, data: memoryview) -> int:
     """Size of all files of a scene."""
-    with _opened(path, data) as (_, _, size):
-        return size
+    with _opened(path, data) as (_, file_bytes):
+        return file_bytes
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
     """Number of Gaussians and SH degree that `meta.json` states; degree 3 if it states none."""
-    with _opened(path, data) as (_, meta, _):
-        return meta.count, 3 if meta.bands is None else meta.bands
+    with _opened(path, data) as (unit, _):
+        return unit.meta.stated_size
 
 
 def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.uint8]:
@@ -129,7 +129,7 @@ def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
         return planes_of(3, meta.count, unfold)
 
 
-def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _quaternions(where: str | Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
     untold = values[3] < FIRST_TAG
 
     def restore(some: slice) -> NDArray[np.float32]:
@@ -139,7 +139,7 @@ def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
         return rot
 
     if untold.any():
-        log.warning("%s: %d rotations without a value, set to the identity", path, untold.sum())
+        log.warning("%s: %d rotations without a value, set to the identity", where, untold.sum())
     return planes_of(4, len(untold), restore)
 
 

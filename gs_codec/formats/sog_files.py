@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.config import UNBUNDLED
+from gs_codec.config import STREAMED, UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import images
-from gs_codec.formats.limits import refusing
-from gs_codec.formats.zip_file import opened_zip, read_entry
+from gs_codec.formats.limits import DECODED_BYTES, refusing
+from gs_codec.formats.zip_file import ZIP, Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located
 
@@ -33,8 +34,8 @@ PALETTE_COLUMNS = 64
 #: The last byte of a quaternion is this value plus the index of the omitted component.
 FIRST_TAG = 252
 
-#: Reads a file, given its name and the most bytes it may have.
-Files = Callable[[str, int], bytes]
+#: Most bytes of a `meta.json`.
+_META_BYTES = 1 << 22
 
 #: Animation flag of an extended WebP file.
 _ANIMATION = 2
@@ -71,6 +72,11 @@ class Meta:
     tables: dict[str, NDArray[np.float32]]
     bands: int | None
     palette: int
+
+    @property
+    def stated_size(self) -> tuple[int, int]:
+        """Number of Gaussians, and SH degree; 3 if it is not stated."""
+        return self.count, 3 if self.bands is None else self.bands
 
 
 def parse_meta(data: bytes) -> Meta:
@@ -189,46 +195,121 @@ def _whole(value: Any, where: str) -> int:
     return value
 
 
+@dataclass(frozen=True)
+class Files:
+    """The files in a folder, on disk or in a zip.
+
+    Attributes
+    ----------
+    folder : Path
+        Within the zip, if there is one.
+    archive : Archive, optional
+    """
+
+    folder: Path | PurePosixPath
+    archive: Archive | None = None
+
+    def read(self, name: str, limit: int) -> bytes:
+        """The bytes of a file.
+
+        Raises
+        ------
+        InvalidInput
+            If it is missing, encrypted, or of more than `limit` bytes.
+        """
+        if self.archive:
+            return self.archive.read(str(self.folder / name), limit)
+        path = Path(self.folder / name)
+        with refusing(f"file {name!a:.60}"):
+            if not path.is_file() or path.stat().st_size > limit:
+                raise InvalidInput(f"file {name!a:.60}: no file, or of more than {limit} bytes")
+            return path.read_bytes()
+
+    def beside(self, name: str) -> Files:
+        """The files in the folder of a file, which may be below this one."""
+        return Files((self.folder / name).parent, self.archive)
+
+    def stored_bytes(self, names: Iterable[str]) -> int:
+        """Total size of these files, if they exist; 0 in a zip."""
+        paths = [] if self.archive else [Path(self.folder / name) for name in names]
+        return sum(path.stat().st_size for path in paths if path.is_file())
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A SOG scene, of which nothing but `meta.json` is read yet.
+
+    Attributes
+    ----------
+    files : Files
+        Those beside its `meta.json`.
+    meta : Meta
+    stored_bytes : int
+        Size of all its files; 0 in a zip.
+    """
+
+    files: Files
+    meta: Meta
+    stored_bytes: int
+
+
 @contextmanager
-def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
-    """A function that reads the files of a scene, from a zip or beside its `meta.json`.
+def opened_files(path: Path, data: memoryview) -> Iterator[tuple[Files, str]]:
+    """The files of the scene of a zip or JSON file of these bytes, and which of them states it.
 
     Raises
     ------
     InvalidInput
-        If the zip is not valid; when reading, if a file is missing, encrypted, or too large.
+        If it is no valid zip, or one without a scene, or of several.
     """
-    if not is_zip:
-        yield lambda name, limit: _read_beside(path, name, limit)
+    if data[: len(ZIP)] != ZIP:
+        yield Files(path.parent), path.name
         return
     with opened_zip(path) as archive:
-        # Some bundles have all files in one folder.
-        folder = _folder_of(set(archive.namelist()))
-        yield lambda name, limit: read_entry(archive, folder + name, limit)
+        yield Files(PurePosixPath(), archive), scene_in(archive)
 
 
-def stored_bytes(meta: Path, files: Mapping[str, Iterable[str]]) -> int:
-    """Total size of a `meta.json` and the existing files of its scene."""
-    paths = [meta, *(meta.parent / name for names in files.values() for name in names)]
-    return sum(path.stat().st_size for path in paths if path.is_file())
+def scene_in(archive: Archive) -> str:
+    """The name of the `meta.json` or `lod-meta.json` of the scene in a zip.
+
+    Raises
+    ------
+    InvalidInput
+        If there is none, or several scenes could be meant.
+    """
+    streamed = archive.named(STREAMED)
+    folders = tuple(name.removesuffix(STREAMED) for name in streamed)
+
+    def is_part(name: str) -> bool:
+        folder = name.removesuffix(UNBUNDLED)
+        return folder.startswith(folders) and folder not in folders
+
+    others = [name for name in archive.named(UNBUNDLED) if not is_part(name)]
+    return only_scene(streamed + others, f"{UNBUNDLED}, expected a SOG scene")
 
 
-def _folder_of(names: Iterable[str]) -> str:
-    """The folder of the scene in a zip."""
-    by_base: dict[str, list[str]] = {}
-    for name in names:
-        by_base.setdefault(name.rpartition("/")[2], []).append(name)
-    if UNBUNDLED not in by_base:
-        raise InvalidInput("a zip without meta.json, expected a SOG scene")
-    return min(by_base[UNBUNDLED], key=len).removesuffix(UNBUNDLED)
+@contextmanager
+def opened_unit(files: Files, name: str) -> Iterator[Unit]:
+    """The scene of a `meta.json`, or of a zip, among these files.
 
-
-def _read_beside(meta: Path, name: str, limit: int) -> bytes:
-    path = meta if name == UNBUNDLED else meta.parent / name
-    with refusing(f"file '{name}'"):
-        if not path.is_file() or path.stat().st_size > limit:
-            raise InvalidInput(f"file '{name}': no file, or of more than {limit} bytes")
-        return path.read_bytes()
+    Raises
+    ------
+    InvalidInput
+        If the file is missing or not valid.
+    """
+    is_json = name.lower().endswith(".json")
+    data = files.read(name, _META_BYTES if is_json else DECODED_BYTES)
+    if data.startswith(ZIP):
+        with opened_zip(io.BytesIO(data)) as archive:
+            inside = Files(PurePosixPath(), archive)
+            with opened_unit(inside, scene_in(archive)) as unit:
+                yield replace(unit, stored_bytes=files.stored_bytes([name]))
+        return
+    if len(data) > _META_BYTES:
+        raise InvalidInput(f"{len(data)} bytes of JSON, expected at most {_META_BYTES}")
+    meta, beside = parse_meta(data), files.beside(name)
+    images = chain.from_iterable(meta.files.values())
+    yield Unit(beside, meta, files.stored_bytes([name]) + beside.stored_bytes(images))
 
 
 def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:

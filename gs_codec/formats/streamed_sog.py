@@ -1,13 +1,16 @@
 """Streamed SOG: the tree of levels of detail of a `lod-meta.json`, and its finest level read.
 
 Each leaf of the tree has a run of Gaussians at each level, in SOG scenes beside `lod-meta.json`. A
-viewer draws each leaf at one level, which it chooses by how far away the leaf's box is.
+viewer draws each leaf at one level, which it chooses by how far away the leaf's box is. A zip of
+all files is an `.ssog`.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +18,20 @@ from typing import Any
 from gs_codec.config import STREAMED
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
-from gs_codec.formats import sog
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.formats.sog import scene_of_unit
+from gs_codec.formats.sog_files import Files, opened_files, opened_unit
+from gs_codec.formats.zip_file import ZIP, opened_zip
 from gs_codec.runtime.json_text import parse_json
-from gs_codec.runtime.mapped import located, opened
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import Scene, join_scenes
 
+log = logging.getLogger(__name__)
+
 _VERSION = 1
+
+#: Most bytes of a `lod-meta.json`, unless the file itself or its zip is larger.
+_LOD_META_BYTES = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -87,32 +97,54 @@ def _around(nodes: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     }
 
 
-def is_streamed(path: Path) -> bool:
-    """Whether a file has the name of a `lod-meta.json`."""
-    return path.name.lower() == STREAMED
+def is_streamed(path: Path, data: FileBytes) -> bool:
+    """Whether a file has the name of a `lod-meta.json`, or is a zip with one.
+
+    Raises
+    ------
+    InvalidInput
+        If it is a zip that is not valid.
+    """
+    if data[: len(ZIP)] != ZIP:
+        return path.name.lower() == STREAMED
+    with located(path), opened_zip(path) as archive:
+        return bool(archive.named(STREAMED))
+
+
+@contextmanager
+def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, list[str]]]:
+    """The files of a `lod-meta.json`, and the names of the SOG scenes of a level or of all."""
+    with located(path), opened_files(path, data) as (files, name):
+        # It takes far fewer bytes than the files that it describes.
+        text = files.read(name, max(len(data), _LOD_META_BYTES))
+        yield files.beside(name), _names(text, finest)
 
 
 def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the finest level of a `lod-meta.json`, and its environment; see `SceneFile.scene`."""
-    sizes = [(stated, _size(file)) for file, stated in _units(path, data, finest=True)]
-    (count, degree), stored = _whole([stated for stated, _ in sizes]), sum(s for _, s in sizes)
-    with located(path):
-        check_count(count, degree, stored, max_bytes)
-    scenes = []
-    for file, _ in _units(path, data, finest=True):
-        with opened(file) as content:
-            scenes.append(sog.read_sog(file, content[:], max_bytes))
+    with _opened(path, data, finest=True) as (files, names):
+        sizes = [_size(files, name) for name in names]
+        file_bytes = len(data) + sum(stored for _, stored in sizes)
+        check_count(*_whole([stated for stated, _ in sizes]), file_bytes, max_bytes)
+        scenes = []
+        for name in names:
+            with located(name), opened_unit(files, name) as unit:
+                scenes.append(scene_of_unit(f"{path}: {name}", unit, file_bytes, max_bytes))
+    if len({scene.antialiased for scene in scenes}) > 1:
+        log.warning("%s: antialiased in parts, read as the first part is", path)
     return join_scenes(scenes)
 
 
 def streamed_bytes(path: Path, data: memoryview) -> int:
-    """Size of `lod-meta.json` and of all files of all levels."""
-    return len(data) + sum(_size(file) for file, _ in _units(path, data, finest=False))
+    """Size of `lod-meta.json` and of all files of all levels; of a zip, its size."""
+    with _opened(path, data, finest=False) as (files, names):
+        return len(data) + sum(_size(files, name)[1] for name in names)
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
     """Number of Gaussians of the finest level, and SH degree."""
-    return _whole([stated for _, stated in _units(path, data, finest=True)])
+    with _opened(path, data, finest=True) as (files, names):
+        return _whole([_size(files, name)[0] for name in names])
 
 
 def _whole(stated: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -120,24 +152,15 @@ def _whole(stated: Sequence[tuple[int, int]]) -> tuple[int, int]:
     return sum(counts), max(degrees)
 
 
-def _size(path: Path) -> int:
-    with opened(path) as data:
-        return sog.sog_bytes(path, data[:])
+def _size(files: Files, name: str) -> tuple[tuple[int, int], int]:
+    """What a SOG scene states, and the size of its files; 0 in a zip."""
+    with located(name), opened_unit(files, name) as unit:
+        return unit.meta.stated_size, unit.stored_bytes
 
 
-def _units(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Path, tuple[int, int]]]:
-    """Paths of the SOG scenes of a level or of all, and the sizes that they state."""
-    with located(path):
-        names = _names(data, finest)
-    for name in names:
-        file = path.parent / name
-        with opened(file) as content:
-            yield file, sog.stated_size(file, content[:])
-
-
-def _names(data: memoryview, finest: bool) -> list[str]:
+def _names(text: bytes, finest: bool) -> list[str]:
     with refusing(STREAMED, AttributeError):
-        meta = parse_json(bytes(data))
+        meta = parse_json(text)
         if not isinstance(meta, dict) or meta.get("version", _VERSION) != _VERSION:
             raise InvalidInput(f"{STREAMED}: expected version {_VERSION} of streamed SOG")
         wanted = list(meta["filenames"])
@@ -161,9 +184,10 @@ def _finest_runs(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _checked(names: Iterable[Any]) -> Iterator[str]:
-    """Refuse names of files that do not lie below the folder of `lod-meta.json`."""
+    """Names with slashes; refuses files that do not lie below the folder of `lod-meta.json`."""
     for name in names:
-        plain = isinstance(name, str) and name.isprintable() and not set(name) & set("\\:")
-        if not plain or any(part.strip(".") == "" for part in name.split("/")):
+        plain = isinstance(name, str) and name.isprintable() and ":" not in name
+        parts = name.replace("\\", "/").split("/") if plain else [""]
+        if any(part.strip(".") == "" for part in parts):
             raise InvalidInput(f"{STREAMED}: file {name!a:.60}, expected one beside it")
-        yield name
+        yield "/".join(parts)

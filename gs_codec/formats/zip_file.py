@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import struct
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from gs_codec.errors import InvalidInput
@@ -24,41 +24,85 @@ _UNIX = 3
 _HEADER, _SPACE = 30, struct.Struct("<2sH")
 
 
-@contextmanager
-def opened_zip(path: Path) -> Iterator[zipfile.ZipFile]:
-    """A zip file, open while the block runs; `InvalidInput` if it is not valid."""
-    with refusing("zip", zipfile.BadZipFile):
-        archive = zipfile.ZipFile(path)
-    with archive:
-        number = len(archive.infolist())
-        if number > _ENTRIES:
-            raise InvalidInput(f"zip of {number} entries, expected at most {_ENTRIES}")
-        yield archive
+class Archive:
+    """The files in a zip by name, with a slash after each folder, whatever the zip has.
 
-
-def read_entry(archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
-    """The bytes of an entry.
+    Parameters
+    ----------
+    file : zipfile.ZipFile
 
     Raises
     ------
     InvalidInput
-        If it is missing, damaged, encrypted, or larger than `limit`.
+        If it has too many entries, or two of one name.
     """
-    with refusing(f"zip entry '{name[:60]}'", zipfile.BadZipFile):
-        entry = archive.getinfo(name)
-        if entry.flag_bits & 1:
-            raise InvalidInput(f"zip entry '{name[:60]}': encrypted")
-        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise InvalidInput(f"zip entry '{name[:60]}': compressed otherwise than by deflate")
-        if entry.file_size > limit:
-            raise InvalidInput(
-                f"zip entry '{name[:60]}': {entry.file_size} bytes, expected at most {limit}"
-            )
-        with archive.open(entry) as file:
-            data = file.read(entry.file_size + 1)
-    if len(data) != entry.file_size:
-        raise InvalidInput(f"zip entry '{name[:60]}': {len(data)} bytes of {entry.file_size}")
-    return data
+
+    def __init__(self, file: zipfile.ZipFile) -> None:
+        entries = file.infolist()
+        if len(entries) > _ENTRIES:
+            raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
+        self._file, self._entries = file, dict[str, zipfile.ZipInfo]()
+        for entry in entries:
+            name = entry.filename.replace("\\", "/")
+            if name.endswith("/"):
+                continue
+            name = str(PurePosixPath(name))
+            if name in self._entries:
+                raise InvalidInput(f"two zip entries {name!a:.60}")
+            self._entries[name] = entry
+
+    @property
+    def names(self) -> list[str]:
+        """Sorted names of all files."""
+        return sorted(self._entries)
+
+    def named(self, base: str) -> list[str]:
+        """Sorted names of the files called `base`, in any folder."""
+        return [name for name in self.names if name.rpartition("/")[2] == base]
+
+    def read(self, name: str, limit: int) -> bytes:
+        """The bytes of a file.
+
+        Raises
+        ------
+        InvalidInput
+            If it is missing, damaged, encrypted, or larger than `limit`.
+        """
+        shown = f"zip entry {name!a:.60}"
+        with refusing(shown, zipfile.BadZipFile):
+            if name not in self._entries:
+                raise InvalidInput(f"{shown}: missing")
+            entry = self._entries[name]
+            if entry.flag_bits & 1:
+                raise InvalidInput(f"{shown}: encrypted")
+            if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise InvalidInput(f"{shown}: compressed otherwise than by deflate")
+            if entry.file_size > limit:
+                raise InvalidInput(f"{shown}: {entry.file_size} bytes, expected at most {limit}")
+            with self._file.open(entry) as file:
+                data = file.read(entry.file_size + 1)
+        if len(data) != entry.file_size:
+            raise InvalidInput(f"{shown}: {len(data)} bytes of {entry.file_size}")
+        return data
+
+
+def only_scene(names: Sequence[str], expected: str) -> str:
+    """The one of the names; `InvalidInput` if there are none, or several scenes could be meant."""
+    if not names:
+        raise InvalidInput(f"a zip without {expected}")
+    if len(names) > 1:
+        shown = ", ".join(f"{name!a:.60}" for name in names[:3]) + ", ..." * (len(names) > 3)
+        raise InvalidInput(f"a zip of {len(names)} scenes ({shown}), expected one: unpack it first")
+    return names[0]
+
+
+@contextmanager
+def opened_zip(file: Path | BinaryIO) -> Iterator[Archive]:
+    """The entries of a zip file while the block runs; `InvalidInput` if it is not valid."""
+    with refusing("zip", zipfile.BadZipFile):
+        opened = zipfile.ZipFile(file)
+    with opened:
+        yield Archive(opened)
 
 
 def write_zip(

@@ -8,7 +8,7 @@ import foreign
 import numpy as np
 import open3d as o3d
 import pytest
-from scenes import assert_same_floats, random_scene
+from scenes import assert_same_floats, random_scene, thorough
 
 import gs_codec
 from gs_codec.codecs import decode_scene, encode_scene
@@ -22,7 +22,7 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.formats.tensors import tensors_of
-from gs_codec.scene import Scene
+from gs_codec.scene import GROUPS, Scene
 
 COUNT = 40
 SAID = (
@@ -206,3 +206,41 @@ def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
     sources = open_sources([tmp_path / "c.ply"], "error")
     with pytest.raises(InvalidInput, match="no Gaussian is left of 30"):
         encode_with(Here(), sources, tmp_path / "c.egs", config, 1024)
+
+
+def extreme_scenes() -> dict[str, Scene]:
+    """Scenes that every writer takes, or refuses in one line."""
+    tiny, far, clear, one = (random_scene(12, 1, seed) for seed in range(4))
+    tiny.log_scale[:, ::2] = -200
+    far.positions[:] = 1e20
+    clear.opacity[0, ::2], clear.opacity[0, 1::2] = 3e38, -3e38
+    clear.rot[:, ::3] = 0
+    one.positions[:] *= np.float32(1e37)
+    huge = replace(tiny, log_scale=np.full_like(tiny.log_scale, 89))
+    return {"tiny": tiny, "far": far, "clear": clear, "one": one.take(np.arange(1)), "huge": huge}
+
+
+NAMES = (
+    "a.ply", "a.compressed.ply", "a.splat", "a.glb", "a.gltf", thorough("a.usda"), "a.spz", "a.sog",
+    thorough("meta.json"), "lod-meta.json", "a.pt", "a.ckpt", "a.egs",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_writer_takes_its_reader_reads(name, tmp_path):
+    if name == "a.usda":
+        pytest.importorskip("pxr")
+    for case, scene in extreme_scenes().items():
+        folder = tmp_path / case
+        folder.mkdir()
+        if case == "huge" and name in ("a.splat", "a.glb", "a.gltf", "a.usda"):
+            with pytest.raises(InvalidInput, match=r"log-scale 89\.0, .* holds up to 88\.0"):
+                write_scene(folder / name, scene, Config())
+            continue
+        write_scene(folder / name, scene, Config())
+        back = read_scene(folder / name)
+        assert back.count == scene.count
+        assert all(np.isfinite(getattr(back, group)).all() for group in GROUPS), case
+        if case == "tiny":
+            assert (back.log_scale.min(axis=1) < -9).all()
+            assert (np.sort(back.log_scale)[:, 6:] > -10).all()

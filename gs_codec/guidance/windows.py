@@ -218,7 +218,8 @@ def _inside(
         -window.cy / window.fy, (window.height - window.cy) / window.fy, NEAR,
     )  # fmt: skip
     rotation = tuple(tuple(np.float32(v) for v in row) for row in window.rotation)
-    position = tuple(np.float32(v) for v in window.position)
+    with np.errstate(over="ignore"):  # infinitely far away: it shows nothing
+        position = tuple(np.float32(v) for v in window.position)
     inside = np.empty(positions.shape[1], np.bool_)
     _mark(*positions, reaches, rotation, position, tuple(np.float32(s) for s in slopes), inside)
     return inside

@@ -125,8 +125,9 @@ def gather_evidence(
     points, sizes = thumb.positions.T.astype(np.float64), _log_sizes(thumb)
     centre = np.median(points, axis=0)
     distance = np.linalg.norm(points - centre, axis=1)
-    # A single Gaussian is looked at from a distance of its own size.
-    size = max(float(np.median(distance)), float(np.exp(np.median(sizes))), 1e-6)
+    # A single Gaussian is looked at from a distance of its own size, but one that floats resolve.
+    least = max(float(np.spacing(np.float32(np.abs(centre).max()))), 1e-6)
+    size = max(float(np.median(distance)), float(np.exp(np.median(sizes))), least)
     reach = max(float(np.quantile(distance, 0.75)), size)
     shown = _shown(thumb)
     tried = _QUICK if quick else _THOROUGH

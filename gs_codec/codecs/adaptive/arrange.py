@@ -218,5 +218,5 @@ def _lattice(
 
 
 def _median(values: NDArray) -> int:
-    middle = float(np.median(values)) if len(values) else 0.0
-    return round(min(max(middle, -LARGEST), LARGEST) * (1 << FRACTION_BITS))
+    middle = float(np.median(np.clip(values, -LARGEST, LARGEST))) if len(values) else 0.0
+    return round(middle * (1 << FRACTION_BITS))

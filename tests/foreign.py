@@ -159,6 +159,15 @@ def webp(pixels: np.ndarray) -> bytes:
     return out.getvalue()
 
 
+def png(pixels: np.ndarray) -> bytes:
+    """The same as PNG."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8), "RGBA").save(out, "PNG")
+    return out.getvalue()
+
+
 def sog_parts(
     count: int, version: int, degree: int, seed: int, palette: int = 70
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -18,15 +18,17 @@ import numpy as np
 import numpy.lib.recfunctions as rfn
 import pytest
 from foreign import SH_C0
-from scenes import random_scene, shared_scene_path
+from PIL import Image
+from scenes import assert_same_floats, random_scene, shared_scene_path
 from test_ply import assert_one_line, assert_refused
 
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
+from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats import packed_values
 from gs_codec.formats.ply import vertex_rows
-from gs_codec.formats.registry import open_scene
+from gs_codec.formats.registry import open_scene, overview_of
 from gs_codec.formats.splat import pack_splat
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
@@ -520,7 +522,7 @@ def sog_gaussian(meta: dict, images: dict[str, np.ndarray], i: int) -> dict[str,
 def test_sog_is_read_as_its_formula_says(degree, version, tmp_path):
     meta, images = foreign.sog_parts(30, version, degree, seed=degree)
     if degree == 1:
-        meta["model"] = "antialiased"
+        meta |= {"model": "antialiased"} if version == 1 else {"antialias": True}
     (tmp_path / "folder").mkdir()
     paths = [
         written(tmp_path / "a.sog", foreign.sog_file(meta, images)),
@@ -562,6 +564,59 @@ TWO_IN_A_ZIP = {
 def test_a_zip_that_may_mean_two_things_is_refused(case, tmp_path):
     data, message = TWO_IN_A_ZIP[case]
     assert_refused(written(tmp_path / "two.sog", data), message)
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_images_of_sog_may_be_png(degree, tmp_path):
+    """By another suffix, or by that of WebP; in a zip and in a folder."""
+    meta, images = foreign.sog_parts(30, 2, degree, seed=1)
+    text = json.dumps(meta).replace(".webp", ".png")
+    with zipfile.ZipFile(tmp_path / "a.sog", "w") as archive:
+        archive.writestr("meta.json", text)
+        for name, pixels in images.items():
+            archive.writestr(name.replace(".webp", ".png"), foreign.png(pixels))
+    path = foreign.sog_folder(tmp_path, meta, images)
+    expected = read_scene(path)
+    for name in images:
+        (tmp_path / name).write_bytes(foreign.png(images[name]))
+    for each in (path, tmp_path / "a.sog"):
+        assert_same_floats(read_scene(each), expected)
+
+
+ODD_PNG = {
+    "16 bits per channel": (np.zeros((4, 8, 4), np.uint16), {}),
+    "an animation": (
+        np.zeros((4, 8, 4), np.uint8),
+        {"save_all": True, "append_images": [Image.new("RGBA", (8, 4), "red")]},
+    ),
+    "1x1 pixels|1 pixels": (np.zeros((1, 1, 4), np.uint8), {}),
+}
+
+
+@pytest.mark.parametrize("message", ODD_PNG)
+def test_png_of_another_kind_is_refused(message, tmp_path):
+    meta, images = foreign.sog_parts(30, 2, 0, seed=1)
+    path = foreign.sog_folder(tmp_path, meta, images)
+    pixels, options = ODD_PNG[message]
+    if pixels.dtype == np.uint16:
+        Image.fromarray(pixels[..., 0]).save(tmp_path / "sh0.webp", "PNG")
+    else:
+        Image.fromarray(pixels).save(tmp_path / "sh0.webp", "PNG", **options)
+    with pytest.raises(InvalidInput, match=f"image 'sh0.webp': ({message})") as caught:
+        read_scene(path)
+    assert_one_line(caught.value, path)
+
+
+@pytest.mark.parametrize("name", ["a.sog", "meta.json", "a.ply", "a.spz", "a.egs"])
+def test_the_antialias_flag_of_sog_is_kept(name, tmp_path):
+    meta, images = foreign.sog_parts(30, 2, 0, seed=1)
+    path = written(tmp_path / "in.sog", foreign.sog_file(meta | {"antialias": True}, images))
+    assert overview_of(path).antialiased
+    convert_file(path, tmp_path / name)
+    assert read_scene(tmp_path / name).antialiased
+    if name == "meta.json":
+        again = json.loads((tmp_path / name).read_text())
+        assert (again["antialias"], again["model"]) == (True, "antialiased")
 
 
 def test_sog_without_gaussians_is_read(tmp_path):
@@ -676,6 +731,7 @@ BAD_SOG = {
     ),
     "short codebook": (bad_sog(setting("sh0", "codebook", value=[0.0] * 9)), "beyond its codebook"),
     "short SH": (bad_sog(setting("shN", "codebook", value=[0.0] * 9)), "beyond its codebook"),
+    "flag": (bad_sog(lambda meta: meta.update(antialias="no")), "antialias 'no', expected true or"),
     "4 bands": (bad_sog(setting("shN", "bands", value=4)), "shN of 4 bands"),
     "2 bands": (bad_sog(setting("shN", "bands", value=2)), "192 pixels wide, expected 512"),
     "palette of 3": (bad_sog(setting("shN", "count", value=3)), "of a palette of 3"),

@@ -1,4 +1,4 @@
-"""SOG scenes, versions 1 and 2: values are pixels of WebP images that `meta.json` describes.
+"""SOG scenes, versions 1 and 2: values are pixels of WebP or PNG images that `meta.json` describes.
 
 The files are in one zip (`.sog`), or beside `meta.json`. Centres are stored as 16-bit logarithms,
 SH-AC as rows of a palette. All other values are bytes: indices of a table in version 2, shares
@@ -74,7 +74,7 @@ def scene_of_unit(where: str | Path, unit: Unit, file_bytes: int, max_bytes: int
         opacity,
         _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
         _quaternions(where, _values(meta, "quats", load)),
-        comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
+        comments=(ANTIALIASED,) if meta.antialiased else (),
     )
 
 

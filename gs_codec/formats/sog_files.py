@@ -37,8 +37,8 @@ FIRST_TAG = 252
 #: Most bytes of a `meta.json`.
 _META_BYTES = 1 << 22
 
-#: Animation flag of an extended WebP file.
-_ANIMATION = 2
+#: How a PNG begins. Animation flag of an extended WebP file.
+_PNG, _ANIMATION = b"\x89PNG\r\n\x1a\n", 2
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,8 @@ class Meta:
     count : int
     model : str
         How to render the scene: ``default``, ``antialiased`` or other.
+    antialiased : bool
+        Whether it asks for opacity compensation: by `model`, or as the specification says.
     files : dict of str to list of str
         Image names of each group present.
     means : ndarray, shape (2, 3)
@@ -67,6 +69,7 @@ class Meta:
     version: int
     count: int
     model: str
+    antialiased: bool
     files: dict[str, list[str]]
     means: NDArray[np.float64]
     tables: dict[str, NDArray[np.float32]]
@@ -120,8 +123,12 @@ def parse_meta(data: bytes) -> Meta:
     model = meta.get("model", "default")
     if not isinstance(model, str):
         raise InvalidInput(f"meta.json: model {model!a:.40}, expected a name")
+    flag = meta.get("antialias", False)
+    if not isinstance(flag, bool):
+        raise InvalidInput(f"meta.json: antialias {flag!a:.40}, expected true or false")
+    antialiased = flag or model == "antialiased"
     bounds = np.array([_numbers(means, "means", end, 3) for end in ("mins", "maxs")])
-    return Meta(version, count, model, files, bounds, tables, bands, palette)
+    return Meta(version, count, model, antialiased, files, bounds, tables, bands, palette)
 
 
 def _lines(meta: dict[str, Any], files: dict[str, list[str]]) -> dict[str, NDArray[np.float32]]:
@@ -313,12 +320,12 @@ def opened_unit(files: Files, name: str) -> Iterator[Unit]:
 
 
 def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
-    """Pixels ``(height, width, 4)`` of a WebP image, RGBA.
+    """Pixels ``(height, width, 4)`` of a WebP or PNG image, RGBA.
 
     Raises
     ------
     InvalidInput
-        If it is not a still WebP image, or has more than `most` pixels.
+        If it is neither, is animated, or has more than `most` pixels.
     """
 
     def check_size(width: int, height: int) -> None:
@@ -327,6 +334,14 @@ def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
 
     # Lossy images are accepted: some files of version 1 have them.
     with located(f"image '{name}'"):
-        if data[12:16] == b"VP8X" and data[20:21] and data[20] & _ANIMATION:
+        if _is_animated(data):
             raise InvalidInput("an animation, expected a still image")
-        return images.read_pixels(io.BytesIO(data), ("WEBP",), check_size)
+        if data.startswith(_PNG) and data[24:25] == b"\x10":
+            raise InvalidInput("16 bits per channel, expected 8")
+        return images.read_pixels(io.BytesIO(data), ("WEBP", "PNG"), check_size)
+
+
+def _is_animated(data: bytes) -> bool:
+    if data.startswith(_PNG):
+        return b"acTL" in data.partition(b"IDAT")[0]
+    return data[12:16] == b"VP8X" and bool(data[20:21]) and bool(data[20] & _ANIMATION)

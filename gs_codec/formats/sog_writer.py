@@ -83,7 +83,8 @@ def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes],
     meta: dict[str, object] = {"version": 2, "count": scene.count}
     meta["asset"] = {"generator": "gs_codec"}
     if scene.antialiased:
-        meta["model"] = "antialiased"
+        # By the specification, and as splat-transform reads it.
+        meta |= {"antialias": True, "model": "antialiased"}
     images: dict[str, NDArray[np.uint8]] = {}
     for name, pack in _GROUPS.items():
         if name != "shN" or scene.sh_degree:

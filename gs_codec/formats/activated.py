@@ -26,8 +26,8 @@ def log_scales_of(scales: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def linear_scales(
-    log_scale: NDArray[np.float32], name: str, clipped: Clipped
-) -> NDArray[np.float64]:
+    log_scale: NDArray[np.floating], name: str, clipped: Clipped
+) -> NDArray[np.floating]:
     """Scales of logarithms; `InvalidInput`, with the `name` of a format, if one is too large.
 
     Those that a float32 does not tell from 0 are clipped to the smallest above.
@@ -35,5 +35,4 @@ def linear_scales(
     largest = log_scale.max(initial=0)
     if largest > _LARGEST:
         raise InvalidInput(f"log-scale {largest}, {name} holds up to {_LARGEST}")
-    logs = clipped.limited("scales", log_scale.astype(np.float64), _SMALLEST, _LARGEST)
-    return np.exp(logs)
+    return np.exp(clipped.limited("scales", log_scale, _SMALLEST, _LARGEST))

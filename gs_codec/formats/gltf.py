@@ -227,7 +227,7 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
         "POSITION": turned.positions,
         "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
         f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
-        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale, "glTF", clipped),
+        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale.astype(np.float64), "glTF", clipped),
         f"{_EXTENSION}:OPACITY": share,
         _sh_name(0, 0): turned.f_dc,
     }

@@ -188,7 +188,7 @@ def _stage(scene: Scene, clipped: Clipped) -> Any:
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Scene")
     stage.SetDefaultPrim(splats.GetPrim())
-    scales = linear_scales(scene.log_scale, "USD", clipped)
+    scales = linear_scales(scene.log_scale.astype(np.float64), "USD", clipped)
     splats.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(rows(scene.positions)))
     rotations = rows(unit_quaternions(scene.rot)[[1, 2, 3, 0]])
     splats.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(rotations))

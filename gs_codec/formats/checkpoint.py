@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sized
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -92,13 +92,13 @@ def _splats(root: Any) -> dict[str, StoredTensor]:
     )
 
 
-def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
+def stated_size(path: Path, data: Sized) -> tuple[int, int]:
     """Number of Gaussians, and SH degree, that a checkpoint states."""
     with _opened(path) as (_, _, tensors):
         return check_shapes(tensors)
 
 
-def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
+def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
     """Read the bytes of a checkpoint; see `SceneFile.scene`."""
     with _opened(path) as (archive, folder, tensors):
         check_count(*check_shapes(tensors), len(data), max_bytes)
@@ -112,16 +112,21 @@ def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scen
 
 
 def _numbers(archive: Archive, folder: str, tensor: StoredTensor, most: int) -> NDArray[np.float32]:
-    """Numbers of a tensor, copied: its storage may be larger."""
+    """Numbers of a tensor, copied; of its storage, which may be larger, only those are kept."""
     if tensor.kind not in _TYPES:
         raise InvalidInput(f"tensor of {tensor.kind!a:.40}, expected floats")
-    dtype = np.dtype(_TYPES[tensor.kind])
-    data = archive.read(f"{folder}data/{tensor.key}", most)
-    if len(data) != tensor.length * dtype.itemsize:
-        raise InvalidInput(f"storage {tensor.key[:20]!a}: {len(data)} bytes of {tensor.length}")
+    dtype, where = np.dtype(_TYPES[tensor.kind]), f"storage {tensor.key[:20]!a}"
+    entry = f"{folder}data/{tensor.key}"
+    size = archive.size(entry)
+    if size != tensor.length * dtype.itemsize:
+        raise InvalidInput(f"{where}: {size} bytes of {tensor.length}")
+    first, end = tensor.used
+    if end > tensor.length or (end - first) * dtype.itemsize > most:
+        raise InvalidInput(f"{where}: numbers {first} to {end} of {tensor.length}, too many")
+    data = archive.read_part(entry, first * dtype.itemsize, end * dtype.itemsize)
     strides = tuple(dtype.itemsize * stride for stride in tensor.strides)
-    with refusing(f"storage {tensor.key[:20]!a}"):
-        array = np.ndarray(tensor.shape, dtype, data, dtype.itemsize * tensor.offset, strides)
+    with refusing(where):
+        array = np.ndarray(tensor.shape, dtype, data, 0, strides)
     if dtype.kind == "u":
         return (array.astype("<u4") << 16).view("<f4")
     with np.errstate(over="ignore"):

@@ -51,6 +51,14 @@ class StoredTensor:
     shape: tuple[int, ...]
     strides: tuple[int, ...]
 
+    @property
+    def used(self) -> tuple[int, int]:
+        """Numbers of the storage, from the first to behind the last, that are the tensor's."""
+        if 0 in self.shape:
+            return 0, 0
+        last = sum((n - 1) * stride for n, stride in zip(self.shape, self.strides, strict=False))
+        return self.offset, self.offset + last + 1
+
 
 @dataclass(frozen=True)
 class _Global:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.coding.extent import centre_bounds
@@ -109,8 +109,9 @@ class SceneFile:
         return _BY_SUFFIX[suffix]
 
     @cached_property
-    def _whole(self) -> memoryview:
-        return self.data[:]
+    def _whole(self) -> Any:
+        """All bytes; a checkpoint, which may have much else, is read from its file instead."""
+        return self.data if self.format == "pt" else self.data[:]
 
     @cached_property
     def ply(self) -> Ply:

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
@@ -16,6 +16,9 @@ from gs_codec.formats.limits import refusing
 ZIP = b"PK\x03\x04"
 
 _ENTRIES = 10_000
+
+#: Bytes that are read at once, of those that are not used.
+_PIECE = 1 << 20
 
 #: Number of a system in a zip.
 _UNIX = 3
@@ -68,22 +71,53 @@ class Archive:
         InvalidInput
             If it is missing, damaged, encrypted, or larger than `limit`.
         """
-        shown = f"zip entry {name!a:.60}"
-        with refusing(shown, zipfile.BadZipFile):
-            if name not in self._entries:
-                raise InvalidInput(f"{shown}: missing")
-            entry = self._entries[name]
-            if entry.flag_bits & 1:
-                raise InvalidInput(f"{shown}: encrypted")
-            if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise InvalidInput(f"{shown}: compressed otherwise than by deflate")
-            if entry.file_size > limit:
-                raise InvalidInput(f"{shown}: {entry.file_size} bytes, expected at most {limit}")
-            with self._file.open(entry) as file:
-                data = file.read(entry.file_size + 1)
-        if len(data) != entry.file_size:
-            raise InvalidInput(f"{shown}: {len(data)} bytes of {entry.file_size}")
+        size = self.size(name)
+        if size > limit:
+            raise InvalidInput(f"{_shown(name)}: {size} bytes, expected at most {limit}")
+        return self.read_part(name, 0, size)
+
+    def size(self, name: str) -> int:
+        """Bytes of a file; `InvalidInput` if it is missing, or cannot be read."""
+        if name not in self._entries:
+            raise InvalidInput(f"{_shown(name)}: missing")
+        entry = self._entries[name]
+        if entry.flag_bits & 1:
+            raise InvalidInput(f"{_shown(name)}: encrypted")
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InvalidInput(f"{_shown(name)}: compressed otherwise than by deflate")
+        return entry.file_size
+
+    def read_part(self, name: str, start: int, stop: int) -> bytes:
+        """Bytes `start` to `stop` of a file; the others are read piece by piece, and checked.
+
+        Raises
+        ------
+        InvalidInput
+            If it is missing, damaged or encrypted, or compressed and larger than the part.
+        """
+        shown, size = _shown(name), self.size(name)
+        entry = self._entries[name]
+        if entry.compress_type != zipfile.ZIP_STORED and stop - start < size:
+            raise InvalidInput(f"{shown}: {size} bytes compressed, {stop - start} of them used")
+        with refusing(shown, zipfile.BadZipFile), self._file.open(entry) as file:
+            before = _pass(file, start)
+            data = file.read(stop - start)
+            found = before + len(data) + _pass(file, size - stop + 1)
+        if found != size:
+            raise InvalidInput(f"{shown}: {found} bytes of {size}")
         return data
+
+
+def _shown(name: str) -> str:
+    return f"zip entry {name!a:.60}"
+
+
+def _pass(file: IO[bytes], size: int) -> int:
+    """Read so many bytes, if there are, and forget them; return how many there were."""
+    left = size
+    while left and (piece := len(file.read(min(left, _PIECE)))):
+        left -= piece
+    return size - left
 
 
 def only_scene(names: Sequence[str], expected: str) -> str:

@@ -23,8 +23,8 @@ def test_seeds_are_read(name):
         TARGETS[name].read(seed)
 
 
-#: Those of many seeds, whose readers test_damage.py and test_web_decoder.py damage as well.
-MANY = ("decode", "browser")
+#: Slow ones, whose readers other tests give damaged files as well.
+MANY = ("decode", "browser", "usd")
 
 
 @pytest.mark.parametrize("name", [thorough(name) if name in MANY else name for name in TARGETS])

@@ -11,7 +11,8 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,20 +25,24 @@ from scenes import encode_by, made_up_guide, random_scene, with_far
 from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.codecs import decode_part, encode_parts, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.lossless.columns import read_integers, write_integers
 from gs_codec.codecs.part import Part
-from gs_codec.config import PROFILE_CHOICES, Config
+from gs_codec.config import PROFILE_CHOICES, STREAMED, Config
 from gs_codec.errors import GsCodecError
 from gs_codec.formats import checkpoint as of_trainers
 from gs_codec.formats.gltf import pack_gltf
 from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.sog_files import parse_meta, read_pixels
+from gs_codec.formats.usd import pack_usd
 from gs_codec.levels.encoding import add_levels
+from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.adam import AdamState, new_state
 from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import read_image
+from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import GROUPS, Scene
 from viewer.scenes.opened import read_pruned
 
@@ -277,6 +282,25 @@ def _ksplats() -> list[bytes]:
     return files
 
 
+def _usds() -> list[bytes]:
+    return [pack_usd(random_scene(4, degree), suffix)[0] for degree, suffix in _USDS]
+
+
+_USDS = ((0, ".usda"), (1, ".usda"), (0, ".usdc"), (0, ".usdz"))
+
+
+def _pcodec(data: bytes) -> None:
+    """A column of a lossless stream; the first byte is the number of its values."""
+    if data and data[0]:
+        read_integers(memoryview(data)[1:], data[0], "column")
+
+
+def _columns() -> list[bytes]:
+    rng = np.random.default_rng(5)
+    columns = (np.arange(60), rng.integers(0, 9, 200), rng.integers(0, 1 << 32, 30), np.zeros(9))
+    return [bytes([len(each)]) + write_integers(each.astype(np.uint32)) for each in columns]
+
+
 def _trainers() -> list[bytes]:
     return [
         _to_file(partial(of_trainers.write_checkpoint, scene=random_scene(3, degree)), suffix)
@@ -303,6 +327,19 @@ def _sog_metas() -> list[bytes]:
     pairs = ((1, 0), (1, 2), (2, 0), (2, 3))
     parts = [foreign.sog_parts(8, version, degree, seed=1)[0] for version, degree in pairs]
     return [json.dumps(meta).encode() for meta in parts]
+
+
+def _lod_meta(folder: Path, data: bytes) -> object:
+    """A `lod-meta.json` beside the files of a scene."""
+    from gs_codec.files.scenes import read_scene
+
+    write_files(folder, {**_streamed(), STREAMED: data})
+    return read_scene(folder / STREAMED)
+
+
+@cache
+def _streamed() -> dict[str, bytes]:
+    return dict(stream_levels(random_scene(300, 0, seed=3), Config("m"), 64, 128)[0])
 
 
 def _pixels() -> list[bytes]:
@@ -378,10 +415,13 @@ TARGETS = {
     "spz": Target(_spz, lambda: [*_spzs(), *_unzipped_spzs()]),
     "gltf": Target(_scene_file(".gltf"), _gltfs),
     "ksplat": Target(_scene_file(".ksplat"), _ksplats),
+    "pcodec": Target(_pcodec, _columns),
+    **({"usd": Target(_scene_file(".usd"), _usds)} if find_spec("pxr") else {}),
     "pickle": Target(parse_pickle, _pickles),
     "trainer": Target(_scene_file(".pt"), _trainers),
     "sog": Target(_scene_file(".sog"), _sogs),
     "sog-meta": Target(parse_meta, _sog_metas),
+    "lod-meta": Target(partial(_in_folder, _lod_meta), lambda: [bytes(_streamed()[STREAMED])]),
     "sog-image": Target(partial(read_pixels, name="image", most=1 << 16), _pixels),
     "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
     "image": Target(partial(_from_file, read_image, ".png"), _images),

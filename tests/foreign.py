@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.recfunctions import repack_fields
 
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS
 
 SH_C0 = 0.28209479177387814
 
@@ -61,7 +61,8 @@ def packed_rows(count: int, seed: int, degree: int = 0) -> dict[str, np.ndarray]
 def spz_streams(count: int, version: int, degree: int, seed: int) -> list[bytes]:
     """Attributes of an `.spz` file, of any bits; version 1 has finite halves."""
     rng = np.random.default_rng(seed)
-    sizes = [9, 1, 3, 3, 3 if version < 3 else 4, 3 * SH_COEFFICIENTS[degree]]
+    coefficients = (*SH_COEFFICIENTS, DEGREE_4)[degree]
+    sizes = [9, 1, 3, 3, 3 if version < 3 else 4, 3 * coefficients]
     streams = [rng.bytes(size * count) for size in sizes]
     if version == 1:
         streams[0] = rng.normal(size=(count, 3)).astype("<f2").tobytes()
@@ -76,12 +77,13 @@ def spz_file(
     flags: int = 0,
     bits: int = 12,
     extensions: bytes = b"",
+    zipped: bool = True,
 ) -> bytes:
-    """An `.spz` file of attributes."""
+    """An `.spz` file of attributes, and of what follows them."""
     fields = (b"NGSP", version, count, degree, bits, flags)
     if version < 4:
         data = struct.pack("<4sIIBBBB", *fields, 0) + b"".join(streams) + extensions
-        return gzip.compress(data, mtime=0)
+        return gzip.compress(data, mtime=0) if zipped else data
     import zstandard
 
     kept = [stream for stream in streams if stream]

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import assert_same_floats, random_scene
 from test_ply import assert_refused
 
 import gs_codec
@@ -28,7 +28,7 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_pickle
-from gs_codec.formats.tensors import tensors_of
+from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 #: Of the bytes of a scene as .pt and as .ckpt: the same on every machine.
@@ -288,6 +288,13 @@ def test_a_pickle_is_read_as_it_was_written():
     tensor = StoredTensor("torch FloatStorage", "0", 12, 0, (4, 3), (3, 1))
     value = {"step": 0, "nothing": {}, "splats": {"means": tensor}}
     assert parse_pickle(write_pickle(value)) == value
+
+
+def test_degree_4_of_tensors_is_left_out(caplog):
+    tensors = tensors_of(random_scene(5, 3, seed=1))
+    whole = np.pad(tensors["shN"], ((0, 0), (0, 9), (0, 0)), constant_values=1.0)
+    assert_same_floats(scene_of_tensors(tensors | {"shN": whole}), scene_of_tensors(tensors))
+    assert caplog.messages == ["tensor 'shN': SH of degree 4 left out, degrees 0 to 3 are read"]
 
 
 def test_a_zip_of_two_checkpoints_is_refused(tmp_path):

@@ -240,6 +240,72 @@ def test_spz_names_the_system_that_an_extension_names(version, tmp_path, caplog)
         assert f"{path}: extension 0xadbe0002 of 12 bytes not kept" in caplog.messages
 
 
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_spz_that_is_not_zipped_is_read(version, tmp_path):
+    streams = foreign.spz_streams(20, version, 1, seed=1)
+    scenes = [
+        read_scene(
+            written(tmp_path / "a.spz", foreign.spz_file(streams, 20, version, 1, zipped=zipped))
+        )
+        for zipped in (True, False)
+    ]
+    assert_same_floats(*scenes)
+    with open_scene(tmp_path / "a.spz") as file:
+        assert file.stated_bytes() == scenes[0].float_bytes
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_degree_4_of_spz_is_left_out(version, tmp_path, caplog):
+    streams = foreign.spz_streams(20, version, 4, seed=1)
+    path = written(tmp_path / "a.spz", foreign.spz_file(streams, 20, version, 4, 1))
+    rows = np.frombuffer(streams[5], np.uint8).reshape(20, 72)[:, :45]
+    expected = foreign.spz_file([*streams[:5], rows.tobytes()], 20, version, 3, 1)
+    assert_same_floats(read_scene(path), read_scene(written(tmp_path / "b.spz", expected)))
+    assert caplog.messages == [f"{path}: SH of degree 4 left out, degrees 0 to 3 are read"]
+    assert overview_of(path).sh_degree == 3
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+@pytest.mark.parametrize("more", [0, 7, 1 << 21])
+def test_flags_of_spz_that_are_not_known_are_reported(more, version, tmp_path, caplog):
+    """What they stand for may follow the attributes."""
+    streams = foreign.spz_streams(20, version, 1, seed=1)
+    expected = read_scene(written(tmp_path / "b.spz", foreign.spz_file(streams, 20, version, 1)))
+    after = {"extensions": bytes(more)} if version < 4 else {}
+    given = [*streams, bytes(more)] if version == 4 else streams
+    path = written(tmp_path / "a.spz", foreign.spz_file(given, 20, version, 1, 0x44, **after))
+    assert_same_floats(read_scene(path), expected)
+    assert caplog.messages == [f"{path}: flags 0x44 not known, not kept"]
+
+
+LEVELS_OF_SPARK = {
+    # Children of each Gaussian, and where they begin: 0 is the root, 2 and 4 to 6 are leaves.
+    "a tree": ([2, 3, 0, 0, 0, 0, 0], [1, 3, 0, 0, 0, 0, 0], [2, 3, 4, 5, 6], False),
+    "a part": ([2, 3, 0, 0, 0, 0, 0], [1, 6, 0, 0, 0, 0, 0], [2, 3, 4, 5, 6], True),
+    "leaves alone": ([0] * 7, [0] * 7, [0, 1, 2, 3, 4, 5, 6], False),
+}
+
+
+@pytest.mark.parametrize("case", LEVELS_OF_SPARK)
+@pytest.mark.parametrize("zipped", [True, False])
+def test_of_the_levels_that_spark_writes_leaves_are_read(case, zipped, tmp_path, caplog):
+    number, first, leaves, is_part = LEVELS_OF_SPARK[case]
+    streams = foreign.spz_streams(7, 2, 1, seed=2)
+    # Opacities up to 2, in units of 2/255.
+    streams[1] = bytes([255, 200, 0, 1, 64, 127, 128])
+    tree = struct.pack("<7H7I", *number, *first)
+    data = foreign.spz_file(streams, 7, 2, 1, 0x80, extensions=tree, zipped=zipped)
+    path = written(tmp_path / "a.spz", data)
+    scene = read_scene(path, coordinates=None)
+    streams[1] = bytes([255, 255, 0, 2, 128, 254, 255])
+    plain = foreign.spz_file(streams, 7, 2, 1)
+    expected = read_scene(written(tmp_path / "b.spz", plain), coordinates=None)
+    assert_same_floats(scene, expected.take(np.array(leaves)))
+    part = f"{path}: one of several files, which have the other Gaussians"
+    told = f"{path}: levels of detail: {len(leaves)} leaves of 7 Gaussians read"
+    assert caplog.messages == [part] * is_part + [told]
+
+
 def spz(version: int, count: int = 20, degree: int = 1, **changes) -> bytes:
     streams = foreign.spz_streams(20, version, 1, seed=1)
     return foreign.spz_file(streams, count, version, degree, **changes)
@@ -271,11 +337,23 @@ BAD_SPZ = {
     "bytes after gzip": (spz(2) + b"more", "left over, or cut off"),
     "version 0": (foreign.spz_file([], 0, 0, 0), "version 0 in a gzip"),
     "version 5 in gzip": (gzip.compress(struct.pack("<4sII4x", b"NGSP", 5, 0)), "version 5 in"),
-    "version 5": (patched(spz(4), 4, b"\5"), "version 5, expected 4"),
-    "degree 4": (spz(4, degree=4), "SH degree 4, expected 0 to 3"),
-    "degree 4 in gzip": (spz(3, degree=4), "SH degree 4, expected 0 to 3"),
+    "version 5": (patched(spz(4), 4, b"\5"), "version 5, expected 1 to 4"),
+    "degree 5": (spz(4, degree=5), "SH degree 5, expected 0 to 3"),
+    "degree 5 in gzip": (spz(3, degree=5), "SH degree 5, expected 0 to 3"),
     "255 fractional bits": (spz(4, bits=255), "255 fractional bits"),
-    "flags": (spz(3, flags=8), "flags 0x8"),
+    "a tree cut off": (spz(2, flags=0x80, extensions=bytes(119)), "attributes, expected 680"),
+    "bytes after a tree": (spz(2, flags=0x80, extensions=bytes(121)), "left over, or cut off"),
+    "no leaves": (
+        spz(2, flags=0x80, extensions=b"\1" * 120),
+        "tree of 20 Gaussians without leaves",
+    ),
+    "not zipped, cut off": (spz(2, zipped=False)[:-1], "559 bytes of attributes, expected 560"),
+    "not zipped, more": (spz(2, zipped=False) + b"\0", "bytes left over"),
+    "not zipped, version 0": (
+        patched(spz(2, zipped=False), 4, b"\0"),
+        "version 0, expected 1 to 3",
+    ),
+    "only a magic number": (b"NGSP", "4 bytes, expected a header of 16"),
     "one Gaussian more in gzip": (spz(3, 21), "bytes of attributes, expected"),
     "one less in gzip": (spz(3, 19), "left over, or cut off"),
     "one more": (spz(4, 21), "stream 'positions': .* and 189"),
@@ -446,6 +524,22 @@ def test_ksplat_is_read_as_its_formula_says(degree, level, tmp_path):
         assert_gaussian(scene, i, ksplat_gaussian(level, degree, i))
     with open_scene(path) as file:
         assert file.stated_bytes() == scene.float_bytes
+
+
+@pytest.mark.parametrize("stated", ["most", "loaded", "both"])
+@pytest.mark.parametrize("of", ["file", "sections", "all"])
+def test_ksplat_may_state_one_of_its_two_counts(of, stated, tmp_path):
+    """How many a file or a section has room for, or has; writers leave out either."""
+    data = ksplat(1, 1)
+    sections = range(int.from_bytes(data[4:8], "little"))
+    places = [(12, 16)] * (of != "sections")
+    places += [(4100 + 1024 * i, 4096 + 1024 * i) for i in sections] * (of != "file")
+    for most, loaded in places:
+        left_out = {"most": [loaded], "loaded": [most], "both": []}[stated]
+        for at in left_out:
+            data = patched(data, at, bytes(4))
+    expected = read_scene(written(tmp_path / "b.ksplat", ksplat(1, 1)))
+    assert_same_floats(read_scene(written(tmp_path / "a.ksplat", data)), expected)
 
 
 def test_ksplat_without_gaussians_is_read(tmp_path):

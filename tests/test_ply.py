@@ -201,6 +201,20 @@ def test_extra_properties_are_refused_kept_or_dropped(tmp_path, caplog):
     assert caplog.messages == [f"{path}: left out: properties label, weight"]
 
 
+@pytest.mark.parametrize("extra", ["keep", "error", "drop"])
+def test_degree_4_is_left_out_seed6(extra, tmp_path, caplog):
+    scene = random_scene(9, 3, seed=6)
+    rest = scene.f_rest.reshape(3, 15, 9)
+    whole = np.concatenate([rest, np.ones((3, 9, 9), np.float32)], axis=1).reshape(72, 9)
+    rows = vertex_rows(replace(scene, f_rest=np.empty((0, 9), np.float32)))
+    rows = with_columns(rows, {f"f_rest_{i}": column for i, column in enumerate(whole)})
+    path = write_rows(tmp_path / "a.ply", rows)
+    back = read_scene(path, extra)
+    assert_same_floats(back, scene)
+    assert not back.extra
+    assert caplog.messages == [f"{path}: SH of degree 4 left out, degrees 0 to 3 are read"]
+
+
 def test_normals_that_are_not_zero_are_refused_kept_or_dropped(tmp_path):
     scene = replace(random_scene(30, 1, seed=6), has_normals=True)
     nz = np.zeros(30, "<f4")

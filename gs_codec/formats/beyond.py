@@ -34,6 +34,11 @@ def say_left_out(
         log.warning("%s: left out: %s", where, "; ".join(said))
 
 
+def say_degree_4(where: str | Path) -> None:
+    """Log that SH of degree 4 is left out."""
+    log.warning("%s: SH of degree 4 left out, degrees 0 to 3 are read", where)
+
+
 def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> None:
     """Refuse what is beyond the layout, if anything."""
     if elements:

@@ -22,15 +22,17 @@ from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands
 
 _HEADER = np.dtype({
-    "names": ["version", "sections", "count", "level", "bounds"],
-    "formats": [("u1", 2), "<u4", "<u4", "<u2", ("<f4", 2)],
-    "offsets": [0, 4, 12, 20, 36],
+    "names": ["version", "sections", "count", "loaded", "level", "bounds"],
+    "formats": [("u1", 2), "<u4", "<u4", "<u4", "<u2", ("<f4", 2)],
+    "offsets": [0, 4, 12, 16, 20, 36],
     "itemsize": 4096,
 })  # fmt: skip
 _SECTION = np.dtype({
-    "names": ["count", "size", "buckets", "side", "bytes", "range", "full", "others", "degree"],
-    "formats": ["<u4", "<u4", "<u4", "<f4", "<u2", "<u4", "<u4", "<u4", "<u2"],
-    "offsets": [4, 8, 12, 16, 20, 24, 32, 36, 40],
+    "names": [
+        "loaded", "count", "size", "buckets", "side", "bytes", "range", "full", "others", "degree",
+    ],
+    "formats": ["<u4", "<u4", "<u4", "<u4", "<f4", "<u2", "<u4", "<u4", "<u4", "<u2"],
+    "offsets": [0, 4, 8, 12, 16, 20, 24, 32, 36, 40],
     "itemsize": 1024,
 })  # fmt: skip
 
@@ -54,7 +56,7 @@ class _Section:
 def _headers(data: memoryview) -> tuple[np.void, NDArray]:
     if len(data) < _HEADER.itemsize:
         raise InvalidInput(f"{len(data)} bytes, expected a header of {_HEADER.itemsize}")
-    header = np.frombuffer(data, _HEADER, 1)[0]
+    header = _counted(np.frombuffer(data, _HEADER, 1))[0]
     major, minor = header["version"].tolist()
     if (major, minor) != (0, 1) or header["level"] >= len(_TYPES):
         found = f"version {major}.{minor}, level {header['level']}"
@@ -62,7 +64,7 @@ def _headers(data: memoryview) -> tuple[np.void, NDArray]:
     number = int(header["sections"])
     if _HEADER.itemsize + number * _SECTION.itemsize > len(data):
         raise InvalidInput(f".ksplat: {number} sections, which the file has no room for")
-    sections = np.frombuffer(data, _SECTION, number, _HEADER.itemsize)
+    sections = _counted(np.frombuffer(data, _SECTION, number, _HEADER.itemsize))
     total = int(sections["count"].sum(dtype=np.int64))
     if total != header["count"] or (sections["degree"] > 2).any():
         degree = sections["degree"].max(initial=0)
@@ -71,6 +73,13 @@ def _headers(data: memoryview) -> tuple[np.void, NDArray]:
             f"expected {header['count']} and at most 2"
         )
     return header, sections
+
+
+def _counted(headers: NDArray) -> NDArray:
+    """Headers with a count of Gaussians; some writers state only how many of it are loaded."""
+    counted = headers.copy()
+    counted["count"] = np.where(headers["count"], headers["count"], headers["loaded"])
+    return counted
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:

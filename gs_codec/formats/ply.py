@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.beyond import refuse_beyond, say_left_out
+from gs_codec.formats.beyond import refuse_beyond, say_degree_4, say_left_out
 from gs_codec.formats.dialects import (
     FILTER,
     fuse_filter,
@@ -31,6 +31,7 @@ from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.threads import work_behind
 from gs_codec.scene import (
+    DEGREE_4,
     GROUPS,
     NORMALS,
     SH_C0,
@@ -103,7 +104,7 @@ def scene_of(
     with located(path):
         check_bytes(len(data) * row, len(data), len(ply.data), max_bytes)
     used = {*wanted}
-    others = [name for name in data.dtype.names or () if name not in used]
+    others = [n for n in data.dtype.names or () if n not in used and not n.startswith("f_rest_")]
     normals = [*NORMALS] if set(NORMALS) <= set(others) else []
     kept = [n for n in others if n == FILTER or (extra == "keep" and is_extra_name(n))]
     planes, columns, given = _read_columns(path, data, wanted, kept, normals)
@@ -125,6 +126,8 @@ def scene_of(
             refuse_beyond(others, elements)
         if tell:
             say_dialect(path, data.dtype.names or ())
+            if _rest_of(data.dtype.names or ()) == 3 * DEGREE_4:
+                say_degree_4(path)
             told = {*columns, *moving(others)}
             say_left_out(path, [name for name in others if name not in told], elements)
         return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=columns)
@@ -149,13 +152,21 @@ def _other_elements(ply: Ply, used: tuple[str, ...]) -> list[str]:
     return [e.name for e in ply.header.elements.values() if e.name not in used and e.count]
 
 
+def _rest_of(names: Iterable[str]) -> int:
+    """Number of properties that are SH-AC."""
+    return sum(name.startswith("f_rest_") for name in names)
+
+
 def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]], bool]:
     """Properties of each group, and whether colours are bytes instead of SH."""
     names = dtype.names or ()
-    rest = sum(name.startswith("f_rest_") for name in names)
-    if rest not in [3 * k for k in SH_COEFFICIENTS]:
+    rest = _rest_of(names)
+    if rest not in [3 * k for k in (*SH_COEFFICIENTS, DEGREE_4)]:
         raise InvalidInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
-    groups = property_names(rest // 3)
+    groups = property_names(min(rest // 3, SH_COEFFICIENTS[-1]))
+    if rest == 3 * DEGREE_4:
+        kept = [f"f_rest_{c * DEGREE_4 + k}" for c in range(3) for k in range(SH_COEFFICIENTS[-1])]
+        groups["f_rest"] = kept
     if is_flat(names):
         groups["log_scale"].remove("scale_2")
     # Trainers without SH (nerfstudio) write colours as bytes.

@@ -37,7 +37,7 @@ from gs_codec.formats.spz_file import (
     read_streams,
 )
 from gs_codec.runtime.mapped import located
-from gs_codec.scene import Scene, sh_bands, stated_comments
+from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, stated_comments
 
 _COLOUR_SCALE = 0.15
 
@@ -69,6 +69,7 @@ def _scene_of(path: Path, header: SpzHeader, streams: list[Bytes], system: str) 
         np.frombuffer(stream, np.uint8).reshape(count, size).T
         for stream, size in zip(streams, header.sizes, strict=True)
     )
+    sh = sh[: 3 * SH_COEFFICIENTS[header.read_degree]]
     rotate = _first_three if header.version < 3 else _smallest_three
     return Scene(
         planes_of(3, count, lambda some: _positions(positions[:, some], header)),

@@ -1,6 +1,7 @@
 """Containers of `.spz` files: header, and the bytes of each attribute.
 
-Up to version 3 a file is one gzip stream; in version 4 each attribute is a zstd stream.
+Up to version 3 a file is one gzip stream, or what is in it; in version 4 each attribute is a zstd
+stream. Spark writes levels of detail into version 2, as a tree of Gaussians.
 """
 
 from __future__ import annotations
@@ -9,18 +10,19 @@ import logging
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import say_degree_4
 from gs_codec.formats.coordinates import OWN_SYSTEMS
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS
 
 log = logging.getLogger(__name__)
 
@@ -32,8 +34,11 @@ GZIP = b"\x1f\x8b\x08"
 
 _HEADER = struct.Struct("<4sIIBBBB")
 _ZSTD_HEADER = struct.Struct("<4sIIBBBBI12x")
-ANTIALIASED, _EXTENSIONS = 1, 2
+ANTIALIASED, _EXTENSIONS, LEVELS = 1, 2, 0x80
 _FRACTION_BITS = 24
+
+#: Bytes of a Gaussian in a tree of levels of detail.
+_NODE = 6
 
 #: Adobe's extension for other coordinate systems than the format's own; its values start at 1.
 _SYSTEM_EXTENSION = 0xADBE0003
@@ -61,7 +66,8 @@ class SpzHeader:
     fraction_bits : int
         Bits of a centre's fraction.
     flags : int
-        Whether the scene is antialiased, and whether extensions follow.
+        Whether the scene is antialiased, whether extensions follow, and whether there is a tree
+        of levels of detail.
     """
 
     version: int
@@ -71,9 +77,19 @@ class SpzHeader:
     flags: int
 
     @property
+    def read_degree(self) -> int:
+        """SH degree of what is read."""
+        return min(self.sh_degree, len(SH_COEFFICIENTS) - 1)
+
+    @property
+    def unknown(self) -> int:
+        """Flags of which nothing is known."""
+        return self.flags & ~(ANTIALIASED | _EXTENSIONS | (LEVELS if self.version < 4 else 0))
+
+    @property
     def sizes(self) -> tuple[int, ...]:
         """Bytes per Gaussian of centres, opacities, colours, scales, rotations and SH."""
-        coefficients = SH_COEFFICIENTS[self.sh_degree]
+        coefficients = (*SH_COEFFICIENTS, DEGREE_4)[self.sh_degree]
         position = 6 if self.version == 1 else 9
         return position, 1, 3, 3, 3 if self.version < 3 else 4, 3 * coefficients
 
@@ -89,12 +105,20 @@ def read_streams(
         If it is not a valid file, or decodes to more than `max_bytes`.
     """
     data = bytes(view)
-    if data.startswith(GZIP):
-        header, streams, extensions = _inflate(data, max_bytes)
-    elif data.startswith(MAGIC):
+    if data.startswith(MAGIC) and int.from_bytes(data[4:8], "little") > 3:
         header, streams, extensions = _decompress(data, max_bytes)
+    elif data.startswith((GZIP, MAGIC)):
+        header, streams, extensions = _read_one_stream(data, max_bytes)
     else:
         raise InvalidInput(f"begins with {data[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
+    if header.unknown:
+        log.warning("%s: flags %#x not known, not kept", path, header.unknown)
+    if header.sh_degree == len(SH_COEFFICIENTS):
+        say_degree_4(path)
+    if header.flags & LEVELS:
+        size = _NODE * header.count
+        tree, extensions = extensions[:size], extensions[size:]
+        header, streams = _leaves(path, header, streams, tree)
     return header, streams, _read_extensions(path, extensions)
 
 
@@ -124,58 +148,86 @@ def _check_header(
     version: int, fields: tuple[int, ...], file_bytes: int, max_bytes: int | None
 ) -> SpzHeader:
     header = SpzHeader(version, *fields)
-    if header.sh_degree >= len(SH_COEFFICIENTS):
+    if header.sh_degree > len(SH_COEFFICIENTS):
         raise InvalidInput(f"SH degree {header.sh_degree}, expected 0 to 3")
     if header.fraction_bits > _FRACTION_BITS:
         raise InvalidInput(
             f"{header.fraction_bits} fractional bits, expected at most {_FRACTION_BITS}"
         )
-    if header.flags > ANTIALIASED | _EXTENSIONS:
-        raise InvalidInput(f"flags {header.flags:#x}, expected at most 0x3")
-    check_count(header.count, header.sh_degree, file_bytes, max_bytes)
+    check_count(header.count, header.read_degree, file_bytes, max_bytes)
     return header
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
     """Number of Gaussians and SH degree that the header states; raises as `read_spz` does."""
     with located(path):
-        if view[: len(MAGIC)] == MAGIC:
-            head = bytes(view[: _HEADER.size])
-        else:
-            head = _unzipped_head(zlib.decompressobj(wbits=31), bytes(view[:1024]))
-        if len(head) < _HEADER.size:
-            raise InvalidInput(f"{len(head)} bytes, expected a header of {_HEADER.size}")
+        head, _ = _head_of(bytes(view[:1024]))
         _, version, *fields, _ = _HEADER.unpack(head)
         header = _check_header(version, tuple(fields), len(view), None)
-        return header.count, header.sh_degree
+        return header.count, header.read_degree
 
 
-def _unzipped_head(inflater: zlib._Decompress, data: bytes) -> bytes:
+def _head_of(data: bytes) -> tuple[bytes, zlib._Decompress | None]:
+    """The header as it is, or that in a gzip stream and what inflates the rest."""
+    inflater = None if data.startswith(MAGIC) else zlib.decompressobj(wbits=31)
     with refusing("gzip stream"):
-        head = inflater.decompress(data, _HEADER.size)
-    if len(head) < _HEADER.size or not head.startswith(MAGIC):
+        head = inflater.decompress(data, _HEADER.size) if inflater else data[: _HEADER.size]
+    if not head.startswith(MAGIC) or (inflater and len(head) < _HEADER.size):
         raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
-    return head
+    if len(head) < _HEADER.size:
+        raise InvalidInput(f"{len(head)} bytes, expected a header of {_HEADER.size}")
+    return head, inflater
 
 
-def _inflate(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
-    """Header, attributes and extensions of versions 1 to 3."""
-    inflater = zlib.decompressobj(wbits=31)
-    head = _unzipped_head(inflater, data)
+def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
+    """Header, attributes and what follows in versions 1 to 3, of a gzip stream or as it is."""
+    head, inflater = _head_of(data)
     _, version, *fields, _ = _HEADER.unpack(head)
     if not 1 <= version <= 3:
-        raise InvalidInput(f"version {version} in a gzip stream, expected 1 to 3")
+        where = " in a gzip stream" if inflater else ""
+        raise InvalidInput(f"version {version}{where}, expected 1 to 3")
     header = _check_header(version, tuple(fields), len(data), max_bytes)
     bounds = np.cumsum([0, *(size * header.count for size in header.sizes)]).tolist()
-    limit = bounds[-1] + (1 << 20 if header.flags & _EXTENSIONS else 0)
-    with refusing("gzip stream"):
-        body = memoryview(inflater.decompress(inflater.unconsumed_tail, limit + 1))
-    if len(body) < bounds[-1]:
-        raise InvalidInput(f"{len(body)} bytes of attributes, expected {bounds[-1]}")
-    if len(body) > limit or not inflater.eof or inflater.unused_data:
-        raise InvalidInput(f"bytes left over, or cut off, after {bounds[-1]} bytes of attributes")
+    least = bounds[-1] + (_NODE * header.count if header.flags & LEVELS else 0)
+    limit = least + (1 << 20 if header.flags & _EXTENSIONS else 0)
+    body, ended = memoryview(data)[_HEADER.size :], True
+    if inflater:
+        with refusing("gzip stream"):
+            body = memoryview(inflater.decompress(inflater.unconsumed_tail, limit + 1))
+            while header.unknown and inflater.unconsumed_tail:
+                inflater.decompress(inflater.unconsumed_tail, 1 << 20)
+        ended = inflater.eof and not inflater.unused_data
+    if len(body) < least:
+        raise InvalidInput(f"{len(body)} bytes of attributes, expected {least}")
+    if not ended or (len(body) > limit and not header.unknown):
+        raise InvalidInput(f"bytes left over, or cut off, after {least} bytes of attributes")
     streams: list[Bytes] = [body[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-    return header, streams, bytes(body[bounds[-1] :])
+    return header, streams, bytes(body[bounds[-1] : limit])
+
+
+def _leaves(
+    path: Path, header: SpzHeader, streams: list[Bytes], tree: bytes
+) -> tuple[SpzHeader, list[Bytes]]:
+    """The leaves of Spark's tree; other Gaussians are coarser ones of those below them.
+
+    The tree has a number of children for each Gaussian, then the index of its first child.
+    Opacities, up to 2 in the tree, are in units of 2/255.
+    """
+    number = np.frombuffer(tree, "<u2", header.count)
+    first = np.frombuffer(tree, "<u4", header.count, 2 * header.count)
+    leaves = number == 0
+    count = int(leaves.sum())
+    if header.count and not count:
+        raise InvalidInput(f"a tree of {header.count} Gaussians without leaves")
+    if (number + first.astype(np.int64) > header.count).any():
+        log.warning("%s: one of several files, which have the other Gaussians", path)
+    log.warning("%s: levels of detail: %d leaves of %d Gaussians read", path, count, header.count)
+    kept = [
+        np.frombuffer(stream, np.uint8).reshape(header.count, size)[leaves]
+        for stream, size in zip(streams, header.sizes, strict=True)
+    ]
+    kept[1] = 2 * np.minimum(kept[1], 127) + (kept[1] > 127)
+    return replace(header, count=count), [rows.data.cast("B") for rows in kept]
 
 
 def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
@@ -184,11 +236,11 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Byt
         raise InvalidInput(f"{len(data)} bytes, expected a header of {_ZSTD_HEADER.size}")
     _, version, *fields, number, table = _ZSTD_HEADER.unpack_from(data)
     if version != 4:
-        raise InvalidInput(f"version {version}, expected 4 (1 to 3 are gzip streams)")
+        raise InvalidInput(f"version {version}, expected 1 to 4")
     header = _check_header(version, tuple(fields), len(data), max_bytes)
     sizes = [size * header.count for size in header.sizes]
     wanted = sum(size > 0 for size in sizes)
-    if number != wanted:
+    if number < wanted or (number > wanted and not header.unknown):
         raise InvalidInput(f"{number} streams, expected {wanted}")
     offset = table + 16 * number
     if not _ZSTD_HEADER.size <= table <= offset <= len(data):
@@ -204,7 +256,8 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Byt
             )
         streams.append(_decompress_stream(data[offset : offset + packed], name, size))
         offset += packed
-    if offset < len(data):
+    offset += sum(packed for packed, _ in entries)  # what flags that are not known stand for
+    if offset != len(data):
         raise InvalidInput(f"{len(data) - offset} bytes left over after the last stream")
     return header, streams, data[_ZSTD_HEADER.size : table]
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import say_degree_4
 from gs_codec.formats.packed_values import sh_of_colours, sigmoid
-from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS, Scene
 
 #: Tensors by gsplat's names, and nerfstudio's names of two of them.
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -55,7 +56,7 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
         raise InvalidInput(f"tensor '{unknown[0]}': not known, expected {', '.join(NAMES)}")
     count = shapes["means"][0] if shapes["means"] else 0
     coefficients = (*shapes.get("shN", (count, 0, 3)), 0, 0)[1]
-    if coefficients not in SH_COEFFICIENTS:
+    if coefficients not in (*SH_COEFFICIENTS, DEGREE_4):
         known = ", ".join(map(str, SH_COEFFICIENTS))
         raise InvalidInput(f"tensor 'shN': {coefficients} coefficients, expected one of {known}")
     expected: dict[str, list[tuple[int, ...]]] = {
@@ -69,7 +70,7 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
     for name, shape in shapes.items():
         if shape not in expected[name]:
             raise InvalidInput(f"tensor '{name}': shape {shape}, expected {expected[name][0]}")
-    return count, SH_COEFFICIENTS.index(coefficients)
+    return count, SH_COEFFICIENTS.index(min(coefficients, SH_COEFFICIENTS[-1]))
 
 
 def scene_of_tensors(tensors: Mapping[str, NDArray]) -> Scene:
@@ -91,7 +92,9 @@ def scene_of_tensors(tensors: Mapping[str, NDArray]) -> Scene:
         f_dc = sh_of_colours(sigmoid(f_dc.astype(np.float64)))
     f_rest = np.empty((3, coefficients, count), np.float32)
     if coefficients:
-        f_rest[:] = named["shN"].transpose(2, 1, 0)
+        f_rest[:] = named["shN"][:, :coefficients].transpose(2, 1, 0)
+        if named["shN"].shape[1] == DEGREE_4:
+            say_degree_4("tensor 'shN'")
     return Scene(
         planes("means", 3),
         f_dc,

@@ -69,7 +69,8 @@ def in_tasks(
     paths: list[Path], target: Path, config: Config, size: int, here: Here | None = None
 ) -> tuple[bytes, dict]:
     """The file, and the report without times."""
-    report = encode_with(here or Here(), open_sources(paths, config.extra), target, config, size)
+    sources = open_sources(paths, config.chosen_extra())
+    report = encode_with(here or Here(), sources, target, config, size)
     assert not target.with_name(f"{target.name}.parts").exists()
     return target.read_bytes(), {**asdict(report), "seconds": None}
 
@@ -93,6 +94,18 @@ def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     config = Config("m", block_size=BLOCK)
     expected = whole(path, tmp_path / "whole.egs", config)
     assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
+
+
+def test_what_is_left_out_and_fused_is_the_same_and_said_once(tmp_path, caplog):
+    columns = {name: np.linspace(0, 1, 5000, dtype="<f4") for name in ("nx", "ny", "nz", "label")}
+    columns["filter_3D"] = columns["label"]
+    path = saved(tmp_path / "a.ply", replace(random_scene(5000, 1, seed=3), extra=columns))
+    config = Config("m", block_size=BLOCK)
+    expected, said = whole(path, tmp_path / "whole.egs", config), caplog.messages[:]
+    caplog.clear()
+    assert in_tasks([path], tmp_path / "tasks.egs", config, 700) == expected
+    assert caplog.messages == said
+    assert said[1:] == [f"{path}: left out: properties nx, ny, nz, label"]
 
 
 @pytest.mark.one_in(6)

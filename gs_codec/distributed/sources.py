@@ -23,6 +23,9 @@ from gs_codec.formats.registry import open_scene
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene, join_scenes
 
+#: Gaussians of a PLY that are looked at before the work begins.
+_LOOKED_AT = 4096
+
 
 @dataclass(frozen=True)
 class Source:
@@ -156,7 +159,8 @@ def open_sources(paths: Sequence[Path], extra: Extra) -> Sources:
                 source = Source(path, header.count, header.block_size)
                 ratio_bytes = header.float_bytes
             elif file.is_read_in_parts:
-                head = scene_of(file.ply, extra, index=slice(0, 0))
+                # Of some Gaussians, which show whether there are normals.
+                head = scene_of(file.ply, extra, index=slice(0, _LOOKED_AT)).between(0, 0)
                 source = Source(path, file.ply.header.elements["vertex"].count)
                 ratio_bytes = file.stored_bytes
             else:

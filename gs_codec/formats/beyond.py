@@ -13,13 +13,13 @@ from gs_codec.scene import NORMALS, Scene
 
 log = logging.getLogger(__name__)
 
-#: Most names in a line, and most characters of each.
-_NAMES, _LENGTH = 8, 36
+#: Most characters of a name in a line.
+_LENGTH = 60
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str], most: int = 8) -> str:
     """Names in words, of which a file may have any number."""
-    shown = [name[:_LENGTH] for name in names[:_NAMES]]
+    shown = [name[:_LENGTH] for name in names[:most]]
     more = len(names) - len(shown)
     return ", ".join([*shown, f"{more} more"] if more else shown)
 
@@ -48,7 +48,7 @@ def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> No
     if properties:
         why = "normals are not all zero" if set(properties) <= {*NORMALS} else "beyond the layout"
         raise InvalidInput(
-            f"properties {listed(properties)} ({why}); choose --extra keep or --extra drop"
+            f"properties {listed(properties, 4)} ({why}); choose --extra keep or --extra drop"
         )
 
 

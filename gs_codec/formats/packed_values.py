@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import listed
 from gs_codec.scene import GROUPS, SH_C0, Scene, other_comments
 
 log = logging.getLogger(__name__)
@@ -137,7 +138,7 @@ def left_out(scene: Scene, flag: bool = False) -> list[str]:
     """Extra properties, comments, and perhaps the antialias flag that a format lacks, in words."""
     lost = ["antialias flag left out"] if flag and scene.antialiased else []
     if scene.extra:
-        lost.append(f"properties left out: {', '.join(list(scene.extra)[:4])}")
+        lost.append(f"properties left out: {listed([*scene.extra])}")
     if comments := other_comments(scene.comments):
         lost.append(f"comments left out: {len(comments)} lines")
     return lost

@@ -11,7 +11,7 @@ import pytest
 from scenes import random_scene
 from test_ply import assert_refused
 
-from gs_codec.codecs import encode_scene
+from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
@@ -179,18 +179,27 @@ def test_2d_gaussians_are_flat(tmp_path, caplog):
     path = tmp_path / "a.ply"
     path.write_text(text_ply(names, ["1 2 3 4 5 6 7 8 9 1 0 0 0"] * 2))
     scene = read_scene(path)
-    np.testing.assert_array_equal(scene.log_scale[:, 0], np.float32([8, 9, -103]))
+    np.testing.assert_array_equal(scene.log_scale[:, 0], np.float32([8, 9, -2]))
     np.testing.assert_array_equal(scene.rot[:, 1], [1, 0, 0, 0])
     assert caplog.messages == [f"{path}: a 2DGS scene without scale_2; its Gaussians are flat"]
 
 
-@pytest.mark.parametrize("profile", ["l", "paper-l"])
-def test_2d_gaussians_are_as_flat_after_encoding(profile, tmp_path):
+@pytest.mark.parametrize("profile", ["m", "paper-m"])
+def test_2d_gaussians_are_as_flat_after_encoding(profile):
     scene = random_scene(200, 0)
-    scene.log_scale[2] = -103
-    write_ply(tmp_path / "a.ply", scene)
-    encode_file(tmp_path / "a.ply", tmp_path / "a.egs", Config(profile))
-    assert (np.sort(read_scene(tmp_path / "a.egs").log_scale, axis=0)[0] < -30).all()
+    scene.log_scale[2] = scene.log_scale[:2].min(axis=0) - 10
+    back = np.sort(decode_scene(encode_scene(scene, Config(profile))[0]).log_scale, axis=0)
+    assert (back[1] - back[0] > 8).all()
+
+
+@pytest.mark.parametrize("thinner", [10.0, 90.0])
+def test_flatness_takes_no_bits(thinner):
+    scene = random_scene(3000, 0)
+    sizes = []
+    for by in (3.0, thinner):
+        scene.log_scale[2] = scene.log_scale[:2].min(axis=0) - by
+        sizes.append(len(encode_scene(scene, Config("m"))[0]))
+    assert sizes[1] < 1.06 * sizes[0]
 
 
 NOT_GAUSSIANS = {

@@ -95,6 +95,10 @@ _LEVELS = {
     "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
 }
 
+#: A scene is of flat Gaussians if the shortest log-scale of the median one is so far below the
+#: middle one, and is then coded as if it were so far.
+_FLAT, _THICKNESS = 4.0, 3.0
+
 #: Ratio of the step sizes of SH-AC to those of SH-DC.
 SH_RATIO = 2.0**-0.25
 
@@ -281,12 +285,18 @@ def blind_coefficients(
     ``scales (3, N)`` are log-scales, descending; `fineness` is a factor on all step sizes.
     """
     octave = math.log(2)
+    # The thickness of flat Gaussians (2DGS) is not seen: their rules count from another one.
+    flat = scales.size > 0 and float(np.median(scales[1] - scales[2])) > _FLAT
+    if flat:
+        scales = np.stack([scales[0], scales[1], scales[1] - _THICKNESS])
     middle = float(np.median(scales.mean(axis=0))) / octave if scales.size else 0.0
     coefficients = {}
     for name, (constant, *slopes) in _LEVELS.items():
         row = np.zeros(5)
         row[1 : 1 + len(slopes)] = -np.array(slopes) / octave
         row[0] = math.log2(fineness) - constant + middle * sum(slopes[1:])
+        if flat:
+            row[[0, 3, 4]] += row[4] * np.array([-_THICKNESS, 1.0, -1.0])
         coefficients[name] = row
     for turn in TURN_RULES:
         coefficients[turn][0] -= 1.0  # half angles are coded

@@ -30,7 +30,7 @@ from test_format import CASES, LATTICE_CASES, encoded, lattice_config
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config
-from gs_codec.egs.file import SectionId
+from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import GsCodecError
 from gs_codec.formats.ply import read_ply
 from gs_codec.scene import GROUPS, Scene, other_comments
@@ -295,6 +295,29 @@ def test_errors_end_what_waits(workers):
     assert [each["error"] for each in found] == ["CorruptError", "Error", "TypeError"]
     assert [each["alive"] for each in found] == [0, 0, 0]
     assert found[0]["where"] == "opacity"
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_damaged_blocks_are_left_out_if_that_is_asked_for(workers):
+    """By a checksum, or while they are decoded; of its first part, or of SH-AC alone."""
+    whole = blocks()
+    table = read_file(whole).table
+    [every] = run({"bytes": whole})
+    shared = bytes(flipped(whole, 8 * table[SectionId.LATTICE, 0].position))
+    jobs = {
+        "opacity": flipped(whole, 8 * table[SectionId.OPACITY, 1].position),
+        "sh1": flipped(whole, 8 * table[SectionId.SH1, 1].position),
+        "decoded": with_section(whole, SectionId.OPACITY, lambda old: old[:-1], 1),
+    }
+    damaged = [{"bytes": bytes(data), "damage": True, "workers": workers} for data in jobs.values()]
+    *found, refused = run(*damaged, {"bytes": shared, "damage": True, "workers": workers})
+    for name, told in zip(jobs, found, strict=True):
+        left = [one for one in every["blocks"] if one[0] != 1 or (name == "sh1" and one[1] == 0)]
+        assert sorted(told["blocks"]) == sorted(left), name
+        [[block, where]] = told["damage"]
+        assert block == 1
+        assert where.startswith("opacity" if name == "decoded" else f"section {name} of block 1")
+    assert (refused["error"], refused["alive"]) == ("CorruptError", 0)
 
 
 @pytest.mark.one_in(2)

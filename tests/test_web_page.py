@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from damage import flipped
 from PIL import Image
 from scenes import random_scene, thorough
 from test_web_decoder import GOLDEN, digest
@@ -25,6 +26,7 @@ from test_web_decoder import GOLDEN, digest
 from gs_codec.cli.main import main
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
+from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files import sharing
 from gs_codec.files.scenes import turn_scene
@@ -67,6 +69,7 @@ class Job:
     size: tuple[int, int] = SIZE
     before: str | None = None
     panel: bool = False  # to open it, as is done by hand where there is little room
+    mobile: bool = False  # whether fingers are what it is used by
 
     def shot(self, name: str) -> None:
         self.steps.append(("shot", name))
@@ -220,7 +223,7 @@ def test_two_scenes_are_compared(files, pages, tmp_path):
     for name, key in (("wipe", "3"), ("a", "1"), ("flipped", "f"), ("error", "4"), ("b", "2")):
         job.steps.append(("key", key))
         job.shot(str(tmp_path / f"{name}.png"))
-    job.steps += [("key", "3"), ("drag", [[150, 60], [230, 60], [75, 60]], 3)]
+    job.steps += [("key", "3"), ("drag", [[150, 92], [230, 92], [75, 92]], 3)]
     job.shot(str(tmp_path / "left.png"))
     job.steps += [("focus", "#wipe"), ("key", "ArrowRight"), ("key", "ArrowRight")]
     job.steps.append(("value", "document.getElementById('wipe').getAttribute('aria-valuenow')"))
@@ -356,6 +359,95 @@ def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
         assert told.status.startswith("b.egs: ")
         assert said.get(name, "404") in told.status
         assert decibels(seen(tmp_path / f"{name}.png"), a) > 45
+
+
+@in_browser
+def test_a_damaged_block_is_named_and_the_others_are_drawn(files, tmp_path):
+    data = (files.folder / "a.egs").read_bytes()
+    damaged = flipped(data, 8 * read_file(data).table[SectionId.OPACITY, 2].position)
+    share([files.folder / "a.egs"], tmp_path / "site", files.folder / "cameras.json")
+    (tmp_path / "site" / "a.egs").write_bytes(damaged)
+    with serving(tmp_path / "site") as url:
+        job = Job(url, [("drawn",)])
+        job.shot(str(tmp_path / "left.png"))
+        [told] = open_pages(job)
+    assert told.status == "a.egs: section opacity of block 2: wrong checksum"
+    block = np.arange(files.a.count) // read_file(data).header.block_size
+    left = files.a.take(np.flatnonzero(block != 2))
+    assert decibels(seen(tmp_path / "left.png"), drawn(left, files.cameras[0])) > 45
+    assert decibels(seen(tmp_path / "left.png"), drawn(files.a, files.cameras[0])) < 35
+
+
+@pytest.mark.thorough
+@in_browser
+def test_all_of_a_portrait_view_is_seen_in_a_wide_page(files, tmp_path):
+    camera = replace(files.cameras[0], width=60, cx=30.0)
+    write_cameras(tmp_path / "cameras.json", [camera])
+    share([files.folder / "a.egs"], tmp_path / "page.html", tmp_path / "cameras.json")
+    job = Job((tmp_path / "page.html").as_uri(), [])
+    job.shot(str(tmp_path / "page.png"))
+    open_pages(job)
+    strip = seen(tmp_path / "page.png")[:, 120:180]
+    assert decibels(strip, drawn(files.a, camera)) > 45
+
+
+#: What is smaller than a finger needs, of what can be touched.
+SMALL = """[...document.querySelectorAll('#panel, #panel *, #wipe i')]
+    .filter((one) => one.matches('select, button, summary, #budget, label:has([type=radio]), i'))
+    .filter((one) => one.checkVisibility() && !one.closest('#legend'))
+    .map((one) => [one.id || one.textContent, one.getBoundingClientRect()])
+    .filter(([, { width, height }]) => Math.min(width, height) < 44)
+    .map(([name]) => name)"""
+
+
+@in_browser
+def test_on_a_phone_the_handle_alone_moves_the_wipe_and_targets_are_large(pages):
+    split = ("value", "Number(document.getElementById('wipe').getAttribute('aria-valuenow'))")
+    handle = "document.querySelector('#wipe i').getBoundingClientRect()"
+    job = Job(pages["two"].as_uri(), [("drawn",), ("value", f"{handle}.y + 22")], (360, 640))
+    job.mobile = True
+    job.steps += [("touch", [[[180, 60], [260, 60]]]), split, ("value", SMALL)]
+    [told] = open_pages(job)
+    middle = told.values[1]
+    assert told.values[3:] == [50, []]
+    opened = Job(job.url, [("drawn",), ("value", SMALL)], (360, 640), panel=True, mobile=True)
+    moved = Job(job.url, [("drawn",), ("touch", [[[180, middle], [270, middle]]]), split])
+    moved.size, moved.mobile = (360, 640), True
+    opened, moved = open_pages(opened, moved)
+    assert opened.values[1] == []
+    assert moved.values[2] == 75
+
+
+@pytest.mark.thorough
+@in_browser
+def test_in_another_page_the_wheel_is_the_scenes_after_a_click(pages, tmp_path):
+    shutil.copy(pages["one"], tmp_path / "one.html")
+    (tmp_path / "host.html").write_text(
+        '<body style="height: 3000px"><p id="status"></p>'
+        '<iframe src="one.html" width="700" height="400" style="position: fixed; inset: 0">'
+    )
+    inside = "document.querySelector('iframe').contentDocument"
+    there = f"['ready'].includes({inside}.body?.dataset.state)"
+    with serving(tmp_path) as url:
+        job = Job(f"{url}host.html", [("until", there), ("wheel", 200), ("until", "scrollY > 0")])
+        job.steps += [("value", f"{inside}.getElementById('panel').open")]
+        job.steps += [("value", "scrollTo(0, 0)"), ("press",), ("wheel", 200)]
+        job.steps += [("until", there), ("value", "scrollY")]
+        job.size = (700, 400)
+        [told] = open_pages(job)
+    assert told.values[3] is False
+    assert told.values[-1] == 0
+
+
+@pytest.mark.thorough
+@in_browser
+def test_without_webgl_2_it_says_so_and_nothing_is_loading(pages):
+    job = Job(pages["one"].as_uri(), [("drawn",)])
+    job.before = "HTMLCanvasElement.prototype.getContext = () => null"
+    job.steps.append(("value", "document.getElementById('stop').hidden"))
+    [told] = open_pages(job)
+    assert (told.state, told.status) == ("error", "this browser has no WebGL 2")
+    assert told.values[-1] is True
 
 
 @in_browser

@@ -178,6 +178,10 @@ async function run(job) {
     onBlock: (scene, part) => told.blocks.push([part.block, part.degree, part.first, part.count]),
     onProgress: (bytes, of) => told.progress.push([bytes, of]),
   };
+  if (job.damage) {
+    told.damage = [];
+    options.onDamage = (block, { where }) => told.damage.push([block, where]);
+  }
   const kinds = {
     bytes: () => decode(data, options),
     buffer: () => decode(new Uint8Array(data).buffer, options),

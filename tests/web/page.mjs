@@ -33,6 +33,8 @@ const STEPS = {
     await page.waitForTimeout(milliseconds);
     for (const key of keys) await page.keyboard.up(key);
   },
+  /** A click on the scene. */
+  press: (page) => page.mouse.click(150, 100),
   click: (page, selector) => page.click(selector),
   choose: (page, selector, value) => page.selectOption(selector, value),
   focus: (page, selector) => page.focus(selector),
@@ -76,9 +78,9 @@ const browser = await chromium.launch({
   executablePath: process.argv[2],
   args: ['--no-sandbox', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'],
 });
-for (const { url, size, steps, before, panel } of JSON.parse(readFileSync(0, 'utf8'))) {
+for (const { url, size, steps, before, panel, mobile } of JSON.parse(readFileSync(0, 'utf8'))) {
   const [width, height] = size;
-  const context = await browser.newContext({ viewport: { width, height }, hasTouch: true });
+  const context = await browser.newContext({ viewport: { width, height }, hasTouch: true, isMobile: mobile });
   const page = await context.newPage();
   page.setDefaultTimeout(60_000);
   const told = { values: [], requests: [], errors: [] };

@@ -10,6 +10,7 @@ const options: DecodeOptions = {
     [1, 1, 1],
   ],
   onBlock: (scene, { first, count }) => scene.positions.subarray(first, first + count),
+  onDamage: (block, error) => `${block.toFixed()}: ${error.where}`,
   createWorker: () => new Worker('worker.js'),
 };
 const scene: Scene = await decode('scene.egs', options);

@@ -67,6 +67,8 @@ export function control(element, viewer) {
   element.addEventListener(
     'wheel',
     (event) => {
+      // In a page of another, the wheel is that page's until the scene is clicked on.
+      if (self !== top && !document.hasFocus()) return;
       event.preventDefault();
       const lines = event.deltaY * [1, 30, 300][event.deltaMode];
       viewer.pose.zoom(Math.exp(Math.min(Math.max(lines, -300), 300) * 0.0012));

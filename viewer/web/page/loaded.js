@@ -13,6 +13,9 @@ import { Splats } from './renderer.js';
  */
 const [RECENT, PATIENCE] = [100, 60];
 
+/** Errors of a scene that are told. */
+const MOST_TOLD = 4;
+
 /** A worker from its bundled text: pages on disk may not load one from a file. */
 function worker(text) {
   const url = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
@@ -108,7 +111,9 @@ export class Loaded {
 
   /** Why it is not all there, beside what is asked for again. */
   get errors() {
-    return [...this.failures, ...(this.detail?.errors ?? [])];
+    const found = [...this.failures, ...(this.detail?.errors ?? [])];
+    const more = found.splice(MOST_TOLD).length;
+    return more ? [...found, new Error(`and ${more} more`)] : found;
   }
 
   /** An error in words. */
@@ -157,6 +162,7 @@ export class Loaded {
     const scene = await decode(source, {
       signal,
       createWorker: () => worker(workerText),
+      onDamage: (_, error) => this.failures.push(error),
       onProgress: (bytes, of) => {
         this.share = bytes / of;
         this.changed(this);

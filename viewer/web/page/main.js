@@ -49,6 +49,7 @@ class Viewer {
       this.renderer = new Renderer(this.canvas);
     } catch (error) {
       this.#fail(error);
+      this.panel.loaded();
       document.body.dataset.state = 'error';
       return;
     }
@@ -167,11 +168,10 @@ class Viewer {
     return this.#lens(width, height).focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
   }
 
-  /** The lens of the view, whose frame is all in w x h pixels, unless these are of quite another shape. */
+  /** The lens of the view, whose frame is all in w x h pixels. */
   #lens(w, h) {
     const { width, height, fx, fy, cx, cy } = this.views[this.view];
-    const [fit, fill] = [w / width, h / height].sort((a, b) => a - b);
-    const scale = Math.max(fit, fill / 2);
+    const scale = Math.min(w / width, h / height);
     const aside = [(w - scale * width) / 2, (h - scale * height) / 2];
     return {
       focal: [scale * fx, scale * fy],
@@ -276,6 +276,6 @@ class Viewer {
   }
 }
 
-// On telephones there is no room for both.
-document.getElementById('panel').open = innerWidth > 560;
+// On telephones, and in pages of others, there is no room for both.
+document.getElementById('panel').open = innerWidth > (self === top ? 560 : 1000);
 new Viewer(JSON.parse(document.getElementById('scene-list').textContent)).run();

@@ -24,6 +24,7 @@ export interface DecodeOptions extends Workers {
   shDegree?: Degree;
   box?: [low: Point, high: Point];
   onBlock?: (scene: Scene, part: Part) => void;
+  onDamage?: (block: number, error: CorruptError) => void;
   onProgress?: (bytes: number, of: number) => void;
   maxBytes?: number;
 }

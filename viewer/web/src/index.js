@@ -31,6 +31,9 @@ export { Scene };
  *   there are decoded, and fetched by ranges if the source is a URL
  * @param {(scene: Scene, part: object) => void} [options.onBlock] called when `part.count`
  *   Gaussians, from `part.first` on, of `part.block`, are there up to `part.degree`
+ * @param {(block: number, error: CorruptError) => void} [options.onDamage] called once for each
+ *   block that is damaged, which is left out: its values stay 0, or what came before; without it,
+ *   damage ends all
  * @param {(bytes: number, of: number) => void} [options.onProgress] called with bytes read
  * @param {number} [options.workers] how many decode at once; 0 is this thread
  * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`, where it cannot be
@@ -78,6 +81,8 @@ class Decoding {
     this.ending = ending; // nothing is told after it
     this.blocks = new Map(); // by number: where a block begins, and what of it waits
     this.pending = [];
+    this.lost = new Set(); // damaged blocks
+    this.broken = new Set(); // those of them that could not be decoded
   }
 
   close() {
@@ -103,6 +108,7 @@ class Decoding {
       },
     );
     await Promise.all(this.pending);
+    this.ending.signal.throwIfAborted();
     if (this.#isWhole && !(await input.endsAt(header.end))) {
       throw new CorruptError('bytes after the last section', 'file');
     }
@@ -116,7 +122,10 @@ class Decoding {
     for (const run of runsOf(entries, input.atOnce)) {
       const data = await input.read(run.begin, run.end);
       this.ending.signal.throwIfAborted();
-      takeRun(run, data, take);
+      takeRun(run, data, take, ({ name, block }, error) => {
+        if (!this.#isOfBlocks(name)) throw error;
+        this.#lose(block, error);
+      });
       options.onProgress?.(run.end, header.end);
       this.ending.signal.throwIfAborted();
     }
@@ -162,8 +171,26 @@ class Decoding {
 
   #wants({ name, block }) {
     if (name === 'extra') return this.#isWhole;
-    const isPart = this.opened.parts.some((names) => names.includes(name));
-    return name === 'comments' || (isPart && this.blocks.has(block));
+    return name === 'comments' || (this.#isOfBlocks(name) && this.blocks.has(block));
+  }
+
+  /** Whether blocks have sections of this name. */
+  #isOfBlocks(name) {
+    return this.opened?.parts.some((names) => names.includes(name));
+  }
+
+  /** Leave out a damaged block, if that is asked for; throw any other error. */
+  #lose(block, error) {
+    const { onDamage } = this.options;
+    if (!onDamage || !(error instanceof CorruptError) || !this.blocks.has(block)) throw error;
+    if (!this.lost.has(block)) onDamage(block, error);
+    this.lost.add(block);
+  }
+
+  /** As `#lose`, of a part that could not be decoded; those after it are of no use. */
+  #break(block, error) {
+    if (!this.broken.has(block)) this.#lose(block, error);
+    this.broken.add(block);
   }
 
   /** Take a section of a block. */
@@ -177,12 +204,14 @@ class Decoding {
   #advance(block) {
     const waiting = this.blocks.get(block);
     const { sections } = waiting;
+    if (this.broken.has(block)) return;
     for (; waiting.next <= this.degree; waiting.next++) {
       const names = this.opened.namesOf(block, waiting.next);
       if (!names.every((name) => sections[name])) return;
       const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
       for (const name of names) delete sections[name];
-      this.#await(this.#decode(block, waiting.next, given));
+      const done = this.#decode(block, waiting.next, given);
+      this.#await(done.catch((error) => this.#break(block, error)));
     }
   }
 
@@ -192,6 +221,7 @@ class Decoding {
     const count = header.blockCount(block);
     const planes = await this.pool.decode({ file: 0, block, count, part, sections });
     this.ending.signal.throwIfAborted();
+    if (this.broken.has(block)) return;
     if (part === 0) checkBox(this.boxes[block].centres, planes, count, block);
     scene.put(part, planes, first, count);
     options.onBlock?.(scene, { block, first, count, degree: part });

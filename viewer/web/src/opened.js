@@ -44,9 +44,25 @@ export function runsOf(sections, atOnce) {
   return runs;
 }
 
-/** Give `take` the sections of a run, from its bytes, after checks. */
-export function takeRun({ begin, entries }, data, take) {
-  for (const entry of entries) take(entry, checked(entry, data.subarray(entry.at - begin)));
+/**
+ * Give `take` the sections of a run, from its bytes, after checks; `lose` an error of one, which it
+ * throws unless the others are to be taken.
+ */
+export function takeRun({ begin, entries }, data, take, lose = raise) {
+  for (const entry of entries) {
+    let content;
+    try {
+      content = checked(entry, data.subarray(entry.at - begin));
+    } catch (error) {
+      lose(entry, error);
+      continue;
+    }
+    take(entry, content);
+  }
+}
+
+function raise(_, error) {
+  throw error;
 }
 
 /**

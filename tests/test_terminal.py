@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import logging
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from gs_codec.cli.output import log_to_stderr
 from gs_codec.config import Config
 from gs_codec.errors import CorruptStream, InvalidInput, one_line, printable
 from gs_codec.files.scenes import write_scene
+from gs_codec.scene import GROUPS, Scene
 from viewer.main import main as viewer_main
 
 #: Title, clearing, bell, an 8-bit escape, other directions of writing, and ends of lines.
@@ -67,6 +69,51 @@ def test_messages_that_are_logged_are_printable(capsys):
     assert err.startswith("gs-codec: warning: a\\x1b]0;b\\x07")
     assert err.count("\n") == 1
     assert_printable(err)
+
+
+def test_warnings_of_other_packages_are_lines(capsys):
+    root, before = logging.getLogger(), warnings.showwarning
+    handlers = root.handlers[:]
+    root.handlers.clear()
+    try:
+        log_to_stderr("gs-codec")
+        warnings.showwarning(RuntimeWarning("over\nflow\x07"), RuntimeWarning, "/a/there.py", 7)
+    finally:
+        root.handlers[:], warnings.showwarning = handlers, before
+    assert capsys.readouterr().err == "gs-codec: warning: over flow\\x07 (there.py, line 7)\n"
+
+
+def with_huge_values() -> Scene:
+    """A scene with values near the ends of float32 in each attribute."""
+    scene = random_scene(300, 1, seed=9)
+    huge = np.float32(3.4e38)
+    for group in GROUPS:
+        plane = getattr(scene, group)
+        for value in (huge, -huge) if group != "log_scale" else (np.float32(80), -huge):
+            plane[:, np.random.default_rng(len(group)).integers(300, size=40)] = value
+    return scene
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "inspect huge.ply --json",
+        "encode huge.ply out.egs",
+        "encode huge.ply out.egs -p paper-m",
+        "convert huge.ply out.spz",
+        "convert huge.ply out.sog",
+        "prepare huge.ply out.ply --prune-geometry 0.01 --prune-importance 1 --views 2",
+        "compare huge.ply scene.ply",
+    ],
+)
+def test_huge_values_give_no_warnings_of_numpy(command, tmp_path, monkeypatch, capsys):
+    """Here, such a warning is an exception, and not a SystemExit."""
+    monkeypatch.chdir(tmp_path)
+    write_scene("huge.ply", with_huge_values(), Config())
+    write_scene("scene.ply", random_scene(300, 1), Config())
+    done = Folder(tmp_path, monkeypatch, capsys).run(*command.split())
+    assert done.status in (0, 2)
+    assert "RuntimeWarning" not in done.err
 
 
 @pytest.mark.parametrize(

@@ -156,9 +156,10 @@ def page_of(
         else:
             entries.append(entry | {"url": quote(name)})
             files[name] = one.data
+    middle = np.median(finite.astype(np.float64), axis=1) if finite.size else np.zeros(3)
     described = {
         **_views(cameras, first, up, progress),
-        "middle": np.median(finite, axis=1).tolist() if finite.size else [0.0, 0.0, 0.0],
+        "middle": middle.tolist(),
         "scenes": entries,
     }
     # No text of a file ends the element that it is in.

@@ -204,7 +204,7 @@ def _packed_rotations(rot: NDArray[np.float32], steps: NDArray[np.floating]) -> 
 
 def _packed_sh(scene: Scene, steps: AttributeSteps, clipped: Clipped) -> NDArray:
     """SH-AC ``(3 * K, n)``: the colours of a coefficient together; see `_f_rest`."""
-    rest = scene.f_rest.reshape(3, -1, scene.count)
+    rest = scene.f_rest.reshape(3, -1, scene.count).astype(np.float64)
     packed = np.empty((rest.shape[1], 3, scene.count))
     for band, coefficients in enumerate(sh_bands(rest.shape[1])):
         for k in coefficients:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.step_sizes import expected_sensitivity
 from gs_codec.coding.axes import sort_axes
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.packed_values import sigmoid
 from gs_codec.preparation.balance import Balance
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.preparation.steps import GeometryRule, Steps
@@ -76,7 +77,7 @@ def keep_near(scene: Scene, percent: float, rule: GeometryRule) -> NDArray[np.in
     """
     centre = np.zeros(3)
     if rule == "median" and scene.count:
-        centre = np.median(scene.positions, axis=1)
+        centre = np.median(scene.positions.astype(np.float64), axis=1)
     kept = np.arange(scene.count)
     for axis in range(3):
         distance = np.abs(scene.positions[axis, kept].astype(np.float64) - centre[axis])
@@ -102,7 +103,7 @@ def importance(
     log_volume = scene.log_scale.sum(axis=0, dtype=np.float64)
     largest = np.quantile(log_volume, _VOLUME_QUANTILE) if scene.count else 0.0
     volume = np.exp(_VOLUME_POWER * np.minimum(log_volume - largest, 0.0))
-    return seen / (1.0 + np.exp(-scene.opacity[0].astype(np.float64))) * volume
+    return seen * sigmoid(scene.opacity[0].astype(np.float64)) * volume
 
 
 def leave_one_out(

@@ -75,7 +75,7 @@ class ReferenceViews:
             return np.zeros(len(self.cameras))
 
         def error(colour: NDArray[np.float32], image: NDArray[np.float32]) -> float:
-            return float(np.mean((colour - image) ** 2, dtype=np.float64))
+            return float(np.mean(np.square(colour - image, dtype=np.float64)))
 
         return np.array(self._of_each(scene, error, progress))
 

@@ -132,7 +132,8 @@ class Opened:
     @cached_property
     def opacities(self) -> NDArray[np.float32]:
         """Opacities ``(N,)``, 0-1."""
-        return np.float32(1) / (1 + np.exp(-self._array("opacity")[:, 0]))
+        with np.errstate(over="ignore"):
+            return np.float32(1) / (1 + np.exp(-self._array("opacity")[:, 0]))
 
     @cached_property
     def lengths(self) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from gs_codec.batch.redaction import redact_process
 from gs_codec.batch.scenes import Task
 from gs_codec.report import Progress
 from gs_codec.runtime.programs import how_ended
+from gs_codec.runtime.warned import log_warnings
 
 #: What a worker does with a task: a function that can be pickled, or a partial of one.
 Work = Callable[[Task, Progress], Record]
@@ -158,6 +159,7 @@ def _without_interrupt() -> Iterator[None]:
 def _serve(connection: Connection, work: Work) -> None:
     """Work on the tasks that come until the parent is gone."""
     redact_process()
+    log_warnings()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import logging
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TextIO
 
 from gs_codec.errors import printable
 from gs_codec.report import Progress, RenderedLoss
-
-log = logging.getLogger(__name__)
+from gs_codec.runtime.warned import log_warnings
 
 #: How often progress is said where stderr is no terminal.
 SECONDS_A_LINE = 10
@@ -51,20 +48,7 @@ def log_to_stderr(program: str) -> None:
     handler.setFormatter(_Lines(f"{program}: %(levelname)s: %(message)s"))
     logging.addLevelName(logging.WARNING, "warning")
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
-    warnings.showwarning = _log_warning
-
-
-def _log_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """One line of what Python, NumPy or another package warns of; see `warnings.showwarning`."""
-    text = " ".join(str(message).split())
-    log.warning("%s (%s, line %d)", text, Path(filename).name, lineno)
+    log_warnings()
 
 
 def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None = None) -> None:

@@ -256,7 +256,8 @@ def test_compare_prints_the_errors(folder):
     assert 0 < errors["positions", "scene units"] < 1e-4
     lines = folder.run("compare", "scene.ply", "decoded.ply").out.splitlines()
     assert lines[0] == "1,500 Gaussians, matched by stored order"
-    assert len(lines) == 2 + len(result["groups"])
+    assert len(lines) == 3 + len(result["groups"])
+    assert lines[-1].endswith("--cameras auto compares what is seen")
     assert f"{errors['opacity', 'logit']:.6g}" in lines[5].split()
 
 
@@ -491,7 +492,8 @@ def test_lattices_are_compared_with_their_original(lattice, profile):
         assert result["matched_by"] == "stored order"
         errors = {(group["name"], group["unit"]): group["rms"] for group in result["groups"]}
         assert 0 < errors["positions", "scene units"] < 0.02
-    assert "differently" in lattice.refuse("compare", "l.egs", "s.egs")
+    found = strict_json(lattice.run("compare", "l.egs", "s.egs", "--json").out)
+    assert found["matched_by"] in ("index", "nearest centre")
 
 
 # What is refused
@@ -711,14 +713,12 @@ def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
     )
 
 
-def test_scenes_in_different_orders_are_refused(folder):
-    assert (
-        folder.run(
-            "encode", "scene.ply", "out.egs", "-p", "paper-m", "--depth", "geometry=9"
-        ).status
-        == 0
-    )
-    assert "differently" in folder.refuse("compare", "out.egs", "scene.egs")
+def test_scenes_without_a_match_are_refused(folder):
+    write_ply("other.ply", random_scene(1500, 3, seed=99))
+    told = folder.refuse("compare", "scene.ply", "other.ply")
+    assert "no match of the scenes' Gaussians, so no errors by attribute: compare what" in told
+    status, out, _ = folder.run("compare", "scene.egs", "other.ply", "--json")
+    assert (status, "no match" in strict_json(out)["error"]["text"]) == (2, True)
 
 
 # What only another process shows

@@ -485,6 +485,24 @@ def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
         assert errors["f_dc"] < 0.1
 
 
+@pytest.mark.parametrize("suffix", ALL)
+@pytest.mark.parametrize("count", [2, 3, 300])
+def test_small_gaussians_are_compared_with_their_own(count, suffix, tmp_path):
+    """They are smaller than the steps of centres, so that only others tell which is which."""
+    scene = random_scene(count, 1, seed=11)
+    scene = replace(scene, log_scale=(0.1 * scene.log_scale - 9).astype(np.float32))
+    shuffled = scene.take(np.random.default_rng(12).permutation(count))
+    write_ply(tmp_path / "scene.ply", scene)
+    write_ply(tmp_path / "shuffled.ply", shuffled)
+    convert_file(tmp_path / "scene.ply", tmp_path / f"a.{suffix}")
+    for source in ("scene.ply", "shuffled.ply"):
+        for pair in ((source, f"a.{suffix}"), (f"a.{suffix}", source)):
+            errors = {g.name: g.max for g in compare_files(*(tmp_path / n for n in pair)).groups}
+            assert errors["positions"] < 0.01
+            # A .splat clips colours.
+            assert errors["f_dc"] < 3
+
+
 @pytest.mark.parametrize("suffix", ["spz", "sog"])
 def test_rotations_rounded_coarsely_are_of_unit_length(suffix, tmp_path):
     """Those of equal components too, where every component has likelier values that are larger."""

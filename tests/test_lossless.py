@@ -299,7 +299,7 @@ def test_compare_refuses_unrelated_scenes(tmp_path):
     for path, seed in ((first, 73), (second, 74)):
         write_ply(path, random_scene(100, 0, seed))
     encode_file(second, tmp_path / "second.egs", Config("lossless"))
-    with pytest.raises(InvalidInput, match="neither scene was decoded"):
+    with pytest.raises(InvalidInput, match="no match of the scenes"):
         compare_files(first, tmp_path / "second.egs")
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from gs_codec.codecs.matching import put_side_by_side
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import compare_files, read_scene
@@ -115,8 +116,9 @@ def compare(
 ) -> Comparison:
     """Errors of one scene against another: by attribute, or in what cameras see.
 
-    Without cameras, files are matched through their stored order: of a scene and its decoded
-    version, the first is put in the order of the second. Clouds are compared index by index.
+    Without cameras, Gaussians are matched through the stored order of a decoded version, by index,
+    in the order of other formats' writers, or by the nearest centre and look; each match is checked
+    on a sample of Gaussians.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def compare(
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
         As for `read`; or if images differ in size or are missing, or, without cameras, if the
-        numbers of Gaussians differ.
+        numbers of Gaussians differ, or most Gaussians have no match.
     MissingTool
         If ``cuda`` or LPIPS is asked for but not available, or an image has to be undistorted, and
         OpenCV is not installed.
@@ -179,7 +181,8 @@ def compare(
         return compare_files(first, second, max_bytes)
     if isinstance(first, str | Path) or isinstance(second, str | Path):
         raise InvalidInput("compare: one file and one cloud, expected two of a kind")
-    return compare_scenes(scene_of(first, max_bytes), scene_of(second, max_bytes))
+    clouds = scene_of(first, max_bytes), scene_of(second, max_bytes)
+    return compare_scenes(*put_side_by_side(*clouds))
 
 
 def prepare(

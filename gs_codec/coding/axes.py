@@ -102,7 +102,7 @@ def sort_axes(
 
 
 def nearest_quaternions(
-    vectors: NDArray[np.float64], rot: NDArray[np.float32]
+    vectors: NDArray[np.float64], rot: NDArray[np.floating]
 ) -> NDArray[np.float32]:
     """Of the ways to write Gaussians that differ by half turns, the nearest to ``rot (4, N)``.
 

@@ -228,7 +228,7 @@ def describe_gaussian_of_file(path: str | Path, index: int) -> CodedGaussian:
 def compare_files(
     first: str | Path, second: str | Path, max_bytes: int | None = None
 ) -> Comparison:
-    """Compare two scenes; one decoded from `.egs` is matched with its original.
+    """Compare two scenes, Gaussians matched as in `put_side_by_side`.
 
     If coordinate systems differ, one scene is converted.
     """
@@ -241,7 +241,8 @@ def compare_files(
     # An order refers to positions as stored, so its scene is not converted.
     kept = 0 if orders[1] is None else 1
     scenes[1 - kept] = turn_axes(scenes[1 - kept], systems[kept])
-    compared = compare_scenes(*matching.put_side_by_side(*scenes))
+    first_scene, second_scene = scenes
+    compared = compare_scenes(*matching.put_side_by_side(first_scene, second_scene))
     return replace(compared, systems=systems)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.metrics.images import View, mean_quality
+from gs_codec.metrics.shapes import differences, shape_errors
 from gs_codec.scene import Scene
 
 
@@ -45,7 +47,8 @@ class Comparison:
     counts : tuple of two int
         Gaussians of each.
     matched_by : str or None
-        ``stored order`` or ``index``; None with cameras, which need no match.
+        ``stored order``, ``index``, ``Morton order`` or ``nearest centre``; None with cameras,
+        which need no match.
     groups : tuple of GroupError
         Errors by attribute, empty with cameras. Opacity and rotation appear twice, in two
         units.
@@ -102,10 +105,11 @@ class Comparison:
 def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Comparison:
     """Compare Gaussian by Gaussian, in the order given.
 
-    Positions, f_dc, f_rest, log-scales, opacity (logit) and rotation components are compared
-    as stored; opacity also after the sigmoid, rotation also as the angle in degrees between the
-    normalised quaternions. Missing SH bands count as zero. Opacities of 0 and 1, whose logit is
-    infinite, are compared after the sigmoid alone.
+    Positions, f_dc, f_rest, opacity (logit), log-scales and rotation components are compared as
+    stored; opacity also after the sigmoid, rotation also as an angle in degrees. An ellipsoid can
+    be written in several ways: the nearest counts, and turns about an axis whose two others are
+    equal, to 5 %, count nothing. Missing SH bands count as zero. Opacities of 0 and 1, whose logit
+    is infinite, are compared after the sigmoid alone.
 
     Raises
     ------
@@ -114,20 +118,21 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """
     if first.count != second.count:
         raise InvalidInput(
-            f"{first.count} and {second.count} Gaussians: cannot tell which belong together; "
-            "compare what cameras see (--cameras auto)"
+            f"{first.count} and {second.count} Gaussians: cannot tell which belong together, so no "
+            "errors by attribute: compare what cameras see (--cameras auto)"
         )
     coefficients = max(len(first.f_rest), len(second.f_rest)) // 3
     with np.errstate(over="ignore"):
+        shapes = shape_errors(first, second)
         groups = (
             _group("positions", "scene units", first.positions, second.positions),
             _group("f_dc", "SH", first.f_dc, second.f_dc),
             _group("f_rest", "SH", _padded(first, coefficients), _padded(second, coefficients)),
             _group("opacity", "logit", *_finite(first.opacity, second.opacity)),
             _group("opacity", "0-1", _sigmoid(first.opacity), _sigmoid(second.opacity)),
-            _group("scaling", "log", first.log_scale, second.log_scale),
-            _group("rotation", "stored", first.rot, second.rot),
-            _angles(first.rot, second.rot),
+            _errors("scaling", "log", shapes.log_scale, 3 * first.count),
+            _errors("rotation", "stored", shapes.rot, 4 * first.count),
+            _errors("rotation", "degrees", shapes.turn[None], first.count),
         )
     kept = tuple(group for group in groups if group.name != "f_rest" or coefficients)
     return Comparison((first.count, second.count), matched_by, kept)
@@ -135,13 +140,16 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
 
 def _group(name: str, unit: str, first: NDArray, second: NDArray) -> GroupError:
     """Errors over all rows, one row at a time to bound memory."""
+    rows = (differences(a, b) for a, b in zip(first, second, strict=True))
+    return _errors(name, unit, rows, first.size)
+
+
+def _errors(name: str, unit: str, rows: Iterable[NDArray], size: int) -> GroupError:
     largest = total = 0.0
-    for a, b in zip(first, second, strict=True):
-        with np.errstate(invalid="ignore"):
-            error = np.where(a == b, 0.0, np.abs(a.astype(np.float64) - b))
+    for error in rows:
         largest = float(np.maximum(largest, error.max(initial=0.0)))
         total += float(error @ error)
-    return GroupError(name, unit, largest, float(np.sqrt(total / max(first.size, 1))))
+    return GroupError(name, unit, largest, float(np.sqrt(total / max(size, 1))))
 
 
 def _finite(first: NDArray, second: NDArray) -> tuple[NDArray, NDArray]:
@@ -159,21 +167,3 @@ def _padded(scene: Scene, coefficients: int) -> NDArray[np.float32]:
 
 def _sigmoid(logit: NDArray) -> NDArray[np.float64]:
     return 1.0 / (1.0 + np.exp(-logit.astype(np.float64)))
-
-
-def _angles(first: NDArray, second: NDArray) -> GroupError:
-    """Rotation angle between unit quaternions; q and -q are one rotation."""
-    a, b = _unit(first), _unit(second)
-    sign = np.where((a * b).sum(axis=0) < 0, -1.0, 1.0)
-    apart = np.linalg.norm(a - sign * b, axis=0)
-    together = np.linalg.norm(a + sign * b, axis=0)
-    degrees = np.degrees(4.0 * np.arctan2(apart, together))
-    return _group("rotation", "degrees", degrees[None], np.zeros_like(degrees)[None])
-
-
-def _unit(rot: NDArray) -> NDArray[np.float64]:
-    """Normalised quaternions; the identity where the norm is 0."""
-    rot = rot.astype(np.float64)
-    norm = np.linalg.norm(rot, axis=0)
-    identity = np.array([[1.0], [0.0], [0.0], [0.0]])
-    return np.where(norm == 0, identity, rot / np.where(norm == 0, 1.0, norm))

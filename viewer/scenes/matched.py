@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.codecs.matching import GridOrder, are_together, order_of, put_side_by_side
+from gs_codec.codecs.matching import NEAREST, GridOrder, order_of, put_side_by_side
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
 from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.scene import SH_C0, Scene
 from viewer.scenes.opened import Opened
-
-#: How Gaussians are matched that nothing else tells.
-NEAREST = "nearest centre"
 
 #: Name of the property that keeps rows while scenes are put side by side.
 _ROW = "row"
@@ -75,15 +72,12 @@ class Match:
         self._rows: tuple[NDArray, NDArray] | None = None
         if first.count != second.count:
             return
-        numbered = (_numbered(each) for each in self._scenes)
+        a, b = (_numbered(each) for each in self._scenes)
         try:
-            *sorted_scenes, matched_by = put_side_by_side(*numbered)
-        except gs_codec.GsCodecError:  # both were reordered, differently
+            a, b, self.matched_by = put_side_by_side(a, b, in_order=True)
+        except gs_codec.GsCodecError:  # they do not belong together
             return
-        a, b = sorted_scenes
-        if matched_by != "index" or are_together(a, b):
-            self.matched_by = matched_by
-            self._rows = a.extra[_ROW], b.extra[_ROW]
+        self._rows = a.extra[_ROW], b.extra[_ROW]
 
     def difference(self, which: int, row: int) -> Difference | None:
         """How far a Gaussian of the first scene (0) or the second (1) is from the other's.

@@ -1,0 +1,178 @@
+"""Which Gaussians of two scenes belong together, by what they look like, and whether any do.
+
+Two Gaussians are compared by four terms: the distance of their centres, and the differences of
+colour, opacity and scales. The unit of each is how far neighbours in one scene differ. A pair is
+right if it differs less than the most similar of a Gaussian's neighbours does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.threads import available_threads
+from gs_codec.scene import SH_C0, Scene
+
+#: Neighbours among which a Gaussian's partner is sought.
+_NEIGHBOURS = 8
+
+#: About so many Gaussians tell whether pairs are right.
+_SAMPLE = 2000
+
+#: Largest value of a term.
+_MOST = 4.0
+
+#: Searches for partners; those who find none are paired in the order they come.
+_ROUNDS = 12
+
+#: Most Gaussians whose partners are sought at once.
+_CHUNK = 1 << 16
+
+#: Logarithms of scales are clipped to this, so that their differences are finite.
+_LOG_LIMIT = 100.0
+
+_TINY = np.finfo(float).tiny
+
+
+class Pairing:
+    """Two scenes of as many Gaussians, at least one.
+
+    Parameters
+    ----------
+    first, second : Scene
+        In one coordinate system.
+    """
+
+    def __init__(self, first: Scene, second: Scene) -> None:
+        self.count = first.count
+        self._places = _places(first), _places(second)
+        self._looks = _looks(first), _looks(second)
+        self._some = np.arange(0, self.count, -(-self.count // _SAMPLE))
+
+    def right(self, partners: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Share of Gaussians whose partners are right: by all terms, by looks, by centres.
+
+        Looks alone tell of scenes that were moved; centres alone, if twice as near as a neighbour,
+        of coarse colours and scales.
+
+        Parameters
+        ----------
+        partners : ndarray, shape (N,)
+            Index in the second scene of each Gaussian's partner.
+        """
+        terms = self._terms(self._some, partners[self._some, None])[:, 0]
+        own = self._own_terms
+        if not own.shape[1]:
+            return np.ones(3)
+        shares = []
+        for kept, share in ((slice(None), 1.0), (slice(1, None), 1.0), (slice(1), 0.5)):
+            found, nearest = (_cost(each[..., kept], self._unit[kept]) for each in (terms, own))
+            shares.append(np.mean(found < share * nearest.min(axis=1)))
+        return np.array(shares)
+
+    def nearest(self) -> NDArray[np.int64]:
+        """Partners, each Gaussian of the second scene once: the most similar of the nearest."""
+        partners = np.full(self.count, -1)
+        left, free = np.arange(self.count), np.arange(self.count)
+        for _ in range(_ROUNDS):
+            if not len(left):
+                return partners
+            best, cost = self._best(left, free)
+            order = np.lexsort((cost, best))
+            first = np.r_[True, np.diff(best[order]) > 0]
+            partners[left[order[first]]] = best[order[first]]
+            left = np.flatnonzero(partners < 0)
+            free = np.setdiff1d(free, best, assume_unique=False)
+        partners[left] = free
+        return partners
+
+    def _best(
+        self, which: NDArray[np.int64], free: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The most similar of the nearest `free` ones of the second scene, and the cost of each."""
+        query = _searcher(self._places[1][free])
+        best, cost = np.empty(len(which), np.int64), np.empty(len(which))
+        number = min(_NEIGHBOURS, len(free))
+        for start in range(0, len(which), _CHUNK):
+            part = which[start : start + _CHUNK]
+            _, found = query(self._places[0][part], number)
+            costs = _cost(self._terms(part, free[found]), self._unit)
+            least = costs.argmin(axis=1)[:, None]
+            best[start : start + _CHUNK] = free[np.take_along_axis(found, least, 1)[:, 0]]
+            cost[start : start + _CHUNK] = np.take_along_axis(costs, least, 1)[:, 0]
+        return best, cost
+
+    def _terms(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Terms ``(n, k, 4)`` of Gaussians ``(n,)`` of the first scene, ``(n, k)`` of the other."""
+        return _differences(
+            self._places[0][i], self._looks[0][i], self._places[1][j], self._looks[1][j]
+        )
+
+    @cached_property
+    def _own_terms(self) -> NDArray[np.float64]:
+        """Terms ``(n, k, 4)`` of some Gaussians of the first scene and their own neighbours."""
+        places, looks, some = self._places[0], self._looks[0], self._some
+        number = min(_NEIGHBOURS + 1, self.count)
+        _, found = _searcher(places)(places[some], number)
+        others = found != some[:, None]
+        others[others.all(axis=1), -1] = False
+        found = found[others].reshape(len(some), number - 1)
+        return _differences(places[some], looks[some], places[found], looks[found])
+
+    @cached_property
+    def _unit(self) -> NDArray[np.float64]:
+        """The unit of each term: its median over neighbours."""
+        own = self._own_terms
+        return np.median(own, axis=(0, 1)) if own.size else np.zeros(own.shape[2])
+
+
+def _differences(a: NDArray, b: NDArray, others: NDArray, looks: NDArray) -> NDArray[np.float64]:
+    """Terms of centres ``(n, 3)`` and looks ``(n, 7)`` against ``(n, k, ...)``."""
+    apart = np.abs(looks - b[:, None])
+    return np.stack(
+        [
+            np.linalg.norm(others - a[:, None], axis=2),
+            apart[..., :3].max(axis=2),
+            apart[..., 3],
+            apart[..., 4:].max(axis=2),
+        ],
+        axis=2,
+    )
+
+
+def _cost(terms: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):
+        return np.minimum(terms / np.maximum(unit, _TINY), _MOST).sum(axis=-1)
+
+
+def _searcher(points: NDArray[np.float64]) -> Callable[..., Any]:
+    """Finds distances to the nearest of some points, and their indices, both ``(n, k)``."""
+    from scipy.spatial import cKDTree
+
+    # Equal points would be one leaf of the tree, searched in quadratic time.
+    apart = np.linspace(0.0, 1e-30, len(points))
+    tree = cKDTree(np.column_stack([points, apart]), balanced_tree=False, compact_nodes=False)
+
+    def query(places: NDArray[np.float64], number: int) -> tuple[NDArray, NDArray]:
+        asked = np.column_stack([places, np.zeros(len(places))])
+        return tree.query(asked, np.arange(1, number + 1), workers=available_threads())
+
+    return query
+
+
+def _places(scene: Scene) -> NDArray[np.float64]:
+    """Centres ``(N, 3)``, all of them finite."""
+    return np.nan_to_num(scene.positions.T.astype(np.float64), nan=0.0, posinf=1e38, neginf=-1e38)
+
+
+def _looks(scene: Scene) -> NDArray[np.float64]:
+    """Colour, opacity, and logarithms of the scales in order, ``(N, 7)``, all of them finite."""
+    with np.errstate(over="ignore"):
+        opacity = 1.0 / (1.0 + np.exp(-scene.opacity.astype(np.float64)))
+    scales = np.sort(np.clip(scene.log_scale.astype(np.float64), -_LOG_LIMIT, _LOG_LIMIT), axis=0)
+    colour = np.clip(SH_C0 * scene.f_dc.astype(np.float64), -_LOG_LIMIT, _LOG_LIMIT)
+    return np.nan_to_num(np.concatenate([colour, opacity, scales]).T)

@@ -22,8 +22,9 @@ from PIL import Image
 from scenes import assert_same_floats, random_scene, shared_scene_path
 from test_ply import assert_one_line, assert_refused
 
+import gs_codec
 from gs_codec.config import Config
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats import packed_values
@@ -903,7 +904,7 @@ def test_content_decides_before_the_suffix(suffix, tmp_path):
         assert read_scene(written(tmp_path / f"scene{suffix}", data)).count == 20, name
 
 
-@pytest.mark.parametrize("data", [b"hello", bytes(64), b"%PDF-1.7", b"\x89PNG\r\n"], ids=repr)
+@pytest.mark.parametrize("data", [b"hello", bytes(64), b"%PD", b"\x89PNG\r\n"], ids=repr)
 def test_what_is_no_scene_is_refused_in_one_line(data, tmp_path):
     path = written(tmp_path / "a.bin", data)
     with pytest.raises(InvalidInput, match=r"expected .egs, .ply, .splat, .spz") as caught:
@@ -972,3 +973,49 @@ def test_another_reader_gives_the_same(name):
     np.testing.assert_allclose(ours.rot, theirs.quats.T, atol=1e-6)
     inner = np.abs(ours.opacity[0]) < 6
     np.testing.assert_allclose(ours.opacity[0, inner], theirs.opacities[inner], atol=1e-4)
+
+
+# Files that are no scene
+
+
+def page(size: int) -> bytes:
+    return b"<!DOCTYPE html>\n<html><title>404</title>".ljust(size)
+
+
+LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"4d" * 32 + b"\nsize 12345678\n"
+IMPOSTERS = {
+    "pointer": (LFS, "a Git LFS pointer"),
+    "pointer of 128 bytes": (LFS[:-9].ljust(127, b"0") + b"\n", "a Git LFS pointer"),
+    "page": (page(96), "an HTML page"),
+    "page after a mark": (b"\xef\xbb\xbf\r\n" + page(91), "an HTML page"),
+    "document": (b'<?xml version="1.0"?>'.ljust(64), "an XML document"),
+    "image": (b"\x89PNG\r\n\x1a\n" + bytes(56), "a PNG image"),
+}
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".ply", ".spz", ".sog", ".glb", ".gltf", ".egs", ""])
+@pytest.mark.parametrize("name", IMPOSTERS)
+def test_what_is_no_scene_is_named(name, suffix, tmp_path):
+    data, said = IMPOSTERS[name]
+    path = written(tmp_path / f"a{suffix}", data)
+    with pytest.raises(InvalidInput, match=f"{said}, not") as caught:
+        read_scene(path)
+    assert_one_line(caught.value, path)
+    with pytest.raises(CorruptStream, match=said):
+        gs_codec.inspect(path)
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".ksplat"])
+def test_text_is_no_splat(suffix, tmp_path):
+    for data, kind in ((b'{"error": "gone"}', "JSON"), ("Größe\tund Farbe\r\n".encode(), "text")):
+        path = written(tmp_path / f"a{suffix}", data.ljust(64))
+        with pytest.raises(InvalidInput, match=kind) as caught:
+            read_scene(path)
+        assert_one_line(caught.value, path)
+
+
+def test_noise_is_no_splat(tmp_path):
+    path = written(tmp_path / "a.splat", np.random.default_rng(1).bytes(32 * 200))
+    said = r"scales below 0 or not finite in 1\d\d of 200 records, not a .splat scene"
+    with pytest.raises(InvalidInput, match=said):
+        read_scene(path)

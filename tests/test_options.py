@@ -190,8 +190,8 @@ def _options(name: str, *, hidden: bool) -> set[str]:
 def test_encode_shows_at_most_16_options_and_batch_the_same():
     assert len(_options("encode", hidden=False)) <= 16
     assert _options("encode", hidden=False) <= _options("batch", hidden=False)
-    # One file for one scene; shared by workers, unlike scenes.
-    alone = {"--checkpoint", "--dask"}
+    # One file for one scene; shared by workers, unlike scenes; of stdin.
+    alone = {"--checkpoint", "--dask", "--input-format"}
     assert _options("encode", hidden=True) - alone == _options("batch", hidden=True)
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_cli import ROOT, assert_one_error_line
 
@@ -140,6 +141,38 @@ def test_commands_that_take_a_scene_from_stdin(folder, trio, command):
     data = (trio.egs if command.startswith("verify") else trio.ply).read_bytes()
     folder.monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
     assert folder.run(*command.split()).status == 0
+
+
+SPLAT = np.random.default_rng(5).uniform(0.25, 0.75, (40, 8)).astype("<f4").tobytes()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "convert - out.ply",
+        "prepare - out.ply --rectify 7 --cameras auto --width 16",
+        "verify -",
+        "inspect -",
+        "encode - out.egs",
+    ],
+)
+def test_the_format_of_stdin_may_be_said(folder, command):
+    def given(data: bytes) -> None:
+        stdin = io.TextIOWrapper(io.BytesIO(data))
+        folder.monkeypatch.setattr(sys, "stdin", stdin)
+
+    given(SPLAT)
+    assert folder.refuse(*command.split()).endswith(
+        "needs --input-format for splat, ksplat and gltf\n"
+    )
+    given(SPLAT)
+    assert folder.run(*command.split(), "--input-format", "splat").status == 0
+    given(b"ply\n" + SPLAT)
+    line = folder.refuse(*command.split(), "--input-format", "splat")
+    assert line.endswith("error: -: its content is ply, expected splat\n")
+    typed = command.replace("-", "scene.ply", 1).split()
+    line = folder.refuse(*typed, "--input-format", "splat")
+    assert line.endswith("--input-format: has no effect on scene.ply, expected - or a pipe\n")
 
 
 def test_named_pipe_is_read_as_a_file(folder, trio):

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 @takes(
     "extra", "nonfinite", "profile", "format", "threads", "max_memory", "max_bytes",
     "overwrite", "json", expert=(Config, Plan), actions=tuple(KINDS),
+    hidden=["input_format"],
     without=("cameras", "gt_images", "checkpoint", "device"), extra="keep", format="ply",
 )  # fmt: skip
 def command(
@@ -70,7 +71,7 @@ def command(
     config, plan = config_of(asked, target), action_plan(asked)
     from gs_codec.files.conversion import convert_file
 
-    with piped(sources, target, suffix) as (files, out):
+    with piped(sources, target, suffix, asked["input_format"]) as (files, out):
         with progress_bar() as progress:
             done = convert_file(
                 files, out, config, coordinates, actions=asked.actions, plan=plan,

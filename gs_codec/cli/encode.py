@@ -40,7 +40,10 @@ EXPERT = (Config, RateTarget, Plan)
 ACTIONS = [name for name in KINDS if name != "gaussians"]
 
 
-@takes(*CODING, "json", expert=EXPERT, hidden=["dask"], actions=ACTIONS, actions_hidden=True)
+@takes(
+    *CODING, "json", expert=EXPERT, hidden=["input_format", "dask"], actions=ACTIONS,
+    actions_hidden=True,
+)  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
@@ -57,13 +60,13 @@ def command(
     if asked["dask"] is not None:
         if plan is not None or rate is not None or asked.actions:
             raise InvalidInput("--dask: not with views, preparation, actions, or a target to meet")
-        asked.refuse(["max_bytes"], "has no effect with --dask")
+        asked.refuse(["max_bytes", "input_format"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
         _tell(source, target, config, asked, _encode_distributed(source, target, config, asked))
         return
     from gs_codec.files.coding import encode_file
 
-    with piped([source], target, f".{config.format}") as ([file], out):
+    with piped([source], target, f".{config.format}", asked["input_format"]) as ([file], out):
         with progress_bar() as progress:
             done = encode_file(
                 file, out, config, plan, rate, actions=asked.actions, progress=progress,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gs_codec.scene import Scene
 
 
-@takes("max_bytes", "json")
+@takes("max_bytes", "json", hidden=["input_format"])
 def command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
     asked: Asked,
@@ -46,7 +46,7 @@ def command(
         asked.refuse(["channels"], "has no effect: --json has them anyway")
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
 
-    with piped_source(file) as path:
+    with piped_source(file, asked["input_format"]) as path:
         if not is_egs(path):
             asked.refuse(["channels"], f"has no effect on {file}, expected an .egs")
             _show_other(file, path, asked, histogram)

@@ -12,7 +12,7 @@ import typer
 
 from gs_codec.config import FORMATS, Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import ENCODED, PLAIN
+from gs_codec.files.suffixes import ENCODED, PLAIN, READ
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -44,6 +44,9 @@ OPTIONS = {
     ),
     "dask": Option(
         "Use the workers of a Dask scheduler, or local ones.", metavar="ADDRESS",
+    ),
+    "input_format": Option(
+        "Format of stdin or a pipe; splat, ksplat and gltf need it.", metavar="NAME", values=READ,
     ),
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),

@@ -28,7 +28,7 @@ from gs_codec.report import bits_per_gaussian
     "profile", "preset", "cameras", "gt_images", "refine", "prune", "gaussians",
     "prune_max_psnr_drop", "prune_geometry", "geometry_rule", "prune_importance", "compact_sh",
     "refit_colour", "rectify", "report", "checkpoint", "threads", "max_bytes", "overwrite", "json",
-    expert=(Config, Plan), without=("nonfinite", "extra", "format"),
+    expert=(Config, Plan), without=("nonfinite", "extra", "format"), hidden=["input_format"],
 )  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
@@ -45,7 +45,7 @@ def command(
     from gs_codec.files.preparing import prepare_file
     from gs_codec.files.scenes import written_bytes
 
-    with piped_source(source) as file, progress_bar() as progress:
+    with piped_source(source, asked["input_format"]) as file, progress_bar() as progress:
         done = prepare_file(
             file, target, plan, config, progress=progress, report_folder=asked["report"],
             max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],

@@ -17,18 +17,45 @@ from gs_codec.errors import GsCodecError, InvalidInput
 
 
 @contextmanager
-def piped_source(source: Path) -> Iterator[Path]:
-    """A file to read while the block runs, in place of ``-`` and of named pipes."""
+def piped_source(source: Path, form: str | None = None) -> Iterator[Path]:
+    """A file to read while the block runs, in place of ``-`` and of named pipes.
+
+    Its format is `form`, which some contents do not tell.
+
+    Raises
+    ------
+    InvalidInput
+        If there is a `form` for what is no pipe, or the content says another.
+    """
+    _check_format([source], form)
     if not _is_pipe(source):
         yield source
         return
-    with _stand_in(source, "stdin") as file:
+    suffix = source.suffix if form is None else f".{form}"
+    with _stand_in(source, f"stdin{suffix}") as file:
         _copy_from(source, file)
+        if form is not None:
+            _check_content(file, form)
         yield file
 
 
+def _check_content(file: Path, form: str) -> None:
+    from gs_codec.formats.registry import open_scene
+
+    with open_scene(file) as opened:
+        if opened.format != form:
+            raise InvalidInput(f"{file}: its content is {opened.format}, expected {form}")
+
+
+def _check_format(sources: Sequence[Path], form: str | None) -> None:
+    if form is not None and not any(map(_is_pipe, sources)):
+        raise InvalidInput(f"--input-format: has no effect on {sources[0]}, expected - or a pipe")
+
+
 @contextmanager
-def piped(sources: Sequence[Path], target: Path, suffix: str) -> Iterator[tuple[list[Path], Path]]:
+def piped(
+    sources: Sequence[Path], target: Path, suffix: str, form: str | None = None
+) -> Iterator[tuple[list[Path], Path]]:
     """Files to read, as `piped_source`, and to write in place of ``-``.
 
     The latter goes to stdout once it is whole; what is printed meanwhile goes to stderr.
@@ -40,8 +67,12 @@ def piped(sources: Sequence[Path], target: Path, suffix: str) -> Iterator[tuple[
     """
     if list(map(str, sources)).count("-") > 1:
         raise InvalidInput("-: stdin is one scene, expected '-' once")
+    _check_format(sources, form)
     with ExitStack() as stack:
-        files = [stack.enter_context(piped_source(source)) for source in sources]
+        files = [
+            stack.enter_context(piped_source(source, form if _is_pipe(source) else None))
+            for source in sources
+        ]
         if not is_stdout(target):
             yield files, target
             return

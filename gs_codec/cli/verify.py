@@ -19,7 +19,7 @@ from gs_codec.report import bits_per_gaussian
 _OF_EGS = ("threads", "max_memory", "tmc3")
 
 
-@takes("threads", "max_memory", "max_bytes", "tmc3", "json")
+@takes("threads", "max_memory", "max_bytes", "tmc3", "json", hidden=["input_format"])
 def command(
     source: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
     asked: Asked,
@@ -28,7 +28,7 @@ def command(
     from gs_codec.codecs.slabs import verify_file
     from gs_codec.files.scenes import is_egs
 
-    with piped_source(source) as file, progress_bar() as progress:
+    with piped_source(source, asked["input_format"]) as file, progress_bar() as progress:
         if not is_egs(file):
             asked.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
             _verify_other(source, file, asked)

@@ -15,6 +15,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.egs.header import FIELDS, TOO_LARGE, Feature, Header, pack_header, unpack_header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.arrays import current
+from gs_codec.runtime.guess import LOOKED_AT, looks_like
 from gs_codec.runtime.mapped import FileBytes
 
 Parsed = TypeVar("Parsed")
@@ -293,7 +294,8 @@ def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
     """
     view = data if isinstance(data, FileBytes) else memoryview(data)
     if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:
-        raise CorruptStream("not an .egs file (it does not begin with the EGS signature)")
+        found = looks_like(bytes(view[:LOOKED_AT]))
+        raise CorruptStream(found or "not an .egs file (it does not begin with the EGS signature)")
     start = view[: _header_size(0) - _CHECKSUM]
     reader = ByteReader(start, "header")
     _, version, _, header_size = reader.unpack(_START[1:])

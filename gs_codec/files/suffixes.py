@@ -15,6 +15,9 @@ PLAIN = (".ply", ".pt", ".ckpt", ".csv")
 LEVELLED = (SSOG, STREAMED)
 WRITTEN = (*ENCODED, *LEVELLED, *PLAIN)
 
+#: Names of formats that are read from one file.
+READ = ("splat", "ksplat", "gltf", "ply", "egs", "spz", "sog", "usd", "pt")
+
 #: Of formats that are written part by part, below a memory limit.
 IN_PARTS = (".egs", ".ply", ".csv")
 

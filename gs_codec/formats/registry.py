@@ -32,6 +32,7 @@ from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
 from gs_codec.formats.ply_header import BOM
 from gs_codec.formats.zip_file import ZIP
+from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
 from gs_codec.runtime.mapped import FileBytes, opened
 from gs_codec.scene import Scene, float_bytes
 
@@ -92,20 +93,25 @@ class SceneFile:
     @cached_property
     def format(self) -> Format:
         """The format, recognised by content, then by suffix; `InvalidInput` if by neither."""
-        head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
+        head, suffix = bytes(self.data[:LOOKED_AT]), self.path.suffix.lower()
+        if found := looks_like(head):
+            raise InvalidInput(f"{self.path}: {found}")
         if head.startswith(b"{") and streamed_sog.is_streamed(self.path, self.data):
             return "streamed sog"
         # Both .gltf and the meta.json of SOG are JSON.
-        plain = suffix in (".splat", ".gltf")
+        plain = suffix in (".splat", ".ksplat", ".gltf")
         known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
             if head.startswith(begin):
                 return _in_zip(self.path, self.data) if begin == ZIP else name
         if suffix not in _BY_SUFFIX:
             listed = ", ".join(SUFFIXES)
+            hint = "" if suffix else "; stdin needs --input-format for splat, ksplat and gltf"
             raise InvalidInput(
-                f"{self.path}: begins with {head[:4]!a}, expected {listed} of a scene"
+                f"{self.path}: begins with {head[:4]!a}, expected {listed} of a scene{hint}"
             )
+        if suffix in (".splat", ".ksplat") and (kind := text_kind(head)):
+            raise InvalidInput(f"{self.path}: {kind}, not a {suffix} scene")
         return _BY_SUFFIX[suffix]
 
     @cached_property

@@ -42,6 +42,13 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
             )
         check_count(len(data) // RECORD, 0, len(data), max_bytes)
         rows = np.frombuffer(bytes(data), _ROW)
+        scales = rows["scale"]
+        odd = int(np.count_nonzero(~((scales >= 0) & (scales < np.inf)).all(axis=1)))
+        if 2 * odd > len(rows):
+            raise InvalidInput(
+                f"scales below 0 or not finite in {odd:,} of {len(rows):,} records, "
+                "not a .splat scene"
+            )
     colour = rows["colour"].T
     return Scene(
         np.ascontiguousarray(rows["position"].T),

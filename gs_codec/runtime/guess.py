@@ -1,0 +1,47 @@
+"""What a file that is no scene looks like, so that errors can name it."""
+
+from __future__ import annotations
+
+#: Bytes at the beginning of a file that are looked at.
+LOOKED_AT = 512
+
+_LFS = "a Git LFS pointer, not the file it stands for (`git lfs pull` fetches that)"
+_HTML = "an HTML page, not a scene (a server may answer with one in place of a file)"
+
+#: Beginnings, in lower case, of text without the white space before it.
+_TEXTS = {
+    b"version https://git-lfs": _LFS,
+    b"<!doctype html": _HTML,
+    b"<html": _HTML,
+    b"<head": _HTML,
+    b"<?xml": "an XML document, not a scene",
+}
+_SIGNATURES = {
+    b"\x89PNG\r\n\x1a\n": "a PNG image, not a scene",
+    b"\xff\xd8\xff\xe0": "a JPEG image, not a scene",
+    b"\xff\xd8\xff\xe1": "a JPEG image, not a scene",
+    b"%PDF-": "a PDF document, not a scene",
+    b"7z\xbc\xaf\x27\x1c": "a 7z archive, not a scene: unpack it",
+    b"Rar!\x1a\x07": "a RAR archive, not a scene: unpack it",
+}
+
+
+def looks_like(head: bytes) -> str:
+    """What is known not to be a scene, by the first `LOOKED_AT` bytes, in words; "" if unknown."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    found = [words for begin, words in _TEXTS.items() if text.startswith(begin)]
+    found += [words for begin, words in _SIGNATURES.items() if head.startswith(begin)]
+    return found[0] if found else ""
+
+
+def text_kind(head: bytes) -> str:
+    """Which text the first `LOOKED_AT` bytes are, in words; "" if they are none."""
+    try:
+        text = head.decode()
+    except UnicodeDecodeError as error:
+        if error.reason != "unexpected end of data":  # a character cut off
+            return ""
+        text = head[: error.start].decode()
+    if not all(character.isprintable() or character in "\t\r\n" for character in text):
+        return ""
+    return "JSON" if text.lstrip()[:1] in ("{", "[") else "text" if text else ""

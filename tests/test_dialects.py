@@ -229,7 +229,7 @@ def test_comments_that_are_not_ascii_are_dropped_with_a_warning(encoding, tmp_pa
     back = read_scene(rewritten(tmp_path / "a.ply", (b"comment one", changed)))
     np.testing.assert_array_equal(back.positions, scene.positions)
     assert back.comments == ("two",)
-    assert caplog.messages == [f"{tmp_path / 'a.ply'}: 1 comments not kept: not plain ASCII"]
+    assert caplog.messages == [f"{tmp_path / 'a.ply'}: left out: comments that are not ASCII (1)"]
 
 
 def test_names_that_are_not_ascii_are_left_out(tmp_path, caplog):

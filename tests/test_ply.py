@@ -184,8 +184,8 @@ def test_what_is_not_read_is_reported(tmp_path, caplog):
     path.write_bytes(data + bytes(17))
     assert read_ply(path).count == 5
     assert caplog.messages == [
-        f"{path}: 1 obj_info lines not kept",
         f"{path}: 17 bytes after the last vertex not read",
+        f"{path}: left out: obj_info (1)",
     ]
 
 

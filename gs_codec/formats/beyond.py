@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,11 +25,15 @@ def listed(names: Sequence[str], most: int = 8) -> str:
 
 
 def say_left_out(
-    where: str | Path, properties: Sequence[str], elements: Sequence[str] = ()
+    where: str | Path,
+    properties: Sequence[str],
+    elements: Sequence[str] = (),
+    lines: Mapping[str, int] | None = None,
 ) -> None:
-    """Log what is left out of a file, if anything, in one line."""
+    """Log what is left out of a file, if anything, in one line; `lines` counts those of a kind."""
+    said = [f"{kind} ({count})" for kind, count in (lines or {}).items() if count]
     kinds = (("elements", elements), ("properties", properties))
-    said = [f"{kind} {listed(names)}" for kind, names in kinds if names]
+    said += [f"{kind} {listed(names)}" for kind, names in kinds if names]
     if said:
         log.warning("%s: left out: %s", where, "; ".join(said))
 

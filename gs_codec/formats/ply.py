@@ -26,6 +26,7 @@ from gs_codec.formats.dialects import (
 from gs_codec.formats.limits import check_bytes
 from gs_codec.formats.packed_ply import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
 from gs_codec.formats.ply_body import Ply, Rows, ply_of, to_rows
+from gs_codec.formats.ply_header import PlyHeader
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
@@ -85,10 +86,6 @@ def scene_of(
     Unless `tell`, nothing is logged of what the header shows to be left out.
     """
     path = ply.path
-    if tell and ply.header.obj_info:
-        log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
-    if tell and ply.header.odd_comments:
-        log.warning("%s: %d comments not kept: not plain ASCII", path, ply.header.odd_comments)
     with located(path):
         packed = is_packed(ply.header)
         elements = _other_elements(ply, PACKED_ELEMENTS if packed else ("vertex",))
@@ -129,7 +126,8 @@ def scene_of(
             if _rest_of(data.dtype.names or ()) == 3 * DEGREE_4:
                 say_degree_4(path)
             told = {*columns, *moving(others)}
-            say_left_out(path, [name for name in others if name not in told], elements)
+            left_out = [name for name in others if name not in told]
+            say_left_out(path, left_out, elements, _lines(ply.header))
         return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=columns)
 
 
@@ -138,8 +136,13 @@ def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | N
     properties = beyond_packed(ply.header)
     if extra == "error":
         refuse_beyond(properties, elements)
-    say_left_out(ply.path, properties, elements)
+    say_left_out(ply.path, properties, elements, _lines(ply.header))
     return read_packed(ply, max_bytes)
+
+
+def _lines(header: PlyHeader) -> dict[str, int]:
+    """How many lines of a header are not kept, by their kind."""
+    return {"obj_info": header.obj_info, "comments that are not ASCII": header.odd_comments}
 
 
 def _other_elements(ply: Ply, used: tuple[str, ...]) -> list[str]:

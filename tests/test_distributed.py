@@ -211,7 +211,7 @@ def test_tiles_are_one_scene(tmp_path):
     data, report = in_tasks(paths, tmp_path / "tasks.egs", config, 1500)
     assert report["rendered"] == asdict(done.rendered)
     assert data == (tmp_path / "whole.egs").read_bytes()
-    assert (report["gaussians"], report["input_bytes"]) == (7001, sum(map(os.path.getsize, paths)))
+    assert (report["count"], report["input_bytes"]) == (7001, sum(map(os.path.getsize, paths)))
 
 
 @pytest.mark.parametrize("seed", range(8))

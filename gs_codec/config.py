@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import check_fields
 
 #: What to do with properties beyond the INRIA layout.
 Extra = Literal["keep", "drop", "error"]
@@ -255,6 +256,7 @@ class RateTarget:
     )
 
     def __post_init__(self) -> None:
+        check_fields(self)
         wishes = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "allow_prune"}
         given = {name: value for name, value in wishes.items() if value is not None}
         if len(given) != 1:
@@ -462,6 +464,7 @@ class Config:
     )
 
     def __post_init__(self) -> None:
+        check_fields(self)
         object.__setattr__(self, "profile", PROFILE_WORDS.get(self.profile, self.profile))
         check_options(self)
         self._check_format()
@@ -563,6 +566,11 @@ class Config:
         if self.profile not in ADAPTIVE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
         return ADAPTIVE_PROFILES[self.profile].scaled(self.coarseness)
+
+
+def as_config(config: Config | str | None) -> Config:
+    """The configuration of a profile's name; None is that of profile ``m``."""
+    return Config(config) if isinstance(config, str) else config or Config()
 
 
 def check_threads(threads: int | None) -> None:

@@ -312,7 +312,7 @@ def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, t
     np.testing.assert_array_equal(read_ply(target).positions, stored.positions)
     # Where a file is sorted by places that are others then, its comment goes.
     encode_file(spz, tmp_path / "a.egs")
-    convert_file(tmp_path / "a.egs", target, coordinates="LUF")
+    convert_file(tmp_path / "a.egs", target, coordinates="LUF", overwrite=True)
     assert read_ply(target).comments == ("SplatRenderMode: mip", "CoordinateSystem: LUF")
 
 

@@ -77,7 +77,7 @@ def in_tasks(
 
 def whole(path: Path, target: Path, config: Config) -> tuple[bytes, dict]:
     """The same of `encode_file`."""
-    report = encode_file(path, target, config)
+    report = encode_file(path, target, config, overwrite=True)
     return target.read_bytes(), {**asdict(report), "seconds": None}
 
 

@@ -457,7 +457,7 @@ def test_an_spz_has_coordinates_of_its_own(ply, tmp_path):
     done = convert_file(ply, tmp_path / "a.spz")
     assert (done.coordinates, done.turned_from) == ("RUB", "RDF")
     for coordinates in ("RUB", "keep"):
-        again = convert_file(ply, tmp_path / "b.spz", coordinates=coordinates)
+        again = convert_file(ply, tmp_path / "b.spz", coordinates=coordinates, overwrite=True)
         assert again.coordinates == "RUB"
         assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
     with pytest.raises(InvalidInput, match="coordinates 'LUF', expected RUB"):

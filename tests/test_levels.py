@@ -314,7 +314,7 @@ def test_guided_prepared_and_converted_files_have_levels(tmp_path):
     source, target = tmp_path / "scene.ply", tmp_path / "a.egs"
     for write, expected in (
         (lambda: encode_file(source, target, config, plan), 375),
-        (lambda: encode_file(source, target, config, pruning), 338),
+        (lambda: encode_file(source, target, config, pruning, overwrite=True), 338),
         (lambda: prepare_file(source, target, pruning, config), 338),
         (lambda: convert_file(source, target, config), 375),
     ):
@@ -459,7 +459,7 @@ def test_a_view_reads_only_its_bytes(folder):
     seen = decode_file(folder / "a.egs", out, Part(view=AWAY))
     assert seen.bytes_read < 0.2 * seen.file_bytes
     assert read_ply(out).count == seen.count < 1000
-    whole = decode_file(folder / "a.egs", out, Part(view=FAR, tolerance=0))
+    whole = decode_file(folder / "a.egs", out, Part(view=FAR, tolerance=0), overwrite=True)
     assert seen.bytes_read < whole.bytes_read < whole.file_bytes
     level = decode_file(folder / "a.egs", out, Part(level=1))
     assert level.count == 2250

@@ -90,7 +90,7 @@ def test_link_that_leads_nowhere_exists(folder):
     assert "link.egs: exists" in folder.refuse("encode", "scene.ply", "link.egs")
 
 
-def test_functions_replace_unless_told_not_to(folder):
+def test_functions_replace_if_told_to(folder):
     cloud = gs_codec.read("scene.ply")
     writers = {
         "a.egs": lambda path, **keep: encode_file("scene.ply", path, **keep),
@@ -104,9 +104,9 @@ def test_functions_replace_unless_told_not_to(folder):
     for name, write in writers.items():
         Path(name).write_text("old")
         with pytest.raises(InvalidInput, match=f"^{name}: exists"):
-            write(name, overwrite=False)
+            write(name)
         assert Path(name).read_text() == "old"
-        write(name)
+        write(name, overwrite=True)
         assert Path(name).read_bytes() != b"old"
 
 

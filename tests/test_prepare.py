@@ -529,7 +529,10 @@ def test_encode_tells_what_preparation_did(folder, monkeypatch):
 def test_number_of_gaussians(folder):
     for number, left in ((150, 150), (400, 400), (1000, 400)):
         chosen = Plan(Steps(gaussians=number), folder / "cameras.json")
-        assert encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen).count == left
+        assert (
+            encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen, overwrite=True).count
+            == left
+        )
     # Refinement then chooses no other number.
     chosen = Plan(Steps(gaussians=390, refine=5), folder / "cameras.json")
     assert encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen).count == 390

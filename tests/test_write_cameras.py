@@ -66,7 +66,7 @@ def test_cameras_of_any_source_come_back_exactly(source, width, tmp_path):
     again = read_cameras(tmp_path / "out.json")
     assert_same(cameras, again)
     first = (tmp_path / "out.json").read_bytes()
-    write_cameras(tmp_path / "out.json", again)
+    write_cameras(tmp_path / "out.json", again, overwrite=True)
     assert (tmp_path / "out.json").read_bytes() == first
 
 
@@ -101,7 +101,7 @@ def test_layout_is_the_trainers(tmp_path):
     assert list(entry)[:8] == [
         *("id", "img_name", "width", "height", "position", "rotation", "fy", "fx"),
     ]
-    write_cameras(tmp_path / "out.json", [replace(camera, split=None)])
+    write_cameras(tmp_path / "out.json", [replace(camera, split=None)], overwrite=True)
     assert "split" not in (tmp_path / "out.json").read_text()
 
 
@@ -112,7 +112,7 @@ def test_lenses_are_reported_where_they_are_lost(tmp_path, caplog):
     assert caplog.messages == [f"{path}: without the lenses of 2 cameras, for undistorted images"]
     assert [camera.lens for camera in read_cameras(path)] == [None, None]
     caplog.clear()
-    write_cameras(path, read_cameras(path))
+    write_cameras(path, read_cameras(path), overwrite=True)
     assert not caplog.messages
 
 
@@ -144,12 +144,12 @@ def test_file_too_large_to_be_read_is_not_written(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_python_refuses_existing_files_when_told(tmp_path):
+def test_python_refuses_existing_files_unless_told(tmp_path):
     path = tmp_path / "out.json"
     gs_codec.write_cameras(path, [view("a")])
-    gs_codec.write_cameras(path, (view(name) for name in "bc"))
+    gs_codec.write_cameras(path, (view(name) for name in "bc"), overwrite=True)
     with pytest.raises(InvalidInput, match="exists"):
-        gs_codec.write_cameras(path, [view("d")], overwrite=False)
+        gs_codec.write_cameras(path, [view("d")])
     assert [camera.name for camera in gs_codec.read_cameras(path)] == ["b", "c"]
     with pytest.raises(InvalidInput, match="no directory"):
         gs_codec.write_cameras(tmp_path / "none" / "out.json", [view("a")])

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, overload
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.config import LOSSLESS, Config, Extra, RateTarget
+from gs_codec.config import LOSSLESS, Config, Extra, RateTarget, as_config
+from gs_codec.files.coding import read_source
 from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.formats.cloud import from_cloud, to_cloud
@@ -18,12 +19,15 @@ from gs_codec.guidance.planned import encode_by_plan
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress, RateReport
+from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.threads import using_threads
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
 
 
+@checked
 def read(
     path: str | Path,
     extra: Extra = "keep",
@@ -96,8 +100,9 @@ def read(
     return to_cloud(read_scene(path, extra, progress, max_bytes=max_bytes))
 
 
+@checked
 def write(
-    path: str | Path, cloud: PointCloud, config: Config | None = None, overwrite: bool = True
+    path: str | Path, cloud: PointCloud, config: Config | str | None = None, overwrite: bool = False
 ) -> None:
     """Write a cloud as ``.ply``, ``.pt`` or, encoded, ``.egs``...; whole or not at all.
 
@@ -109,11 +114,12 @@ def write(
     cloud : open3d.t.geometry.PointCloud
         With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
         both are present, they must agree.
-    config : Config, optional
-        How to encode the file. Its `extra` says what to do with other attributes: by default, a
-        PLY, a CSV and profile ``lossless`` keep them. Log messages name what is left out.
+    config : Config or str, optional
+        How to encode the file, or the name of a profile. Its `extra` says what to do with other
+        attributes: by default, a PLY, a CSV and profile ``lossless`` keep them. Log messages name
+        what is left out.
     overwrite : bool
-        Whether to replace an existing file, once the new one is complete. If False, an existing
+        Whether to replace an existing file, once the new one is complete. By default, an existing
         file is an error.
 
     Raises
@@ -130,7 +136,7 @@ def write(
     >>> gs_codec.write("small.egs", cloud, gs_codec.Config("s"))
     >>> gs_codec.write("small.ply", gs_codec.read("small.egs"))
     """
-    config = config or Config()
+    config = as_config(config)
     suffix = Path(path).suffix.lower()
     extra = config.chosen_extra(keeps=suffix in PLAIN)
     exact = suffix == ".egs" and config.profile == LOSSLESS
@@ -139,8 +145,8 @@ def write(
 
 @overload
 def encode(
-    source: PointCloud,
-    config: Config | None = None,
+    source: PointCloud | str | Path,
+    config: Config | str | None = None,
     plan: Plan | None = None,
     rate: None = None,
     *,
@@ -150,8 +156,8 @@ def encode(
 
 @overload
 def encode(
-    source: PointCloud,
-    config: Config | None = None,
+    source: PointCloud | str | Path,
+    config: Config | str | None = None,
     plan: Plan | None = None,
     *,
     rate: RateTarget | Mapping[str, float],
@@ -159,26 +165,27 @@ def encode(
 ) -> tuple[bytes, RateReport]: ...
 
 
+@checked
 def encode(
-    source: PointCloud,
-    config: Config | None = None,
+    source: PointCloud | str | Path,
+    config: Config | str | None = None,
     plan: Plan | None = None,
     rate: RateTarget | Mapping[str, float] | None = None,
     *,
     progress: Progress | None = None,
 ) -> bytes | tuple[bytes, RateReport]:
-    """Encode a cloud as an `.egs` stream, or in another format; `encode_file` has these arguments.
+    """Encode a scene as an `.egs` stream, or in another format; `encode_file` has these arguments.
 
-    The same cloud, options and version give the same bytes. Log messages name what the format
+    The same scene, options and version give the same bytes. Log messages name what the format
     cannot hold. Profiles ``paper-*`` use the method of
     EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
 
     Parameters
     ----------
-    source : open3d.t.geometry.PointCloud
-        As for `write`.
-    config : Config, optional
-        By default profile ``m``.
+    source : open3d.t.geometry.PointCloud, or path of a scene
+        As for `write`; of a file, the stream is what `encode_file` writes.
+    config : Config or str, optional
+        A configuration or the name of a profile, by default ``m``.
     plan : Plan, optional
         How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` then spend
         bits where its views see it.
@@ -207,6 +214,7 @@ def encode(
     --------
     >>> cloud = gs_codec.read("scene.ply")
     >>> data = gs_codec.encode(cloud)
+    >>> small = gs_codec.encode("scene.ply", "s")
     >>> seen = gs_codec.encode(cloud, plan=gs_codec.Plan(cameras="cameras.json"))
 
     A size instead of a profile's own step sizes; sizes are met from below:
@@ -215,12 +223,15 @@ def encode(
     >>> len(data) == report.file_bytes <= 40_000
     True
     """
-    config = config or Config()
+    config = as_config(config)
     check_levels(config, rate)
     exact = config.profile == LOSSLESS and plan is None
-    scene = from_cloud(source, config.chosen_extra(), exact=exact)
-    with using_threads(config.threads):
+    if isinstance(source, str | Path):
+        scene, _, ply_bytes = read_source(source, config, None, exact)
+    else:
+        scene = from_cloud(source, config.chosen_extra(), exact=exact)
         ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
+    with using_threads(config.threads):
         data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)
         if config.lod:
             parts, report = add_levels([data], report, config, progress)
@@ -229,8 +240,9 @@ def encode(
     return data if report.rate is None else (data, report.rate)
 
 
+@checked
 def decode(
-    source: bytes,
+    source: bytes | bytearray | memoryview | str | Path,
     part: Part | None = None,
     *,
     threads: int | None = None,
@@ -244,8 +256,8 @@ def decode(
 
     Parameters
     ----------
-    source : bytes
-        A whole stream, from `encode` or a file.
+    source : bytes, bytearray, memoryview, str or Path
+        A whole stream, from `encode` or a file; or the path of a file.
     part : Part, optional
         A box, a lower SH degree, or both; a level of detail, or what a view needs.
     threads : int, optional
@@ -288,15 +300,20 @@ def decode(
     >>> gs_codec.decode(data, gs_codec.Part(level=1)).point.positions.shape
     SizeVector[500, 3]
     """
-    return to_cloud(decode_part(source, part or Part(), threads, max_bytes, progress, tmc3)[0])
+    part = part or Part()
+    if isinstance(source, str | Path):
+        with opened(source) as data, located(source):
+            return to_cloud(decode_part(data, part, threads, max_bytes, progress, tmc3)[0])
+    return to_cloud(decode_part(bytes(source), part, threads, max_bytes, progress, tmc3)[0])
 
 
-def inspect(source: bytes | str | Path) -> Info:
+@checked
+def inspect(source: bytes | bytearray | memoryview | str | Path) -> Info:
     """Describe an `.egs` file or stream, without decoding it.
 
     Parameters
     ----------
-    source : bytes, str or Path
+    source : bytes, bytearray, memoryview, str or Path
         A stream, or the path of a file.
 
     Returns
@@ -320,4 +337,4 @@ def inspect(source: bytes | str | Path) -> Info:
     >>> info.file_bytes == sum(stream.bytes for stream in info.streams)
     True
     """
-    return inspect_bytes(source) if isinstance(source, bytes) else inspect_file(source)
+    return inspect_file(source) if isinstance(source, str | Path) else inspect_bytes(bytes(source))

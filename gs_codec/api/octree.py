@@ -9,6 +9,7 @@ import numpy as np
 from gs_codec.coding.cube import DEPTHS, EXPANSION, Cube
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud
+from gs_codec.runtime.arguments import checked
 from gs_codec.scene import SH_C0
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
 
 
+@checked
 def to_octree(cloud: PointCloud, depth: int) -> Octree:
     """Sort the centres of a cloud into Open3D's octree, to count, search or draw them by cells.
 

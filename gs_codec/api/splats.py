@@ -13,11 +13,12 @@ from gs_codec.codecs.decode import ChosenPart, carried, choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.coding.clean import with_finite_ends
-from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, as_config
 from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
 from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -65,6 +66,7 @@ class Splats:
         return self.logits.sigmoid()
 
 
+@checked
 def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
     """Decode an `.egs` file or stream to tensors on a device.
 
@@ -110,7 +112,10 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
         return _decode(slabs.chosen, device)
 
 
-def encode_tensors(splats: Splats, config: Config | None = None, device: str = "cuda") -> bytes:
+@checked
+def encode_tensors(
+    splats: Splats, config: Config | str | None = None, device: str = "cuda"
+) -> bytes:
     """Encode Gaussians as an `.egs` stream with the help of a CUDA device.
 
     Of profiles ``l``, ``m`` and ``s``, the device rounds colours, counts tokens and codes them; the
@@ -120,8 +125,8 @@ def encode_tensors(splats: Splats, config: Config | None = None, device: str = "
     ----------
     splats : Splats
         Of torch, on any device; a trainer's are `log_scales` and `logits` before activation.
-    config : Config, optional
-        By default profile ``m``.
+    config : Config or str, optional
+        A configuration or the name of a profile, by default ``m``.
     device : str
         ``cuda``, ``cuda:1``..., or ``cpu``.
 
@@ -145,7 +150,7 @@ def encode_tensors(splats: Splats, config: Config | None = None, device: str = "
     >>> gs_codec.inspect(data).count
     2000
     """
-    config = config or Config()
+    config = as_config(config)
     if config.format != EGS or config.lod:
         name = "lod" if config.lod else f"format '{config.format}'"
         raise InvalidInput(f"{name}: not from tensors, expected .egs without coarser levels")

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Option
-from gs_codec.errors import MissingTool
+from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
+from gs_codec.runtime.arguments import checked
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -51,10 +52,14 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     >>> len(data) < 60_000
     True
     """
+    if not hasattr(tensors, "items"):  # torch's ParameterDict is no mapping
+        given = type(tensors).__name__
+        raise InvalidInput(f"tensors: {given}, expected a mapping of names to tensors")
     scene = scene_of_tensors({name: _array(each) for name, each in tensors.items()})
     return to_cloud(with_finite_ends(scene))
 
 
+@checked
 def to_tensors(cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy") -> dict[str, Any]:
     """The tensors of a cloud, as gsplat's trainer names and shapes them, before any activation.
 

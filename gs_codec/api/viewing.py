@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gs_codec.codecs.matching import put_side_by_side
-from gs_codec.config import Config
+from gs_codec.config import Config, as_config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
@@ -23,6 +23,8 @@ from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.renderer import RenderedViews, Rendering
 from gs_codec.rendering.renderer import render as render_view
 from gs_codec.report import Progress
+from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from gs_codec.preparation.report import PrepareReport
 
 
+@checked
 def render(
     source: PointCloud | str | Path,
     cameras: str | Path | Sequence[Camera] = "auto",
@@ -99,6 +102,7 @@ def render(
     )
 
 
+@checked
 def compare(
     first: PointCloud | str | Path,
     second: PointCloud | str | Path,
@@ -113,6 +117,7 @@ def compare(
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
     max_bytes: int | None = None,
+    overwrite: bool = False,
 ) -> Comparison:
     """Errors of one scene against another: by attribute, or in what cameras see.
 
@@ -135,6 +140,8 @@ def compare(
         Weights of torchvision's VGG16, AlexNet or SqueezeNet 1.1, as PyTorch stores a state dict:
         measures LPIPS of views too (extra ``lpips``). By default the environment variable
         ``GS_CODEC_LPIPS`` names the file; if nothing does, LPIPS is not measured.
+    overwrite : bool
+        Whether `images` may be a folder that has files.
 
     Returns
     -------
@@ -166,6 +173,8 @@ def compare(
     True
     """
     if cameras is not None:
+        if images is not None:
+            check_folder(images, overwrite)
         if gt_images is not None and width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")
         stored = _stored_scene(first, max_bytes), _stored_scene(second, max_bytes)
@@ -185,10 +194,11 @@ def compare(
     return compare_scenes(*put_side_by_side(*clouds))
 
 
+@checked
 def prepare(
     source: PointCloud | str | Path,
     plan: Plan,
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     progress: Progress | None = None,
     max_bytes: int | None = None,
@@ -201,7 +211,7 @@ def prepare(
         The input, which stays as it is.
     plan : Plan
         Steps of preparation, and the views that guide them.
-    config : Config, optional
+    config : Config or str, optional
         As for `prepare_file`; of it, `threads` alone matters here.
     progress, max_bytes
         As for `read`; `max_bytes` only for paths.
@@ -232,7 +242,7 @@ def prepare(
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.pipeline import prepare_scene
 
-    with using_threads(None if config is None else config.threads):
+    with using_threads(as_config(config).threads):
         scene = scene_of(source, max_bytes)
         prepared, report = prepare_scene(scene, plan, progress)
         rendered = Check.by_plan(cleaned(scene), plan).measure(prepared)

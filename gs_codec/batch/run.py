@@ -62,7 +62,7 @@ class Batch:
         Address of a scheduler, or ``local`` for a cluster of `jobs` processes.
     overwrite : bool
         Without `resume`, whether an existing report and existing outputs are replaced. Default
-        True, as for `encode_file`; the command line refuses them.
+        True; the command line refuses them.
 
     Raises
     ------

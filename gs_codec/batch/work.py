@@ -121,11 +121,11 @@ def _write(
     if options.plain is not None:
         return convert_file(
             file, output, config, actions=options.actions, plan=plan, progress=progress,
-            max_memory=limit, max_bytes=max_bytes,
+            max_memory=limit, max_bytes=max_bytes, overwrite=True,
         )  # fmt: skip
     return encode_file(
         file, output, config, plan, options.rate, actions=options.actions, progress=progress,
-        max_memory=limit, max_bytes=max_bytes,
+        max_memory=limit, max_bytes=max_bytes, overwrite=True,
     )  # fmt: skip
 
 

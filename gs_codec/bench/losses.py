@@ -114,7 +114,7 @@ def _measure(capture: MeasuredScene, progress: Progress | None) -> Line:
 
         def encode(plan: Plan | None = None, size: int | None = None) -> _Coded:
             rate = None if size is None else RateTarget(size=size)
-            report = encode_file(capture.path, target, plan=plan, rate=rate)
+            report = encode_file(capture.path, target, plan=plan, rate=rate, overwrite=True)
             said = None if report.rendered is None else report.rendered.loss
             return _Coded(report.file_bytes, views.error(read_scene(target)), said)
 

@@ -74,7 +74,8 @@ def command(
             drawn = {name: asked[name] for name in _OF_VIEWS}
             comparison = compare(
                 first, second, cameras, gt_images=gt_images, images=images, lpips=lpips,
-                progress=progress, max_bytes=asked["max_bytes"], **drawn,
+                progress=progress, max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
+                **drawn,
             )  # fmt: skip
     _say_systems(comparison.systems)
     if asked["json"]:

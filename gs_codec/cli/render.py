@@ -53,7 +53,7 @@ def command(
     loaded = read_scene(scene, "drop", max_bytes=asked["max_bytes"])
     views = find_cameras(cameras, loaded, asked["split"], asked["width"])
     if only_cameras:
-        write_cameras(out, views)
+        write_cameras(out, views, asked["overwrite"])
         told, seconds = f"{len(views)} cameras", None
     else:
         start = time.perf_counter()

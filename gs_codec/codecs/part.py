@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.selection import View
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import check_fields
 from gs_codec.scene import SH_COEFFICIENTS
 
 
@@ -55,6 +56,7 @@ class Part:
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         self._check_view()
         if self.box is not None:
             finite = len(self.box) == 6 and all(map(math.isfinite, self.box))

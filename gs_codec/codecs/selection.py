@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from gs_codec.egs.index import index_of
 from gs_codec.egs.levels import check_errors, errors_of, within
 
 
+@runtime_checkable
 class View(Protocol):
     """What selection needs of a camera; see `Camera`."""
 

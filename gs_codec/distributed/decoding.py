@@ -20,10 +20,12 @@ from gs_codec.files.coding import DecodeReport
 from gs_codec.files.scenes import check_target
 from gs_codec.formats.ply import ply_header, vertex_rows
 from gs_codec.report import Progress, StageTimes
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.threads import using_threads
 
 
+@checked
 def decode_distributed(
     source: str | Path,
     target: str | Path,
@@ -33,7 +35,7 @@ def decode_distributed(
     threads: int | None = None,
     progress: Progress | None = None,
     max_memory: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, by the workers of a Dask scheduler.
 

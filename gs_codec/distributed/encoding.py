@@ -21,7 +21,7 @@ from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.coding.clean import nothing_left
-from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config, as_config
 from gs_codec.distributed.blocks import Chunks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.chunks import quantise, save_quantised
 from gs_codec.distributed.folder import identity_of, work_folder
@@ -40,19 +40,21 @@ from gs_codec.guidance.checked import encode_checked
 from gs_codec.guidance.windows import find_shown
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import EncodeReport, Progress, RenderedLoss, StageTimes
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.mapped import opened
 from gs_codec.runtime.threads import using_threads
 
 
+@checked
 def encode_distributed(
     source: str | Path | Sequence[str | Path],
     target: str | Path,
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     dask: str = "local",
     progress: Progress | None = None,
     max_memory: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> EncodeReport:
     """Encode one scene by the workers of a Dask scheduler; it is never in memory as a whole.
 
@@ -67,7 +69,7 @@ def encode_distributed(
         Binary PLY files of floats, or `.egs` files; several are merged, see `gs_codec.edit.merge`.
     target : str or Path
         An ``.egs``.
-    config : Config, optional
+    config : Config or str, optional
         Of profile ``l``, ``m`` or ``s``, without depths and extra properties; its threads are the
         processes of a local cluster, by default one for each processor.
     dask : str
@@ -93,7 +95,7 @@ def encode_distributed(
     >>> report.count
     2000
     """
-    config = config or Config()
+    config = as_config(config)
     paths = [Path(source)] if isinstance(source, str | Path) else [Path(each) for each in source]
     check_target(paths, target, (".egs",), overwrite)
     _check(config)

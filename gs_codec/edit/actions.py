@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec.config import Option
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import check_fields
 from gs_codec.runtime.json_text import parse_json
 
 if TYPE_CHECKING:
@@ -218,6 +219,7 @@ class Action:
     arguments: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         Option("", values=tuple(KINDS)).check("action", self.name)
         try:
             object.__setattr__(self, "arguments", KINDS[self.name].read(self.text))

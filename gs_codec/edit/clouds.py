@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ def on_clouds(
     edit: Callable[Concatenate[Scene, Arguments], Scene],
 ) -> Callable[Concatenate[Either, Arguments], Either]:
     """Let a function from scene to scene take a cloud and return one; attributes are kept."""
+    edit = checked(edit)
 
     @wraps(edit)
     def edited(scene: Either, *arguments: Arguments.args, **options: Arguments.kwargs) -> Either:

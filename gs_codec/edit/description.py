@@ -15,6 +15,7 @@ from gs_codec.edit.distribution import finite_values, histogram, ranked
 from gs_codec.edit.shares import Share, ends_of, shares_of
 from gs_codec.egs.index import Box
 from gs_codec.formats.packed_values import sigmoid
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, channel_count, sh_bands
 
@@ -119,6 +120,7 @@ class _Attribute:
     natural: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.asarray
 
 
+@checked
 def statistics(cloud: PointCloud) -> Statistics:
     """Statistics of a scene: attributes in natural units, and Gaussians that stand out.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.matching import without_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import say_left_out
+from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene, join_scenes, other_comments, stated_comments
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
+@checked
 def merge(clouds: Sequence[PointCloud]) -> PointCloud:
     """One cloud of the Gaussians of several, in their order.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
-from gs_codec.config import EGS, LOSSLESS, Config, RateTarget
+from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
@@ -23,6 +23,7 @@ from gs_codec.formats.registry import open_scene
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
@@ -54,10 +55,11 @@ class DecodeReport:
     seconds: dict[str, float]
 
 
+@checked
 def encode_file(
     source: str | Path,
     target: str | Path,
-    config: Config | None = None,
+    config: Config | str | None = None,
     plan: Plan | None = None,
     rate: RateTarget | Mapping[str, float] | None = None,
     *,
@@ -65,7 +67,7 @@ def encode_file(
     progress: Progress | None = None,
     max_memory: int | None = None,
     max_bytes: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> EncodeReport:
     """Encode a scene of any format to a file, which appears whole or not at all.
 
@@ -116,7 +118,7 @@ def encode_file(
     1600
     """
     check_target([source], target, ENCODED, overwrite)
-    config = config_for(target, config or Config())
+    config = config_for(target, as_config(config))
     if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
     check_levels(config, rate, max_memory)
@@ -128,7 +130,7 @@ def encode_file(
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
             exact = config.profile == LOSSLESS and plan is None and not actions
-            scene, input_bytes, counted = _read_source(source, config, max_bytes, exact)
+            scene, input_bytes, counted = read_source(source, config, max_bytes, exact)
         with located(source):
             if actions:
                 with times.stage("edit"):
@@ -150,7 +152,7 @@ def encode_file(
     )
 
 
-def _read_source(
+def read_source(
     source: str | Path, config: Config, max_bytes: int | None, exact: bool
 ) -> tuple[Scene, int, int]:
     """The scene of a file, its size, and the bytes that a ratio counts from."""
@@ -163,6 +165,7 @@ def _read_source(
         return scene, file.stored_bytes, file.ratio_bytes(scene.float_bytes)
 
 
+@checked
 def decode_file(
     source: str | Path,
     target: str | Path,
@@ -173,7 +176,7 @@ def decode_file(
     progress: Progress | None = None,
     max_memory: int | None = None,
     max_bytes: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 

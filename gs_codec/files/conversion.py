@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.config import LOSSLESS, Config, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
@@ -27,6 +27,7 @@ from gs_codec.files.suffixes import IN_PARTS
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
@@ -83,10 +84,11 @@ class ConvertReport:
     rendered: RenderedLoss | None = None
 
 
+@checked
 def convert_file(
     source: str | Path | Sequence[str | Path],
     target: str | Path,
-    config: Config | None = None,
+    config: Config | str | None = None,
     coordinates: str = CONVENTION,
     *,
     chosen: NDArray[np.bool_] | None = None,
@@ -95,7 +97,7 @@ def convert_file(
     progress: Progress | None = None,
     max_memory: int | None = None,
     max_bytes: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix; it appears whole or not at all.
 
@@ -107,7 +109,7 @@ def convert_file(
         Its suffix selects the format, one of `FORMATS`, ``.ply``, ``.pt`` (gsplat's checkpoint),
         ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes), ``lod-meta.json`` (streamed
         SOG: with coarser levels, its files beside it) or ``.ssog`` (a zip of the same).
-    config : Config, optional
+    config : Config or str, optional
         How to encode the target. The last four use only its options for extra properties and NaN.
     coordinates : str
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
@@ -144,7 +146,7 @@ def convert_file(
     >>> report.count, report.lost[0]
     (2000, 'opacity, colour and rotation rounded to 8 bits')
     """
-    config = config or Config()
+    config = as_config(config)
     sources = [source] if isinstance(source, str | Path) else list(source)
     suffix = check_target(sources, target, overwrite=overwrite)
     if max_memory is not None and suffix not in IN_PARTS:

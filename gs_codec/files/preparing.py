@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.matching import without_order
-from gs_codec.config import Config
+from gs_codec.config import Config, as_config
 from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import PLAIN, config_for
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.levels.encoding import add_levels
 from gs_codec.report import Progress
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
@@ -23,16 +24,17 @@ if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
 
+@checked
 def prepare_file(
     source: str | Path,
     target: str | Path,
     plan: Plan,
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     progress: Progress | None = None,
     report_folder: str | Path | None = None,
     max_bytes: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> PrepareReport:
     """Prepare the scene of a file and write it, as `write` does or encoded.
 
@@ -44,7 +46,7 @@ def prepare_file(
         Scenes; the suffix of the target selects its format.
     plan, progress
         As for `prepare`.
-    config : Config, optional
+    config : Config or str, optional
         As for `prepare`; an encoded target has the bytes that `encode_file` writes.
     report_folder : str or Path, optional
         Output folder for the report: what preparation did, and what coding adds to the loss.
@@ -73,7 +75,7 @@ def prepare_file(
     suffix = check_target([source], target, overwrite=overwrite)
     if report_folder is not None:
         check_folder(report_folder, overwrite)
-    config = replace(config or Config(), extra="keep")
+    config = replace(as_config(config), extra="keep")
     coded = suffix not in PLAIN
     if coded:
         config = config_for(target, config)

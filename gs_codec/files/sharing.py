@@ -74,7 +74,7 @@ def share(
     *,
     progress: Progress | None = None,
     max_bytes: int | None = None,
-    overwrite: bool = True,
+    overwrite: bool = False,
     up: str | None = None,
 ) -> list[SharedScene]:
     """Write a page that shows a scene, or two versions of it, in a browser.

@@ -72,6 +72,11 @@ def from_cloud(
         If an attribute is missing, has a wrong shape, or is not float32, or if ``scale`` is not
         the exponential of ``log_scale``.
     """
+    import open3d
+
+    if not isinstance(cloud, open3d.t.geometry.PointCloud):
+        given = "None" if cloud is None else type(cloud).__name__
+        raise InvalidInput(f"scene: {given}, expected an open3d.t.geometry.PointCloud")
     arrays = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
     if "scale" in arrays:
         linear = _plane(arrays, "scale", (3,))

@@ -51,7 +51,10 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     InvalidInput
         If the matrix shears, or scales axes differently, or by 0.
     """
-    wide = np.asarray(matrix, np.float64)
+    try:
+        wide = np.asarray(matrix, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"matrix {matrix!r:.40}: expected 4 rows of 4 numbers") from error
     if np.array_equal(wide, np.eye(4)):
         return scene
     turn, factor = _turn_and_factor(wide)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.lpips import LEAST, load_lpips
+from gs_codec.runtime.arguments import checked
 
 #: Side of the window of SSIM, pixels.
 _SSIM_WINDOW = 11
@@ -92,6 +93,7 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
     )
 
 
+@checked
 def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = None) -> Quality:
     """Compare two images, clipped to 0-1.
 
@@ -122,6 +124,10 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
     """
     from skimage.metrics import structural_similarity
 
+    first, second = np.asarray(first), np.asarray(second)
+    for image in (first, second):
+        if image.ndim != 3 or image.shape[2] != 3:
+            raise InvalidInput(f"image of shape {image.shape}, expected (H, W, 3)")
     if first.shape != second.shape:
         raise InvalidInput(f"images of {_size(first)} and {_size(second)} pixels")
     least, metric = (_SSIM_WINDOW, "SSIM") if lpips is None else (LEAST, "LPIPS")

@@ -8,6 +8,7 @@ from typing import Any
 
 from gs_codec.config import Config, Option, changed_options
 from gs_codec.preparation.steps import Steps
+from gs_codec.runtime.arguments import checked
 
 #: Half range of SH-AC, in Laplace scales. The paper leaves it to a supplement, but at 4 bits its
 #: SH-AC have an entropy of 2.436 bits (Table 1). In this range a Laplace distribution has 2.48.
@@ -57,6 +58,7 @@ PRESETS: Mapping[str, Preset] = {
 }
 
 
+@checked
 def preset(name: str) -> Preset:
     """A pipeline by its name.
 

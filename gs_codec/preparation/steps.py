@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from gs_codec.config import check_options, option
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import check_fields
 
 if TYPE_CHECKING:
     from gs_codec.rendering.camera import Camera
@@ -139,6 +140,7 @@ class Steps:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_options(self)
         if self.geometry_rule != "median" and not self.prune_geometry:
             raise InvalidInput("geometry_rule: needs prune_geometry")
@@ -243,6 +245,7 @@ class Plan:
     )
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.gt_images is not None and self.width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")
         check_options(self)

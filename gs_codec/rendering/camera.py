@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.rendering.lens import Lens, check_view
+from gs_codec.runtime.arguments import check_fields
 
 #: How far R R^T may be from the identity; files hold rotations to about six digits.
 _ORTHONORMAL_TOLERANCE = 1e-3
@@ -78,11 +79,13 @@ class Camera:
     lens: Lens | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         where = f"camera '{self.name}'"
         check_view(where, self)
+        object.__setattr__(self, "position", np.asarray(self.position))
         if np.shape(self.position) != (3,) or not np.isfinite(self.position).all():
             raise InvalidInput(f"{where}: position is not three finite numbers")
-        object.__setattr__(self, "rotation", _nearest_rotation(where, self.rotation))
+        object.__setattr__(self, "rotation", _nearest_rotation(where, np.asarray(self.rotation)))
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view on an image of another size."""

@@ -21,6 +21,7 @@ from gs_codec.rendering.inria import as_camera, as_entry, read_inria
 from gs_codec.rendering.json_fields import MAX_BYTES, load_json, short
 from gs_codec.rendering.transforms import read_transforms
 from gs_codec.report import Progress
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.runtime.mapped import other_files
 from gs_codec.scene import Scene
@@ -57,6 +58,7 @@ _READERS: dict[str, Callable[[Path, dict[str, Any]], _Entries]] = {
 SPLITS = ("held-out", "test", "train", "all")
 
 
+@checked
 def read_cameras(path: str | Path) -> list[Camera]:
     """Read the cameras of a dataset, of a trained scene or of a camera path.
 
@@ -101,7 +103,8 @@ def read_cameras(path: str | Path) -> list[Camera]:
     return cameras
 
 
-def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool = True) -> None:
+@checked
+def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool = False) -> None:
     """Write cameras in the layout of the INRIA trainer's ``cameras.json``; whole or not at all.
 
     `read_cameras` gives the same cameras again, to the last bit, but without their `Camera.lens`,
@@ -114,7 +117,7 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
     cameras : iterable of Camera
         At least one.
     overwrite : bool
-        Whether to replace an existing file. If False, an existing file is an error.
+        Whether to replace an existing file. By default, an existing file is an error.
 
     Raises
     ------

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import check_fields
 
 #: Largest side of an image, pixels.
 MAX_SIDE = 1 << 14
@@ -95,6 +96,7 @@ class Lens:
     r8: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_view("lens", self)
         names = FISHEYE if self.fisheye else BROWN
         if len(self.coefficients) != len(names) or not np.isfinite(self.coefficients).all():

@@ -47,7 +47,9 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
     if modified(scene.path) != scene.modified:
         raise gs_codec.GsCodecError(f"{scene.path}: changed after it was opened")
     system = f"{scene.system}:{CONVENTION}" if scene.system_given else CONVENTION
-    done = convert_file(scene.path, path, _CONFIG, system, chosen=scene.left, progress=progress)
+    done = convert_file(
+        scene.path, path, _CONFIG, system, chosen=scene.left, progress=progress, overwrite=True
+    )
     return [_written(path, done.count, done.file_bytes), *done.lost]
 
 

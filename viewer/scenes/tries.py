@@ -195,7 +195,7 @@ class Tries:
                 raise gs_codec.GsCodecError(f"{self.source.path}: changed after it was opened")
             return encode_file(
                 self.source.path, path, config, plan, rate, progress=progress,
-                max_bytes=self.max_bytes,
+                max_bytes=self.max_bytes, overwrite=True,
             )  # fmt: skip
         scene = self.source.gaussians
         data, report = encode_by_plan(scene, scene.float_bytes, config, plan, rate, progress)

@@ -1,0 +1,104 @@
+"""Arguments of public functions and classes are of the types that their annotations say."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import fields
+from functools import cache, wraps
+from inspect import signature
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin
+
+import numpy as np
+
+from gs_codec.errors import InvalidInput
+
+Public = TypeVar("Public", bound=Callable[..., Any])
+
+
+def checked(function: Public) -> Public:
+    """Let a function raise `InvalidInput` for an argument of a type that it does not take."""
+    described = signature(function)
+
+    @wraps(function)
+    def called(*arguments: Any, **options: Any) -> Any:
+        hints = _hints_of(cast(Hashable, function))
+        for name, value in described.bind(*arguments, **options).arguments.items():
+            _check(name, value, hints.get(name, _ANYTHING))
+        return function(*arguments, **options)
+
+    return cast(Public, called)
+
+
+def check_fields(settings: Any) -> None:
+    """Raise `InvalidInput` if a field of a dataclass has a value of another type."""
+    hints = _hints_of(cast(Hashable, type(settings)))
+    for field in (each for each in fields(settings) if each.init):
+        _check(field.name, getattr(settings, field.name), hints[field.name])
+
+
+#: An annotation as written, and the types that it means.
+_Hint = tuple[str, Any]
+_ANYTHING: _Hint = ("", Any)
+
+
+def _check(name: str, value: Any, hint: _Hint) -> None:
+    written, kind = hint
+    if not _fits(value, kind):
+        given = "None" if value is None else f"{type(value).__name__} {value!r:.40}"
+        expected = written.removesuffix(" | None").replace(" | ", " or ")
+        raise InvalidInput(f"{name}: {given}, expected {expected}")
+
+
+class _Names(dict):
+    """What annotations may name; what is imported for type checkers alone is anything."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name, Any)
+
+
+@cache
+def _hints_of(public: Any) -> dict[str, _Hint]:
+    """Annotations of a function's parameters or of a class's fields, as written and as types."""
+    names = _Names(vars(sys.modules[public.__module__]))
+    written = {name: str(text) for name, text in public.__annotations__.items()}
+    return {name: (text, eval(text, {}, names)) for name, text in written.items()}
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value is of a type; what is no type takes any."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return any(_fits(value, each) for each in inner)
+    if origin is Literal:
+        return any(isinstance(value, type(each)) for each in inner)
+    if kind in (int, float):
+        return _is_number(value, kind)
+    if isinstance(origin, type):
+        return _holds(value, origin, inner)
+    kind = NoneType if kind is None else kind
+    return kind is Any or not isinstance(kind, type) or isinstance(value, kind)
+
+
+def _is_number(value: Any, kind: type) -> bool:
+    """Whether a value is a number; an integer may be written as a float."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return False
+    return kind is float or isinstance(value, Integral) or float(value).is_integer()
+
+
+def _holds(value: Any, origin: type, inner: tuple[Any, ...]) -> bool:
+    """Whether a value is an array, a sequence, a mapping or a function, by the type it is of."""
+    if origin is np.ndarray:
+        array = np.asarray(value if isinstance(value, np.ndarray | list | tuple) else "")
+        return array.dtype.kind in "biuf"
+    plain = origin.__module__ in ("builtins", "collections.abc")
+    if not plain or issubclass(origin, Mapping) or not issubclass(origin, Iterable):
+        return isinstance(value, origin)
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+        return False
+    # What goes through an iterator or an array checks it.
+    return not (inner and isinstance(value, list | tuple)) or all(_fits(v, inner[0]) for v in value)

@@ -60,6 +60,8 @@ class Option:
         Sizes are typed with units: ``5MB``.
     expert : bool
         Whether it is an expert option, which the help of most commands lists at its end.
+    percent : bool
+        Whether a number may be typed with a percent sign.
     """
 
     help: str
@@ -75,6 +77,7 @@ class Option:
     keys: tuple[str, ...] = ()
     unit: Literal["bytes"] | None = None
     expert: bool = True
+    percent: bool = False
 
     def check(self, name: str, value: Any) -> None:
         """Refuse a value of field `name` that is not in `values`, or outside the range."""

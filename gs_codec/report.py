@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -10,6 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gs_codec.config import RateTarget
+
+log = logging.getLogger(__name__)
 
 #: Mean squared error against photographs that is assumed where there are none: 30 dB.
 NOMINAL_ERROR = 1e-3
@@ -38,7 +41,9 @@ class StageTimes:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            took = time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + took
+            log.debug("%s: %.3f s", name, took)
 
 
 @dataclass(frozen=True)
@@ -221,6 +226,8 @@ class EncodeReport:
         What each action did.
     sh_degree : int
         SH degree coded.
+    float_bytes : int
+        Size of the floats of the scene that was encoded, before pruning; 0 if it was in memory.
     """
 
     count: int
@@ -240,6 +247,7 @@ class EncodeReport:
     ratio: float = 0.0
     actions: tuple[ActionReport, ...] = ()
     sh_degree: int = 0
+    float_bytes: int = 0
 
     @property
     def file_bytes(self) -> int:

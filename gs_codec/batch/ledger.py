@@ -35,8 +35,8 @@ class Record:
         Digest of the options that the output bytes depend on.
     versions : dict of str to str
         Versions of gs_codec and of the packages that it computes with.
-    input_bytes, input_modified, input_sha256
-        The source as it was read; None or empty if unknown.
+    input_bytes, input_modified, input_sha256, float_bytes
+        The source as it was read, and the size of its floats; None or empty if unknown.
     output_bytes, output_sha256, gaussians, sh_degree, ratio, bits_per_gaussian
         The output; None or empty if nothing was written.
     seconds : float, optional
@@ -61,6 +61,7 @@ class Record:
     input_bytes: int | None = None
     input_modified: int | str = ""
     input_sha256: str = ""
+    float_bytes: int | None = None
     output_bytes: int | None = None
     output_sha256: str = ""
     gaussians: int | None = None

@@ -105,8 +105,8 @@ class Summary:
     gaussians, input_bytes, output_bytes : int
         Total Gaussians and bytes of the complete scenes.
     ratio : float or None
-        How many times smaller all of these are, PLY files counted whole and compressed ones by
-        their floats; None if there are none.
+        Compression ratio of all together: to the PLY files or, if some inputs are compressed, to
+        the floats of all; None if there are none.
     seconds : float
     """
 
@@ -269,7 +269,7 @@ def _sum_up(
     done = [record for record in records if record.error is None]
     complete = [*done, *known]
     written = sum(record.output_bytes or 0 for record in complete)
-    whole = sum((record.ratio or 0) * (record.output_bytes or 0) for record in complete)
+    whole = sum(_bases(complete))
     return Summary(
         path,
         len(done),
@@ -282,3 +282,11 @@ def _sum_up(
         whole / written if written else None,
         seconds,
     )
+
+
+def _bases(records: Sequence[Record]) -> list[int]:
+    """Bytes that the ratio of each scene counts from: files, or floats if some are compressed."""
+    read = [record.input_bytes or 0 for record in records]
+    own = [(record.ratio or 0) * (record.output_bytes or 0) for record in records]
+    by_files = all(abs(a - b) < 1 for a, b in zip(own, read, strict=True))
+    return read if by_files else [record.float_bytes or 0 for record in records]

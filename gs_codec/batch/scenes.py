@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -155,14 +156,17 @@ def find_tasks(
         text = "no such file or folder" if missing else "no scenes there"
         raise InvalidInput(f"{without_secrets(source)}: {text}")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
+    stems = Counter(os.path.splitext(name)[0] for name, _ in found)
     for name, location in found:
-        target = targets.location(f"{os.path.splitext(name)[0]}.{options.format}")
+        stem = os.path.splitext(name)[0]
+        # Scenes that differ in their suffix alone keep it.
+        target = targets.location(f"{name if stems[stem] > 1 else stem}.{options.format}")
         shown = sources.shown(location), targets.shown(target)
         if ".." in name.split("/"):  # keys of object stores may contain it
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")
         if shown[1] in taken:
             both = f"{taken[shown[1]]} and {shown[0]}"
-            raise InvalidInput(f"{shown[1]}: output of {both}, expected one source for a file")
+            raise InvalidInput(f"{both} would both be written to {shown[1]}")
         if shown[0] == shown[1]:
             raise InvalidInput(f"{shown[1]}: the source itself")
         taken[shown[1]] = shown[0]

@@ -96,6 +96,7 @@ def _encode(
         input_bytes=size,
         input_modified=before.modified,
         input_sha256=digest,
+        float_bytes=report.float_bytes,
         output_bytes=written[1],
         output_sha256=written[0],
         gaussians=report.count,

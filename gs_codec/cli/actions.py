@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from gs_codec.cli.command import Shown
 from gs_codec.cli.output import print_status
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.report import ActionReport
@@ -20,7 +21,7 @@ _PREFIX = "do_"
 _PANEL = "Actions, done in the order given"
 
 
-class InOrder(TyperCommand):
+class InOrder(Shown, TyperCommand):
     """A command that keeps the order of its parameters, for `typed_actions`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -41,7 +42,7 @@ def _parameter(name: str, hidden: bool) -> inspect.Parameter:
     option = typer.Option(
         f"--{name}",
         help=kind.help,
-        metavar=kind.metavar or None,
+        metavar=kind.metavar,
         parser=partial(Action, name) if kind.metavar else None,
         rich_help_panel=_PANEL,
         hidden=hidden,

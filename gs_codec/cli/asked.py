@@ -12,6 +12,7 @@ import typer
 
 from gs_codec.cli.actions import action_parameters, typed_actions
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
+from gs_codec.cli.output import set_loudness
 from gs_codec.cli.streams import is_stdout
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
@@ -110,6 +111,8 @@ def takes(
     ]
     experts += hidden
 
+    names = (*names, "quiet", "verbose")
+
     def decorate(command: Callable[..., None]) -> Any:
         own = inspect.signature(command, eval_str=True).parameters.values()
         kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "asked"]
@@ -119,6 +122,10 @@ def takes(
         ]
 
         def called(ctx: typer.Context, **values: Any) -> None:
+            quiet, verbose = values.pop("quiet"), values.pop("verbose")
+            if quiet and verbose:
+                raise InvalidInput("--quiet: --verbose is its opposite, expected one of them")
+            set_loudness(quiet, verbose, ctx.info_name in _RESULTS)
             arguments = {p.name: values[p.name] for p in kept}
             command(**arguments, asked=Asked(ctx, values))
 
@@ -135,6 +142,9 @@ def takes(
 
     return decorate
 
+
+#: Commands whose result is what they print, which --quiet leaves.
+_RESULTS = ("inspect", "compare", "run", "peers", "suite", "paper", "losses")
 
 _CONTEXT = inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 

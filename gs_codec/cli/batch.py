@@ -31,8 +31,11 @@ from gs_codec.cli.asked import (
 )
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
+from gs_codec.cli.options import completion
 from gs_codec.cli.output import (
+    is_quiet,
     loss_text,
+    print_problem,
     print_status,
     print_text,
     progress_lines,
@@ -66,7 +69,9 @@ def command(
     asked: Asked,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", help="Scenes at once.", show_default="all processors"),
+        typer.Option(
+            "--jobs", "-j", metavar="N", help="Scenes at once.", show_default="all processors"
+        ),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Leave out what the report has and is unchanged.")
@@ -80,7 +85,12 @@ def command(
         ),
     ] = None,
     on_error: Annotated[
-        str, typer.Option(help="After a scene that failed: continue or stop.")
+        str,
+        typer.Option(
+            metavar="continue|stop",
+            help="After a scene that failed.",
+            autocompletion=completion(("continue", "stop")),
+        ),
     ] = "continue",
 ) -> None:
     """Encode or convert a folder of scenes, each as `encode` or `convert` would.
@@ -144,7 +154,7 @@ def _watching(work: str) -> Iterator[Any]:
 
     `work` is what is done to scenes: encode or convert.
     """
-    if not sys.stderr.isatty():
+    if is_quiet() or not sys.stderr.isatty():
         yield _Lines(work)
         return
     console = Console(stderr=True, emoji=False, highlight=False, markup=False, soft_wrap=True)
@@ -178,10 +188,10 @@ class _Lines:
         """See `Watcher.ended`."""
         self._count += 1
         for warning in record.warnings:
-            self.said(f"warning: {warning}")
+            self.complained(f"warning: {warning}")
         place = f"[{self._count}/{self._total}] "
         if record.error is not None:
-            self.said(f"{place}error: {record.error['text']}")
+            self.complained(f"{place}error: {record.error['text']}")
             return
         sizes = smaller(record.input_bytes, record.output_bytes, record.ratio or 0)
         lost = (record.rendered and f"; views lose {loss_text(record.rendered['loss'])}") or ""
@@ -190,6 +200,10 @@ class _Lines:
     def said(self, text: str) -> None:
         """See `Watcher.said`."""
         print_status(text)
+
+    def complained(self, text: str) -> None:
+        """A warning or an error, which is printed always."""
+        print_problem(text)
 
 
 class _Bars(_Lines):
@@ -221,6 +235,10 @@ class _Bars(_Lines):
             self._bars.remove_task(self._running.pop(task.name))
         super().ended(task, record)
         self._bars.advance(self._whole)
+
+    def complained(self, text: str) -> None:
+        """See `_Lines.complained`."""
+        self.said(text)
 
     def said(self, text: str) -> None:
         """See `Watcher.said`."""

@@ -13,7 +13,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from gs_codec.cli.actions import InOrder
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.command import Shown
 from gs_codec.cli.output import print_status, print_table, print_text, progress_bar
 from gs_codec.config import PROFILE_CHOICES, PROFILES_SHOWN, Config
 from gs_codec.errors import InvalidInput
@@ -63,7 +65,9 @@ def measure_suite(
             show_default=False,
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 3,
+    repeats: Annotated[
+        int, typer.Option(metavar="N", help="Timed runs; medians are reported.", min=1)
+    ] = 3,
     skip: Annotated[
         list[str] | None,
         typer.Option(
@@ -165,7 +169,7 @@ def measure_captures(
         print_status(text)
 
 
-class _Group(TyperGroup):
+class _Group(Shown, TyperGroup):
     """The subcommands; anything else in their place is one error that names them."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -200,9 +204,12 @@ def measure(
         ),
     ] = None,
     tile: Annotated[
-        int | None, typer.Option(help="Tile each scene, jittered, to this many Gaussians.", min=1)
+        int | None,
+        typer.Option(metavar="N", help="Tile each scene, jittered, to this many Gaussians.", min=1),
     ] = None,
-    repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 5,
+    repeats: Annotated[
+        int, typer.Option(metavar="N", help="Timed runs; medians are reported.", min=1)
+    ] = 5,
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Measure rendered quality too: {CAMERAS}")
     ] = None,
@@ -225,7 +232,7 @@ for _name, _help in (
     ("run", "Measure each profile: time, size, entropy, error, memory, quality."),
     ("peers", "Measure profiles beside spz, splat-transform, pcodec and zstd."),
 ):
-    app.command(_name, help=_help)(measure)
-app.command("suite")(measure_suite)
-app.command("paper")(measure_paper)
-app.command("losses")(measure_captures)
+    app.command(_name, cls=InOrder, help=_help)(measure)
+app.command("suite", cls=InOrder)(measure_suite)
+app.command("paper", cls=InOrder)(measure_paper)
+app.command("losses", cls=InOrder)(measure_captures)

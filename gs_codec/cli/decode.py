@@ -25,10 +25,15 @@ if TYPE_CHECKING:
 @takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file; - is stdin.")],
-    target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply; - is stdout.")
-    ],
     asked: Asked,
+    target: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[OUT]",
+            help="Scene to write, a .ply; - is stdout.",
+            show_default="IN with the suffix .ply",
+        ),
+    ] = None,
     bbox: Annotated[
         str | None,
         typer.Option(
@@ -59,6 +64,10 @@ def command(
     ] = None,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
+    if target is None:
+        if str(source) == "-":
+            raise InvalidInput("missing OUT: stdin has no name, expected a .ply, or - for stdout")
+        target = source.with_suffix(".ply")
     box = None if bbox is None else _parse_box(bbox)
     from gs_codec.codecs.part import Part
     from gs_codec.files.coding import decode_file

@@ -144,7 +144,8 @@ def _print_rate(rate: RateReport) -> None:
     if rate.predicted_bytes is not None:
         text += f"; {size_text(rate.predicted_bytes)} expected"
     if rate.psnr_drop is not None:
-        text += f"; views lose {rate.psnr_drop:.4f} dB, {rate.predicted_drop:.4f} dB expected"
+        asked = rate.target.psnr_drop
+        text += f"; held-out views lose {rate.psnr_drop:.3f} dB (asked: at most {asked:g})"
     if rate.at_end:
         text += f"; there are no {'coarser' if rate.psnr_drop is not None else 'finer'} steps"
     print_text(text)

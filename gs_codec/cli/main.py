@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
@@ -12,8 +13,17 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec import __version__
+from gs_codec.cli.command import Shown, usage_of, usage_text
 from gs_codec.cli.documents import begin_run, print_error
-from gs_codec.cli.output import log_to_stderr, print_status, print_text
+from gs_codec.cli.output import (
+    is_verbose,
+    log_to_stderr,
+    print_problem,
+    print_status,
+    print_text,
+    set_loudness,
+    size_text,
+)
 from gs_codec.errors import GsCodecError, one_line
 
 #: Commands in the order of the help; each is a module of this package.
@@ -23,7 +33,7 @@ NAMES = (
 )  # fmt: skip
 
 
-class _Commands(TyperGroup):
+class _Commands(Shown, TyperGroup):
     """The commands; a command's module is loaded when it is called, or listed in the help."""
 
     def __init__(self, **settings: Any) -> None:
@@ -33,6 +43,8 @@ class _Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         from gs_codec.cli.options import completed
 
+        if args[:1] == ["help"]:
+            args = [*args[1:], "--help"]
         return super().parse_args(ctx, completed(args))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
@@ -58,6 +70,7 @@ def _load_command(name: str) -> Any:
 app = typer.Typer(
     cls=_Commands,
     help="Compress 3D Gaussian Splatting scenes (PLY) to small .egs files and back.",
+    epilog="gs-codec help COMMAND lists the options of a command.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -76,13 +89,16 @@ def _options(
 def main() -> None:
     """Run the command line; errors of use and input exit with status 2."""
     log_to_stderr("gs-codec")
+    set_loudness()
+    start = time.perf_counter()
     begin_run(sys.argv[1:], next((text for text in sys.argv[1:] if text in NAMES), None))
     # Nothing here is linear algebra of any size: numpy would start its threads in vain.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        status = app(standalone_mode=False)
+        status = app(standalone_mode=False, prog_name="gs-codec")
+        _tell_cost(start)
         _flush_output()
     except (GsCodecError, OSError, MemoryError) as error:
         _tell_error(error, describe_error(error))
@@ -95,28 +111,39 @@ def main() -> None:
         # Usage errors of Typer; its releases define the class in different modules.
         if not hasattr(error, "format_message"):
             raise
-        if message := " ".join(error.format_message().split()):  # none: help was shown
-            # Or it is what follows a list that is missing.
-            if message.startswith("Missing argument") and error.param.nargs == -1:  # type: ignore[attr-defined]
-                parameters = error.ctx.command.params  # type: ignore[attr-defined]
-                names = (p.metavar for p in parameters if p.param_type_name == "argument")
-                message = f"Missing argument: expected {' '.join(names)}"
+        if message := usage_text(error):  # none: help was shown
             _tell_error(error, message)
+            if message.startswith("Missing"):
+                print_problem(usage_of(error.ctx))  # type: ignore[attr-defined]
         sys.exit(2)
     if status == 130:
-        print_status("gs-codec: interrupted")
+        print_problem("gs-codec: interrupted")
         print_error("Interrupted", "interrupted")
     sys.exit(status)
 
 
 def _tell_error(error: BaseException, text: str) -> None:
     """One line on stderr; with --json, a document too."""
-    print_status(f"gs-codec: error: {text}")
+    print_problem(f"gs-codec: error: {text}")
     kind = "Usage"  # of an error of Typer
     if isinstance(error, GsCodecError | OSError | MemoryError):
         kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
     with suppress(OSError):
         print_error(kind, text)
+
+
+def _tell_cost(start: float) -> None:
+    """Time and memory of the command, with --verbose."""
+    if not is_verbose():
+        return
+    text = f"{time.perf_counter() - start:.2f} s"
+    with suppress(ImportError):  # Windows
+        import resource
+
+        text += (
+            f", {size_text(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)} of memory"
+        )
+    print_status(text)
 
 
 def _flush_output() -> None:

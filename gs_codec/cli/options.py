@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,8 @@ OPTIONS = {
     ),
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),
+    "quiet": Option("Print no progress and, unless they are the result, no reports.", bool),
+    "verbose": Option("Print seconds of each stage, and the memory used.", bool),
     "report": Option("Write report.json, ablation.md, labels.npy there.", Path, metavar="DIR"),
     "split": Option(
         "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."
@@ -63,6 +65,8 @@ OPTIONS = {
 DEFAULTS: dict[str, Any] = {
     "overwrite": False,
     "json": False,
+    "quiet": False,
+    "verbose": False,
     "error_scale": "deviation",
 }
 
@@ -78,6 +82,15 @@ OPTIONS["format"] = replace(
 )
 
 
+#: Options that have a letter, too.
+_SHORT = {"profile": "-p", "quiet": "-q", "verbose": "-v"}
+
+
+def completion(words: Sequence[str]) -> Callable[[str], list[str]]:
+    """What completes one of some words in a shell."""
+    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
+
+
 def typer_option(name: str, hidden: bool = False) -> Any:
     """The option `name` for a parameter of a command."""
     described, typed = OPTIONS[name], typed_name(name)
@@ -88,9 +101,10 @@ def typer_option(name: str, hidden: bool = False) -> Any:
 
     return typer.Option(
         f" /{typed}" if DEFAULTS.get(name) is True else typed,  # " /" declares what switches off
-        *(["-p"] if name == "profile" else []),
+        *([_SHORT[name]] if name in _SHORT else []),
         help=described.help,
-        metavar=metavar_of(described) or None,
+        metavar=metavar_of(described),
+        autocompletion=completion(tuple(described.values)) if described.values else None,
         show_default=described.shown or True,
         parser=None if switch else parse,
         hidden=hidden,
@@ -129,7 +143,7 @@ def _read(described: Option, text: str, typed: str) -> Any:
         if text in words:
             return words[text]
         expected = " or ".join(words) if len(words) < 3 else f"one of {', '.join(words)}"
-    elif re.fullmatch(pattern, text):
+    elif re.fullmatch(pattern, text := text.removesuffix("%" * described.percent)):
         return described.kind(text)
     raise InvalidInput(f"{typed}: expected {expected}")
 

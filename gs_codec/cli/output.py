@@ -24,14 +24,44 @@ SCENES = (
 SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
 
 
+class _Loudness:
+    """How much the running command prints; see `set_loudness`."""
+
+    results = status = True
+    verbose = False
+
+
+def set_loudness(quiet: bool = False, verbose: bool = False, results: bool = True) -> None:
+    """Set how much is printed: if `quiet`, no status and progress, and results only if wanted."""
+    _Loudness.status, _Loudness.verbose = not quiet, verbose
+    _Loudness.results = results or not quiet
+    logging.getLogger("gs_codec").setLevel(logging.DEBUG if verbose else logging.NOTSET)
+
+
+def is_quiet() -> bool:
+    """Whether there are neither status nor progress."""
+    return not _Loudness.status
+
+
+def is_verbose() -> bool:
+    """Whether times and memory are printed."""
+    return _Loudness.verbose
+
+
 def print_text(*lines: str) -> None:
-    """Lines on stdout."""
-    for line in lines:
+    """Lines of results on stdout."""
+    for line in lines if _Loudness.results else ():
         print(printable(line))
 
 
 def print_status(text: str) -> None:
-    """A line on stderr."""
+    """A line on stderr, unless the command is to be quiet."""
+    if _Loudness.status:
+        print_problem(text)
+
+
+def print_problem(text: str) -> None:
+    """A line on stderr, always: an error or a warning."""
     print(printable(text), file=sys.stderr)
 
 
@@ -46,13 +76,16 @@ def log_to_stderr(program: str) -> None:
     """Warnings of the library become lines on stderr."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Lines(f"{program}: %(levelname)s: %(message)s"))
-    logging.addLevelName(logging.WARNING, "warning")
+    for level in (logging.WARNING, logging.INFO, logging.DEBUG):
+        logging.addLevelName(level, logging.getLevelName(level).lower())
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
     log_warnings()
 
 
 def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None = None) -> None:
     """Aligned columns; the first to the left, the others to the right."""
+    if not (_Loudness.results if file is None else _Loudness.status):
+        return
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     for row in [columns, *rows]:
@@ -114,7 +147,7 @@ def loss_text(loss: float) -> str:
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """Progress on stderr while the block runs: bars on a terminal, lines now and then elsewhere."""
-    if not sys.stderr.isatty():
+    if not (_Loudness.status and sys.stderr.isatty()):
         yield progress_lines(time.monotonic)
         return
     from rich import progress as rich

@@ -91,13 +91,15 @@ def _whole(low: int, high: int) -> Callable[[str], tuple[int]]:
 
 
 def _share(text: str) -> tuple[float]:
-    """Reads a percentage."""
+    """Reads a percentage, with or without its sign."""
     try:
-        percent = float(text.removesuffix("%")) if text.endswith("%") else math.nan
+        percent = float(text.removesuffix("%"))
     except ValueError:
         percent = math.nan
     if not 0 < percent <= 100:
         raise InvalidInput("expected a percentage above 0, for example 40%")
+    if percent < 1 and not text.endswith("%"):
+        raise InvalidInput(f"expected percent, for example {100 * percent:g}% or {percent:g}%")
     return (percent,)
 
 

@@ -136,6 +136,7 @@ def encode_file(
                 with times.stage("edit"):
                     scene, done = edit_scenes([scene], actions, plan, progress)
                 counted = scene.float_bytes
+            float_bytes = scene.float_bytes
             if plan is None and rate is None:
                 parts, report = encode_camera_free(scene, config, progress)
             else:
@@ -148,8 +149,9 @@ def encode_file(
     tell_lost(target, report.lost)
     ratio = counted / report.file_bytes
     return replace(
-        report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio, actions=done
-    )
+        report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio, actions=done,
+        float_bytes=float_bytes,
+    )  # fmt: skip
 
 
 def read_source(

@@ -68,6 +68,8 @@ class ConvertReport:
         Wall time of each stage.
     rendered : RenderedLoss, optional
         What rendered views lose; None in formats that hold floats.
+    float_bytes : int
+        Size of the floats of what was written.
     """
 
     count: int
@@ -82,6 +84,7 @@ class ConvertReport:
     ratio: float
     seconds: dict[str, float]
     rendered: RenderedLoss | None = None
+    float_bytes: int = 0
 
 
 @checked
@@ -193,6 +196,7 @@ def convert_file(
         scene.float_bytes / size,
         times.seconds,
         rendered,
+        scene.float_bytes,
     )
 
 

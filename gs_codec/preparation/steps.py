@@ -22,6 +22,7 @@ _PERCENT = {
     "low": 0,
     "high": math.nextafter(100, 0),
     "expected": "0 to below 100 percent",
+    "percent": True,
 }
 
 #: Where views are drawn and refined.

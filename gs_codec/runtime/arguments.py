@@ -12,8 +12,6 @@ from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
-import numpy as np
-
 from gs_codec.errors import InvalidInput
 
 Public = TypeVar("Public", bound=Callable[..., Any])
@@ -92,7 +90,9 @@ def _is_number(value: Any, kind: type) -> bool:
 
 def _holds(value: Any, origin: type, inner: tuple[Any, ...]) -> bool:
     """Whether a value is an array, a sequence, a mapping or a function, by the type it is of."""
-    if origin is np.ndarray:
+    if origin.__module__ == "numpy":
+        import numpy as np  # which help does without
+
         array = np.asarray(value if isinstance(value, np.ndarray | list | tuple) else "")
         return array.dtype.kind in "biuf"
     plain = origin.__module__ in ("builtins", "collections.abc")

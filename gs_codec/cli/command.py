@@ -1,0 +1,85 @@
+"""What all commands share: their help, their usage line, and what the shell completes."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+
+class Shown:
+    """Mixed into a command: switches have no type in the help, hidden options are completed."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, and ``--help``."""
+        params = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """What follows the command's name in its usage line."""
+        if hasattr(self, "subcommand_metavar"):
+            return super().collect_usage_pieces(ctx)  # type: ignore[misc]
+        return ["[OPTIONS]", *argument_names(self)]
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Completions, of the options at the end of the help too."""
+        hidden = [p for p in self.get_params(ctx) if getattr(p, "hidden", False)]
+        for param in hidden:
+            param.hidden = False
+        try:
+            return super().shell_complete(ctx, incomplete)  # type: ignore[misc]
+        finally:
+            for param in hidden:
+                param.hidden = True
+
+
+def argument_names(command: Any) -> list[str]:
+    """The names of a command's arguments as its usage line has them."""
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    several = {p.metavar for p in arguments if p.nargs == -1 and not p.metavar.endswith("...")}
+    return [p.metavar + "..." * (p.metavar in several) for p in arguments]
+
+
+def usage_of(ctx: Any) -> str:
+    """The usage line of the command of a context, and where more is said."""
+    pieces = " ".join(["gs-codec", *_names(ctx), *ctx.command.collect_usage_pieces(ctx)])
+    return f"usage: {pieces} (more: gs-codec help {' '.join(_names(ctx))}".rstrip() + ")"
+
+
+def _names(ctx: Any) -> list[str]:
+    """The names of a command and its groups, without the program's."""
+    return [] if ctx.parent is None else [*_names(ctx.parent), ctx.info_name]
+
+
+def usage_text(error: Any) -> str:
+    """What an error of usage says, on one line; of several files for one, what to type instead."""
+    text = " ".join(error.format_message().split())
+    if "unexpected extra argument" in text:
+        return _of_several(error.ctx) or f"{text.replace('(s)', 's')}; {usage_of(error.ctx)}"
+    # Or it is what follows a list that is missing.
+    if text.startswith("Missing argument") and error.param.nargs == -1:
+        return f"Missing argument: expected {' '.join(argument_names(error.ctx.command))}"
+    return text
+
+
+def _of_several(ctx: Any) -> str:
+    """What to type where a shell made several files of a glob; nothing for other commands."""
+    first = str(ctx.params.get("source", ""))
+    folder, name = os.path.split(first)
+    glob = os.path.join(folder, f"*{os.path.splitext(name)[1]}")
+    if ctx.info_name == "batch":
+        return f"batch: more than SRC and DST; put a glob in quotes: gs-codec batch '{glob}' DST"
+    if ctx.info_name == "encode":
+        return (
+            "encode: more than IN and OUT; to encode each: "
+            f"gs-codec batch '{glob}' DST; to merge all in one: gs-codec convert {glob} OUT"
+        )
+    if ctx.info_name == "decode":
+        glob = os.path.join(folder, "*.egs")
+        return (
+            "decode: more than IN and OUT; to decode each: "
+            f"gs-codec batch '{glob}' DST --format ply"
+        )
+    return ""

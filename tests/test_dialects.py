@@ -274,3 +274,17 @@ def test_a_network_is_named_as_such(tmp_path):
     assert_refused(
         tmp_path / "color_mlp.pt", r"a network of TorchScript \(as of Scaffold-GS\), not"
     )
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("bits", [0x7FA00001, 0x7FC00000, 0x7F800000, 0xFF800000, 0x7F7FFFFF])
+def test_numbers_that_are_none_give_no_warning_of_numpy(bits, tmp_path):
+    value = np.full(9, bits, "<u4").view("<f4")
+    scene = random_scene(9, 0)
+    for group in GROUPS:
+        getattr(scene, group)[:, :3] = value[0]
+    columns = dict.fromkeys(("nx", "ny", "nz", "filter_3D"), value)
+    write_ply(tmp_path / "a.ply", replace(scene, extra=columns))
+    assert read_scene(tmp_path / "a.ply").count == 9
+    flat = rewritten(tmp_path / "a.ply", (b" scale_2\n", b" s\n"), (b" filter_3D\n", b" f\n"))
+    assert read_scene(flat, "drop").count == 9

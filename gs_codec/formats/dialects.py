@@ -99,15 +99,17 @@ def fuse_filter(
     multiplied by the root of the ratio of the determinants, so that its mass stays.
     """
     for some in spans(len(deviations)):
-        before, logit = log_scale[:, some].astype(np.float64), opacity[0, some].astype(np.float64)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # Some may be infinite or NaN.
+        with np.errstate(all="ignore"):
+            before = log_scale[:, some].astype(np.float64)
+            logit = opacity[0, some].astype(np.float64)
             added = 2 * np.log(np.abs(deviations[some].astype(np.float64)))
             after = np.logaddexp(2 * before, added) / 2
             factor = np.where(after == before, 0.0, before - after).sum(axis=0)
             share = factor - np.logaddexp(0, -logit)
             fused = share - np.log(-np.expm1(share))
             opacity[0, some] = np.where(factor == 0, logit, fused)
-        log_scale[:, some] = after
+            log_scale[:, some] = after
 
 
 def with_filter(where: str | Path, scene: Scene) -> Scene:
@@ -127,5 +129,6 @@ def with_flat(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
     The third is a fixed share of the shorter one: profiles then code it in no bits.
     """
     planes = empty((3, log_scale.shape[1]), np.float32)
-    planes[:2], planes[2] = log_scale, log_scale.min(axis=0) - _THIN
+    with np.errstate(invalid="ignore"):
+        planes[:2], planes[2] = log_scale, log_scale.min(axis=0) - _THIN
     return planes

@@ -203,7 +203,9 @@ def _read_columns(
         for name, column in columns.items():
             column[place] = tile[name]
         for name in normals:
-            given.append(tile[name].any() or (name in columns and np.signbit(tile[name]).any()))
+            with np.errstate(invalid="ignore"):
+                other = tile[name].any()
+            given.append(other or (name in columns and np.signbit(tile[name]).any()))
 
     rows.for_tiles(use)
     for name in wanted:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from dataclasses import replace
 
@@ -578,6 +579,14 @@ def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("no_ink")
+def test_a_name_that_is_not_utf8_is_escaped_on_the_page(folder):
+    name = os.fsdecode(b"a\xff.ply")
+    write_ply(folder.path / name, random_scene(300, 0, seed=17))
+    assert folder.run("analyze", name, "--out", "report").status == 0
+    assert r"a\udcff.ply" in (folder.path / "report" / "report.html").read_text()
+
+
 @pytest.mark.usefixtures("no_ink")
 def test_command_prints_a_summary(folder):
     encoded, _ = encode_scene(random_scene(1500, 0, seed=18), Config("m"))

@@ -82,7 +82,7 @@ def analyse_file(
     content = analysis.as_dict() | {"pictures": list(pictures)}
     files = pictures | {
         "report.json": (json.dumps(content, allow_nan=False) + "\n").encode(),
-        "report.html": _page(analysis, pictures).encode(),
+        "report.html": _page(analysis, pictures).encode("utf-8", "backslashreplace"),
     }
     write_files(target, files)
     return content

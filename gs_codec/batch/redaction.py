@@ -120,7 +120,10 @@ def _parted(url: str) -> tuple[str, list[str]]:
         token, user = user, ""
         pair = f"{token}:{password}" if password else token
         # The second is what the Authorization header of a request contains.
-        secrets += [pair, base64.b64encode(unquote(pair).encode()).decode()]
+        secrets += [
+            pair,
+            base64.b64encode(unquote(pair).encode("utf-8", "surrogateescape")).decode(),
+        ]
     rest, query = _without_query(scheme, rest)
     parts = [*re.split("[?#&]", query), *re.split("[?#&;]|::", query)]
     values = [part.partition("=")[2] or part for part in parts]
@@ -164,7 +167,10 @@ def _spelling(secret: str) -> re.Pattern[str]:
     for sign in secret:
         # A plus may stand for a space, and an escape may itself be escaped.
         meant = "+ " if sign in "+ " else sign
-        escaped = ["".join(f"%(?:25){{0,3}}(?i:{b:02x})" for b in one.encode()) for one in meant]
+        escaped = [
+            "".join(f"%(?:25){{0,3}}(?i:{b:02x})" for b in one.encode("utf-8", "surrogateescape"))
+            for one in meant
+        ]
         signs.append(rf"(?:\\{{0,4}}(?:{'|'.join(map(re.escape, meant))})|{'|'.join(escaped)})")
     word = "".join(signs)
     if len(secret) < _SHORT:

@@ -137,7 +137,7 @@ def measure_paper(
         measuring = reproduce(measured, asked["refine"], out, _typed(), progress)
         lines = list(_written(measuring, target))
     page = tables_of(lines)
-    write_files(out, {"paper.md": page.encode()})
+    write_files(out, {"paper.md": page.encode("utf-8", "backslashreplace")})
     print_text(*page.splitlines())
 
 

@@ -48,7 +48,7 @@ def digest_of(parts: Iterable[NDArray | str]) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         if isinstance(part, str):
-            digest.update(f"{len(part)} {part}".encode())
+            digest.update(f"{len(part)} {part}".encode("utf-8", "surrogateescape"))
         else:
             digest.update(f"{part.dtype.str} {part.shape}".encode())
             digest.update(np.ascontiguousarray(part).data)

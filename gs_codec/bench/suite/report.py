@@ -79,7 +79,14 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     parts += _circumstances(results)
     headline = "\n".join(tables.headline(lines)) + "\n"
     text = "\n\n".join(part for part in parts if part) + "\n"
-    write_files(folder, {**pictures, "headline.md": headline.encode(), "report.md": text.encode()})
+    write_files(
+        folder,
+        {
+            **pictures,
+            "headline.md": headline.encode("utf-8", "backslashreplace"),
+            "report.md": text.encode("utf-8", "backslashreplace"),
+        },
+    )
 
 
 def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from scenes import edge_scenes, random_scene
+from scenes import assert_same_floats, edge_scenes, random_scene
 from test_guide import cameras
 from typer.testing import CliRunner
 
@@ -26,7 +26,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.files.scenes import compare_files, read_scene, write_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.packed_ply import pack_ply
@@ -35,6 +35,7 @@ from gs_codec.formats.ply import write_ply
 from gs_codec.formats.sog_writer import pack_sog
 from gs_codec.formats.spz import pack_spz
 from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
@@ -527,3 +528,37 @@ def test_steps_are_no_coarser_than_those_of_an_egs():
     assert wanted.rot.max() == pytest.approx(2)
     assert wanted.f_dc.max() == 4
     assert wanted.positions.max() == 2**30
+
+
+@pytest.mark.parametrize("name", ["b.spz", "b.sog", "meta.json"])
+def test_conversions_of_rounded_scenes_keep_what_the_format_holds(name, tmp_path):
+    source = tmp_path / "a.spz"
+    write_scene(source, random_scene(300, 2, seed=4), Config("s"))
+    before, target = read_scene(source), tmp_path / "b" / name
+    target.parent.mkdir()
+    done = convert_file(source, target)
+    assert "profile" not in done.lost[0]
+    after = read_scene(target)
+    if name == "b.spz":
+        first, second = before.take(order_of(before)), after.take(order_of(after))
+        # The largest component, which is not stored, may be another one.
+        signs = np.sign((first.rot * second.rot).sum(axis=0))
+        np.testing.assert_allclose(first.rot, signs * second.rot, atol=2 / 511)
+        assert_same_floats(first, replace(second, rot=first.rot))
+    own = attribute_errors(before, after)
+    done = convert_file(source, target, overwrite=True, by_profile=True)
+    assert done.lost[0].endswith("or to the steps of profile m")
+    profile = attribute_errors(before, read_scene(target))
+    assert own["scaling"] < 0.3 * profile["scaling"]
+    assert own["rotation"] < 0.3 * profile["rotation"]
+    done = convert_file(source, target, Config("l"), overwrite=True)
+    assert done.lost[0].endswith("or to the steps of profile l")
+
+
+def order_of(scene):
+    return np.lexsort(scene.positions)
+
+
+def attribute_errors(first, second) -> dict[str, float]:
+    pair = [scene.take(order_of(scene)) for scene in (first, second)]
+    return {group.name: group.rms for group in compare_scenes(*pair).groups}

@@ -68,6 +68,10 @@ class Asked:
     def __getitem__(self, name: str) -> Any:
         return self._values.get(name)
 
+    def typed(self, *names: str) -> bool:
+        """Whether one of these options was typed."""
+        return not self._typed.isdisjoint(names)
+
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Refuse options that would be ignored.
 

@@ -76,7 +76,7 @@ def command(
             done = convert_file(
                 files, out, config, coordinates, actions=asked.actions, plan=plan,
                 progress=progress, max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
-                overwrite=asked["overwrite"],
+                overwrite=asked["overwrite"], by_profile=asked.typed("profile", "coarseness"),
             )  # fmt: skip
         _say_what_changed(done)
         if asked["json"]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
-from gs_codec.coding.clean import finite_ends
+from gs_codec.coding.clean import clean_scene, finite_ends
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ROUNDED_FORMATS, Config
 from gs_codec.formats import packed_ply, spz
@@ -41,6 +41,13 @@ def encode_interchange(
     return _packed(scene, config, wanted, times)
 
 
+def encode_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene as finely as a format can, whatever the profile."""
+    clean, changed = clean_scene(scene, config)
+    parts, report = _packed(clean, config, None, StageTimes())
+    return parts, replace(report, **changed)
+
+
 def decode_interchange(data: bytes | memoryview, config: Config, system: str = CONVENTION) -> Scene:
     """The scene of bytes in the format that a configuration names, in a coordinate system."""
     # The readers of PLY and of zip files want a file.
@@ -52,8 +59,9 @@ def decode_interchange(data: bytes | memoryview, config: Config, system: str = C
 
 
 def _packed(
-    scene: Scene, config: Config, wanted: AttributeSteps, times: StageTimes
+    scene: Scene, config: Config, wanted: AttributeSteps | None, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """By the wanted steps, or as finely as the format can."""
     with times.stage("pack"):
         if config.format == "spz":
             data, lost = spz.pack_spz(scene, config.spz_version, wanted)
@@ -61,6 +69,8 @@ def _packed(
             data, lost = pack_sog(scene, wanted)
         else:
             data, lost = _PACKERS[config.format](scene)
+    if wanted is not None and config.format in ROUNDED_FORMATS:
+        lost = (f"{lost[0]}, or to the steps of profile {config.profile}", *lost[1:])
     report = EncodeReport(
         scene.count,
         scene.float_bytes,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
-from gs_codec.config import LOSSLESS, Config, as_config
+from gs_codec.config import LOSSLESS, ROUNDED_FORMATS, Config, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
@@ -23,8 +23,9 @@ from gs_codec.files.scenes import (
     write_scene,
     written_bytes,
 )
-from gs_codec.files.suffixes import IN_PARTS
+from gs_codec.files.suffixes import IN_PARTS, format_of
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
+from gs_codec.formats.registry import open_scene
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
@@ -101,6 +102,7 @@ def convert_file(
     max_memory: int | None = None,
     max_bytes: int | None = None,
     overwrite: bool = False,
+    by_profile: bool = False,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix; it appears whole or not at all.
 
@@ -132,6 +134,10 @@ def convert_file(
         `.egs`, and for actions that look at each Gaussian by itself, or sort them.
     overwrite : bool
         As for `encode_file`.
+    by_profile : bool
+        Whether values that come rounded, from ``.spz``, SOG, ``.splat``, ``.ksplat`` or compressed
+        PLY, are rounded to the steps of the profile in ``.spz`` and SOG. By default they keep the
+        format's own precision, unless `config` has another profile or coarseness than its default.
 
     Returns
     -------
@@ -162,6 +168,8 @@ def convert_file(
     if own is not None and wanted.upper() not in ("KEEP", CONVENTION, own):
         raise InvalidInput(f"{target}: coordinates {wanted!a:.20}, expected {own} of its format")
     dropped, times = 0, StageTimes()
+    asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
+    finest = not asked and format_of(suffix) in ROUNDED_FORMATS and all(map(_is_rounded, sources))
     exact = suffix == ".egs" and config.profile == LOSSLESS and not actions
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
@@ -180,7 +188,7 @@ def convert_file(
             else:
                 scene = turn_scene(scene, before if wanted == "keep" else wanted.upper())
         with times.stage("write"):
-            lost, rendered = write_scene(target, scene, config)
+            lost, rendered = write_scene(target, scene, config, finest=finest)
     after = own or system_of(scene)
     size = written_bytes(target)
     return ConvertReport(
@@ -198,6 +206,11 @@ def convert_file(
         rendered,
         scene.float_bytes,
     )
+
+
+def _is_rounded(source: str | Path) -> bool:
+    with open_scene(source) as file:
+        return file.is_rounded
 
 
 def _choose(scenes: Sequence[Scene], chosen: NDArray[np.bool_]) -> Scene:

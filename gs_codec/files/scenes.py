@@ -18,9 +18,10 @@ from gs_codec.codecs import decode_part, matching
 from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
+from gs_codec.codecs.interchange import encode_finest
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
-from gs_codec.config import SSOG, STREAMED, UNBUNDLED, Config, Extra
+from gs_codec.config import ROUNDED_FORMATS, SSOG, STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, PLAIN, WRITTEN, config_for, suffix_of
@@ -61,8 +62,16 @@ class Written(NamedTuple):
     rendered: RenderedLoss | None = None
 
 
-def write_scene(path: str | Path, scene: Scene, config: Config, overwrite: bool = True) -> Written:
+def write_scene(
+    path: str | Path,
+    scene: Scene,
+    config: Config,
+    overwrite: bool = True,
+    finest: bool = False,
+) -> Written:
     """Write a scene in a format of `PLAIN`, encoded in one of `FORMATS`, or as streamed SOG.
+
+    If `finest`, `.spz` and SOG are written as finely as they can be, whatever the profile.
 
     Raises
     ------
@@ -86,9 +95,12 @@ def write_scene(path: str | Path, scene: Scene, config: Config, overwrite: bool 
     else:
         with located(path):
             config = config_for(path, config)
-            parts, report = add_levels(*encode_camera_free(scene, config), config)
+            finest = finest and config.format in ROUNDED_FORMATS
+            encode = encode_finest if finest else encode_camera_free
+            parts, report = add_levels(*encode(scene, config), config)
         write_parts(path, parts)
-        written = Written(report.lost, report.rendered)
+        rendered = _measured(path, scene, config) if finest else report.rendered
+        written = Written(report.lost, rendered)
     tell_lost(path, written.lost)
     return written
 

@@ -130,6 +130,12 @@ class SceneFile:
         return self.format != "ply" or packed_ply.is_packed(self.ply.header)
 
     @property
+    def is_rounded(self) -> bool:
+        """Whether it is in a format of other programs that rounds all values but a few."""
+        rounded = ("splat", "ksplat", "spz", "sog", "streamed sog")
+        return self.format in rounded or (self.format == "ply" and self.is_compressed)
+
+    @property
     def is_read_in_parts(self) -> bool:
         """Whether it can be read part by part: a plain binary PLY."""
         return not self.is_compressed and bool(self.ply.header.byte_order)

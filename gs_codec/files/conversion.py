@@ -137,7 +137,8 @@ def convert_file(
     by_profile : bool
         Whether values that come rounded, from ``.spz``, SOG, ``.splat``, ``.ksplat`` or compressed
         PLY, are rounded to the steps of the profile in ``.spz`` and SOG. By default they keep the
-        format's own precision, unless `config` has another profile or coarseness than its default.
+        format's own precision, unless `config` is a profile's name, or has another profile or
+        coarseness than its default.
 
     Returns
     -------
@@ -155,6 +156,7 @@ def convert_file(
     >>> report.count, report.lost[0]
     (2000, 'opacity, colour and rotation rounded to 8 bits')
     """
+    by_profile |= isinstance(config, str)
     config = as_config(config)
     sources = [source] if isinstance(source, str | Path) else list(source)
     suffix = check_target(sources, target, overwrite=overwrite)

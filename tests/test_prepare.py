@@ -19,12 +19,13 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
+from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
 from gs_codec.preparation import optimise, pipeline
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
-from gs_codec.preparation.report import LABELS
+from gs_codec.preparation.report import LABELS, centres_checksum
 from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import read_image, write_png
@@ -342,6 +343,10 @@ def test_report_files(folder, scene):
     np.testing.assert_array_equal(labels, report.labels)
     saved = json.loads((folder / "new" / "r" / "report.json").read_text())
     assert (saved["input_gaussians"], saved["gaussians"]) == (400, 280)
+    assert saved["centres_crc32c"] == centres_checksum(scene.positions) != 0
+    turned = turn_axes(scene, "LUF").positions, turn_axes(scene, "RFU").positions
+    assert {centres_checksum(each) for each in turned} == {saved["centres_crc32c"]}
+    assert centres_checksum(scene.positions[:, ::-1]) != saved["centres_crc32c"]
     assert saved["removed"] == {"geometry": 0, "importance": 0, "leave-one-out": 120}
     assert saved["steps"][0]["quality"]["psnr"] is None
     table = (folder / "new" / "r" / "ablation.md").read_text().splitlines()

@@ -26,6 +26,7 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.preparation.report import centres_checksum
 from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.upright import UNSURE, UPS, up_of
 from gs_codec.rendering.widest import widest_view
@@ -52,7 +53,7 @@ from viewer.pictures.screenshot import draw_request
 from viewer.pictures.splats import measure
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
-from viewer.scenes.opened import Opened, open_scene, read_pruned, thinned, turned
+from viewer.scenes.opened import Opened, keep, open_scene, read_pruned, thinned, turned
 from viewer.scenes.pose import Pose, look_at, of_camera, overview
 from viewer.scenes.request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
@@ -75,7 +76,9 @@ def files(tmp_path_factory) -> Path:
     report = folder / "report"
     report.mkdir()
     np.save(report / "labels.npy", labels)
-    (report / "report.json").write_text('{"removed": {"geometry": 300, "importance": 300}}')
+    removed = {"geometry": 300, "importance": 300}
+    told = {"removed": removed, "centres_crc32c": centres_checksum(scene.positions)}
+    (report / "report.json").write_text(json.dumps(told))
     return folder
 
 
@@ -161,9 +164,15 @@ def test_reports_are_of_their_scene(files):
     scene = open_scene(files / "a.ply")
     pruned = read_pruned(files / "report", scene)
     assert pruned.counts == {"geometry": 300, "importance": 300}
+    # Systems and edits are no other scene.
+    left = keep(scene, pruned.labels == 1)
+    for other in (turned(scene), left, turned(turned(scene))):
+        assert read_pruned(files / "report", other).counts == pruned.counts
     points = pruned_centres(scene, pruned)
     np.testing.assert_array_equal(points.positions, scene.positions[pruned.labels > 0])
     assert len(np.unique(points.colours, axis=0)) == 2
+    with pytest.raises(gs_codec.GsCodecError, match=r"report: report of another scene than b.egs"):
+        read_pruned(files / "report", open_scene(files / "b.egs"))
     with pytest.raises(gs_codec.GsCodecError, match=r"900 Gaussians, kept.ply has 300"):
         read_pruned(files / "report", open_scene(files / "kept.ply"))
     with pytest.raises(gs_codec.GsCodecError, match="no report of prepare"):

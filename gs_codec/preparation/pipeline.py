@@ -35,7 +35,7 @@ from gs_codec.preparation.reference_views import (
     read_photographs,
 )
 from gs_codec.preparation.refit_colour import refit_colour
-from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
+from gs_codec.preparation.report import LABELS, PrepareReport, StepReport, centres_checksum
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.auto_cameras import guiding_cameras
 from gs_codec.rendering.between import cameras_between
@@ -93,7 +93,7 @@ def prepare_scene(
         is_chosen(plan.device)
     views = choose_views(scene, plan, progress)
     context = _Context(plan, views, progress, steps_of or profile_steps(Config()))
-    kept = np.arange(scene.count)
+    kept, centres = np.arange(scene.count), centres_checksum(scene.positions)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
     for step in _STEPS:
@@ -110,7 +110,9 @@ def prepare_scene(
         reports.append(_report(step.name, scene, context, seconds, details))
     # Nothing after refinement needs its targets, which are many images.
     views = views._replace(targets=None)
-    return scene, PrepareReport(labels, tuple(reports), views, sh_degree=scene.sh_degree)
+    return scene, PrepareReport(
+        labels, tuple(reports), views, sh_degree=scene.sh_degree, centres=centres
+    )
 
 
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:

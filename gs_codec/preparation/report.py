@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from crc32c import crc32c
 from numpy.typing import NDArray
 
 from gs_codec.codecs.decode import decode_as
@@ -79,6 +80,8 @@ class PrepareReport:
         What windows of other views lose by preparation and coding together.
     sh_degree : int
         SH degree of the scene.
+    centres : int
+        `centres_checksum` of the input, by which the report is known to be of a scene.
     """
 
     labels: NDArray[np.uint8]
@@ -86,6 +89,7 @@ class PrepareReport:
     views: ViewSplit
     rendered: RenderedLoss | None = None
     sh_degree: int = 0
+    centres: int = 0
 
     @property
     def removed(self) -> dict[str, int]:
@@ -99,6 +103,7 @@ class PrepareReport:
             "input_gaussians": self.steps[0].count,
             "gaussians": self.steps[-1].count,
             "sh_degree": self.sh_degree,
+            "centres_crc32c": self.centres,
             "removed": self.removed,
             "views": len(self.views.renders.cameras),
             "held_out": len(self.views.held_out.cameras),
@@ -113,6 +118,15 @@ class PrepareReport:
         """The report with the steps of coding; see `coding_steps`."""
         coding = coding_steps(scene, config, data, report, self.views.held_out)
         return replace(self, steps=(*self.steps, *coding))
+
+
+def centres_checksum(positions: NDArray[np.float32]) -> int:
+    """CRC-32C of the centres ``(3, N)`` in their order, the same in every coordinate system.
+
+    Systems differ in the signs and the order of coordinates, so that sorted sizes are the same.
+    """
+    sizes = np.sort(np.abs(positions), axis=0)
+    return int(crc32c(np.ascontiguousarray(sizes.T, "<f4").tobytes()))
 
 
 def ablation_table(prepared: dict[str, Any]) -> list[list[str]]:

@@ -378,7 +378,9 @@ def _pruned(folder: Path, data: bytes) -> None:
     end = int.from_bytes(data[:2], "little")
     (folder / "labels.npy").write_bytes(data[2 : 2 + end])
     (folder / "report.json").write_bytes(data[2 + end :])
-    cloud = SimpleNamespace(file_count=5, name="scene")
+    cloud = SimpleNamespace(
+        file_count=5, name="scene", whole=None, positions=np.zeros((5, 3), np.float32)
+    )
     read_pruned(folder, cloud)  # type: ignore[arg-type]
 
 

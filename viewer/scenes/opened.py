@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import tokenize
 from collections.abc import Callable
@@ -26,10 +27,13 @@ from gs_codec.files.scenes import (
 )
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
+from gs_codec.preparation.report import centres_checksum
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
+
+log = logging.getLogger(__name__)
 
 #: Called with the stage, the steps done, and the total.
 Progress = Callable[[str, int, int], None]
@@ -187,10 +191,8 @@ class Opened:
         if self.whole is not None:
             bits = self.whole.bits
             return None if bits is None else bits[self.rows]
-        bits = gaussian_bits_of_file(self.path)
-        if len(bits) != self.count:
-            raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
-        return bits
+        self.check_unchanged()
+        return gaussian_bits_of_file(self.path)
 
     @cached_property
     def classes(self) -> NDArray[np.uint8] | None:
@@ -206,10 +208,8 @@ class Opened:
         if self.whole is not None:
             classes = self.whole.classes
             return None if classes is None else classes[:, self.rows]
-        classes = gaussian_classes_of_file(self.path)
-        if classes.shape[1] != self.count:
-            raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
-        return classes
+        self.check_unchanged()
+        return gaussian_classes_of_file(self.path)
 
     @property
     def block_numbers(self) -> NDArray[np.int64] | None:
@@ -230,6 +230,16 @@ class Opened:
         if self.info is None or not self.count:
             return "not an .egs file" if self.count else "without Gaussians"
         return "stored in the original order" if self.info.keeps_order else ""
+
+    def check_unchanged(self) -> None:
+        """Check that the file is what was opened.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+        """
+        if modified(self.path) != self.modified:
+            raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
 
     def _array(self, name: str) -> NDArray[np.float32]:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
@@ -334,7 +344,8 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     """
     folder = Path(folder)
     try:
-        reasons = tuple(dict(json.loads((folder / "report.json").read_text())["removed"]))
+        report = json.loads((folder / "report.json").read_text())
+        reasons, centres = tuple(dict(report["removed"])), report.get("centres_crc32c")
         labels = np.load(folder / "labels.npy", allow_pickle=False)
     except _DAMAGE as error:
         reason = one_line(error) or type(error).__name__
@@ -342,6 +353,13 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     if labels.dtype != np.uint8 or labels.shape != (scene.file_count,):
         raise gs_codec.GsCodecError(
             f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.file_count:,}"
+        )
+    if centres is None:
+        log.warning("%s: without a checksum of its scene, only numbers of Gaussians agree", folder)
+    elif centres != centres_checksum((scene.whole or scene).positions.T):
+        raise gs_codec.GsCodecError(
+            f"{folder}: report of another scene than {scene.name}, or of another order of it: "
+            "other centres (checksum)"
         )
     if labels.max(initial=0) > len(reasons):
         raise gs_codec.GsCodecError(f"{folder}: label {labels.max()}, expected 0 to {len(reasons)}")

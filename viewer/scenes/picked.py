@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-import gs_codec
 from gs_codec.codecs.costs import CodedGaussian
 from gs_codec.files.scenes import describe_gaussian_of_file
 from gs_codec.rendering.inria import as_camera
@@ -226,8 +225,7 @@ class Picker:
 
 
 def _coded(scene: Opened, row: int) -> CodedGaussian:
-    if gs_codec.inspect(scene.path).count != scene.file_count:
-        raise gs_codec.GsCodecError(f"{scene.path}: changed after it was opened")
+    scene.check_unchanged()
     return describe_gaussian_of_file(scene.path, row)
 
 

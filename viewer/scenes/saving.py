@@ -11,7 +11,7 @@ from gs_codec.files.scenes import check_target, write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.coordinates import CONVENTION
 from viewer.scenes.numbers import size_text
-from viewer.scenes.opened import Opened, Progress, modified
+from viewer.scenes.opened import Opened, Progress
 
 #: How ``gs-codec convert`` encodes by default.
 _CONFIG = gs_codec.Config(extra="keep")
@@ -44,8 +44,7 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
         check_target([], path)
         lost, _ = write_scene(path, from_cloud(scene.cloud, "keep"), _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]
-    if modified(scene.path) != scene.modified:
-        raise gs_codec.GsCodecError(f"{scene.path}: changed after it was opened")
+    scene.check_unchanged()
     system = f"{scene.system}:{CONVENTION}" if scene.system_given else CONVENTION
     done = convert_file(
         scene.path, path, _CONFIG, system, chosen=scene.left, progress=progress, overwrite=True

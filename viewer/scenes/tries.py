@@ -20,7 +20,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import EncodeReport
 from gs_codec.runtime.atomic import atomic_writer
-from viewer.scenes.opened import Opened, Progress, modified, open_scene
+from viewer.scenes.opened import Opened, Progress, open_scene
 
 #: What profiles `l`, `m` and `s` can be asked for: step sizes as multiples of the profile's, bytes,
 #: bits per Gaussian, or the loss of views in dB.
@@ -191,8 +191,7 @@ class Tries:
         """Encode the file of the scene or, if it is not what is shown, what is."""
         config, plan, rate = asked.config, asked.plan(self.cameras), asked.rate
         if self.source.is_stored:
-            if modified(self.source.path) != self.source.modified:
-                raise gs_codec.GsCodecError(f"{self.source.path}: changed after it was opened")
+            self.source.check_unchanged()
             return encode_file(
                 self.source.path, path, config, plan, rate, progress=progress,
                 max_bytes=self.max_bytes, overwrite=True,

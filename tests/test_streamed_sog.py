@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import struct
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -387,6 +388,42 @@ def test_a_zip_of_several_scenes_is_refused_with_their_names(names, folder, tmp_
     SEVERAL[names](tmp_path / "root")
     path = zipped(tmp_path / "root", tmp_path / "two.zip")
     with pytest.raises(InvalidInput, match=re.escape(f"a zip of 2 scenes ({names}), expected one")):
+        read_scene(path)
+
+
+def test_units_that_share_images_are_refused(copy):
+    """Each is read by itself: thousands of units of the same images would take minutes."""
+    shutil.copy(copy / "0_1" / "meta.json", copy / "0_1" / "again.json")
+    meta = json.loads((copy / STREAMED).read_text())
+    meta["filenames"][2] = "0_1/again.json"
+    (copy / STREAMED).write_text(json.dumps(meta))
+    with pytest.raises(InvalidInput, match=r"again.json: image 'means_l.webp' is that of another"):
+        read_scene(copy / STREAMED)
+
+
+def test_a_zip_in_a_zip_in_a_zip_is_not_unpacked(copy, tmp_path):
+    meta = json.loads((copy / STREAMED).read_text())
+    inner = zipped(copy / "0_0", tmp_path / "unit.zip").read_bytes()
+    (copy / "0_0" / "meta.json").write_bytes(inner)
+    with pytest.raises(InvalidInput, match=r"0_0/meta\.json: meta\.json: "):
+        read_scene(zipped(copy, tmp_path / "a.ssog"))
+    zipped(copy / "0_0", copy / "0_0.sog")
+    meta["filenames"][0] = "0_0.sog"
+    (copy / STREAMED).write_text(json.dumps(meta))
+    with pytest.raises(InvalidInput, match=r"0_0\.sog: meta\.json: "):
+        read_scene(zipped(copy, tmp_path / "b.ssog"))
+
+
+def test_a_zip_that_unpacks_to_too_much_is_refused(copy, tmp_path):
+    """Entries of 1 GiB of spaces and more, which take 1 MB."""
+    path = zipped(copy, tmp_path / "a.ssog")
+    data = bytearray(path.read_bytes())
+    # The unpacked size of a file, in the list of files.
+    struct.pack_into("<I", data, data.rindex(b"PK\1\2") + 24, (1 << 30) + 1)
+    path.write_bytes(data)
+    with pytest.raises(
+        InvalidInput, match=r"zip of 1\d+ bytes unpacked, expected at most 1073741824"
+    ):
         read_scene(path)
 
 

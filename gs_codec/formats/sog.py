@@ -24,8 +24,8 @@ from gs_codec.formats.sog_files import (
     Meta,
     Unit,
     opened_files,
-    opened_unit,
     read_pixels,
+    unit_of,
 )
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
@@ -39,7 +39,8 @@ _Load = Callable[[str, int], NDArray[np.uint8]]
 @contextmanager
 def _opened(path: Path, data: memoryview) -> Iterator[tuple[Unit, int]]:
     """The scene of a `.sog` or `meta.json` of these bytes, and the size of all its files."""
-    with located(path), opened_files(path, data) as (files, name), opened_unit(files, name) as unit:
+    with located(path), opened_files(path, data) as (files, name):
+        unit = unit_of(files, name)
         yield unit, unit.stored_bytes or len(data)
 
 

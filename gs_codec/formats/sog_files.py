@@ -251,12 +251,15 @@ class Unit:
     files : Files
         Those beside its `meta.json`.
     meta : Meta
+    images : tuple of str
+        Names of its images, among `files`.
     stored_bytes : int
         Size of all its files; 0 in a zip.
     """
 
     files: Files
     meta: Meta
+    images: tuple[str, ...]
     stored_bytes: int
 
 
@@ -295,28 +298,31 @@ def scene_in(archive: Archive) -> str:
     return only_scene(streamed + others, f"{UNBUNDLED}, expected a SOG scene")
 
 
-@contextmanager
-def opened_unit(files: Files, name: str) -> Iterator[Unit]:
-    """The scene of a `meta.json`, or of a zip, among these files.
+def unit_of(files: Files, name: str) -> Unit:
+    """The scene that a `meta.json` among these files states.
 
     Raises
     ------
     InvalidInput
-        If the file is missing or not valid.
+        If it is missing or not valid.
     """
-    is_json = name.lower().endswith(".json")
-    data = files.read(name, _META_BYTES if is_json else DECODED_BYTES)
-    if data.startswith(ZIP):
-        with opened_zip(io.BytesIO(data)) as archive:
-            inside = Files(PurePosixPath(), archive)
-            with opened_unit(inside, scene_in(archive)) as unit:
-                yield replace(unit, stored_bytes=files.stored_bytes([name]))
+    meta, beside = parse_meta(files.read(name, _META_BYTES)), files.beside(name)
+    images = tuple(chain.from_iterable(meta.files.values()))
+    stored = files.stored_bytes([name]) + beside.stored_bytes(images)
+    return Unit(beside, meta, images, stored)
+
+
+@contextmanager
+def opened_unit(files: Files, name: str) -> Iterator[Unit]:
+    """The scene of a JSON file, or of a zip, among these files; raises as `unit_of` does."""
+    if name.lower().endswith(".json"):
+        yield unit_of(files, name)
         return
-    if len(data) > _META_BYTES:
-        raise InvalidInput(f"{len(data)} bytes of JSON, expected at most {_META_BYTES}")
-    meta, beside = parse_meta(data), files.beside(name)
-    images = chain.from_iterable(meta.files.values())
-    yield Unit(beside, meta, files.stored_bytes([name]) + beside.stored_bytes(images))
+    # A zip hardly becomes smaller in another.
+    most = 2 * files.archive.file_bytes if files.archive else DECODED_BYTES
+    with opened_zip(io.BytesIO(files.read(name, most))) as archive:
+        unit = unit_of(Files(PurePosixPath(), archive), scene_in(archive))
+        yield replace(unit, stored_bytes=files.stored_bytes([name]))
 
 
 def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:

@@ -20,7 +20,7 @@ from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.sog import scene_of_unit
-from gs_codec.formats.sog_files import Files, opened_files, opened_unit
+from gs_codec.formats.sog_files import Files, Unit, opened_files, opened_unit
 from gs_codec.formats.zip_file import ZIP, opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located
@@ -126,13 +126,25 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         sizes = [_size(files, name) for name in names]
         file_bytes = len(data) + sum(stored for _, stored in sizes)
         check_count(*_whole([stated for stated, _ in sizes]), file_bytes, max_bytes)
-        scenes = []
+        scenes: list[Scene] = []
+        seen: set[str] = set()
         for name in names:
             with located(name), opened_unit(files, name) as unit:
+                _check_unseen(seen, files, unit)
                 scenes.append(scene_of_unit(f"{path}: {name}", unit, file_bytes, max_bytes))
     if len({scene.antialiased for scene in scenes}) > 1:
         log.warning("%s: antialiased in parts, read as the first part is", path)
     return join_scenes(scenes)
+
+
+def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:
+    """Refuse images of an earlier unit: thousands could have the same."""
+    if unit.files.archive is files.archive:
+        images = {str(unit.files.folder / image) for image in unit.images}
+        if seen & images:
+            shared = Path(min(seen & images)).name
+            raise InvalidInput(f"image {shared!a:.60} is that of another scene, too")
+        seen |= images
 
 
 def streamed_bytes(path: Path, data: memoryview) -> int:

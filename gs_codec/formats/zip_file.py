@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.limits import refusing
+from gs_codec.formats.limits import most_bytes, refusing
 
 ZIP = b"PK\x03\x04"
 
@@ -33,17 +33,22 @@ class Archive:
     Parameters
     ----------
     file : zipfile.ZipFile
+    file_bytes : int
+        Size of the zip.
 
     Raises
     ------
     InvalidInput
-        If it has too many entries, or two of one name.
+        If it has too many entries or bytes in them, or two of one name.
     """
 
-    def __init__(self, file: zipfile.ZipFile) -> None:
-        entries = file.infolist()
+    def __init__(self, file: zipfile.ZipFile, file_bytes: int) -> None:
+        entries, self.file_bytes = file.infolist(), file_bytes
         if len(entries) > _ENTRIES:
             raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
+        unpacked, most = sum(entry.file_size for entry in entries), most_bytes(file_bytes, None)
+        if unpacked > most:
+            raise InvalidInput(f"zip of {unpacked} bytes unpacked, expected at most {most}")
         self._file, self._entries = file, dict[str, zipfile.ZipInfo]()
         for entry in entries:
             name = entry.filename.replace("\\", "/")
@@ -136,7 +141,8 @@ def opened_zip(file: Path | BinaryIO) -> Iterator[Archive]:
     with refusing("zip", zipfile.BadZipFile):
         opened = zipfile.ZipFile(file)
     with opened:
-        yield Archive(opened)
+        size = file.stat().st_size if isinstance(file, Path) else file.seek(0, io.SEEK_END)
+        yield Archive(opened, size)
 
 
 def write_zip(

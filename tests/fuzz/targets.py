@@ -27,7 +27,7 @@ from gs_codec.codecs import decode_part, encode_parts, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.columns import read_integers, write_integers
 from gs_codec.codecs.part import Part
-from gs_codec.config import PROFILE_CHOICES, STREAMED, Config
+from gs_codec.config import PROFILE_CHOICES, STREAMED, UNBUNDLED, Config
 from gs_codec.errors import GsCodecError
 from gs_codec.formats import checkpoint as of_trainers
 from gs_codec.formats.gltf import pack_gltf
@@ -35,6 +35,7 @@ from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.sog_files import parse_meta, read_pixels
 from gs_codec.formats.usd import pack_usd
+from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.encoding import add_levels
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.adam import AdamState, new_state
@@ -256,14 +257,9 @@ def _spzs() -> list[bytes]:
         streams = foreign.spz_streams(12, version, version - 1, seed=version)
         sound = partial(foreign.spz_file, streams, 12, version, version - 1)
         files += [sound(flags=1), sound(flags=2, extensions=extension)]
-    return files
-
-
-def _spz(data: bytes) -> object:
-    """An `.spz` file; one that is not compressed is, so that what is inside is reached."""
-    if data[:4] == b"NGSP" and data[4:5] in (b"\1", b"\2", b"\3"):
-        data = gzip.compress(data, 1, mtime=0)
-    return _scene_file(".spz")(data)
+    tree = struct.pack("<12H12I", 11, *[0] * 11, 1, *[0] * 11)
+    streams = foreign.spz_streams(12, 2, 4, seed=2)
+    return [*files, foreign.spz_file(streams, 12, 2, 4, flags=0x80, extensions=tree)]
 
 
 def _unzipped_spzs() -> list[bytes]:
@@ -338,13 +334,31 @@ def _lod_meta(folder: Path, data: bytes) -> object:
 
 
 @cache
+def _ssogs() -> list[bytes]:
+    """Zips of streamed SOG as it is written, and with bundles in place of folders."""
+    plain, bundled = io.BytesIO(), io.BytesIO()
+    files = _streamed()
+    write_zip(plain, files)
+    meta = json.loads(files[STREAMED])
+    units = {name: f"{name.partition('/')[0]}.sog" for name in meta["filenames"]}
+    bundles: dict[str, bytes] = {}
+    for name, unit in units.items():
+        folder, data = name.removesuffix(UNBUNDLED), io.BytesIO()
+        own = {n.removeprefix(folder): b for n, b in files.items() if n.startswith(folder)}
+        write_zip(data, own)
+        bundles[unit] = data.getvalue()
+    meta["filenames"] = [*units.values()]
+    write_zip(bundled, bundles | {STREAMED: json.dumps(meta).encode()})
+    return [plain.getvalue(), bundled.getvalue()]
+
+
 def _streamed() -> dict[str, bytes]:
     return dict(stream_levels(random_scene(300, 0, seed=3), Config("m"), 64, 128)[0])
 
 
 def _pixels() -> list[bytes]:
     images = foreign.sog_parts(8, 2, 1, seed=1)[1]
-    return [foreign.webp(pixels) for pixels in images.values()]
+    return [write(pixels) for pixels in images.values() for write in (foreign.webp, foreign.png)]
 
 
 def _checkpoints() -> list[bytes]:
@@ -414,7 +428,7 @@ TARGETS = {
     "ply": Target(_scene_file(".ply"), _plys),
     "packed-ply": Target(_scene_file(".ply"), _packed_plys),
     "splat": Target(_scene_file(".splat"), _splats),
-    "spz": Target(_spz, lambda: [*_spzs(), *_unzipped_spzs()]),
+    "spz": Target(_scene_file(".spz"), lambda: [*_spzs(), *_unzipped_spzs()]),
     "gltf": Target(_scene_file(".gltf"), _gltfs),
     "ksplat": Target(_scene_file(".ksplat"), _ksplats),
     "pcodec": Target(_pcodec, _columns),
@@ -422,6 +436,7 @@ TARGETS = {
     "pickle": Target(parse_pickle, _pickles),
     "trainer": Target(_scene_file(".pt"), _trainers),
     "sog": Target(_scene_file(".sog"), _sogs),
+    "ssog": Target(_scene_file(".ssog"), _ssogs),
     "sog-meta": Target(parse_meta, _sog_metas),
     "lod-meta": Target(partial(_in_folder, _lod_meta), lambda: [bytes(_streamed()[STREAMED])]),
     "sog-image": Target(partial(read_pixels, name="image", most=1 << 16), _pixels),

@@ -43,6 +43,7 @@ from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_c
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import read_image
+from gs_codec.report import SCHEMA
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import GROUPS, Scene
 from viewer.scenes.opened import read_pruned
@@ -411,9 +412,15 @@ def _ledger(path: Path) -> None:
 
 
 def _ledgers() -> list[bytes]:
-    done = Record("a.ply", "a.egs", "digest", {"numpy": "2"}, 100, 5, "0f", 10, "1e", 7, 10.0, 11.4)
+    done = Record(
+        *("a.ply", "a.egs", "digest", {"numpy": "2"}, 100, 5, "0f"),
+        output_bytes=10, output_sha256="1e", gaussians=7, ratio=10.0, bits_per_gaussian=11.4,
+    )  # fmt: skip
     failed = Record("b.ply", "b.egs", error={"kind": "InvalidInput", "text": "b.ply: empty"})
-    lines = [json.dumps(asdict(record)).encode() + b"\n" for record in (done, failed)]
+    lines = [
+        json.dumps({"schema": SCHEMA} | asdict(record)).encode() + b"\n"
+        for record in (done, failed)
+    ]
     return [b"".join(lines), lines[0] + lines[1][:40]]
 
 

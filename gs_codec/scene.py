@@ -49,6 +49,8 @@ _COORDINATES = re.compile(
     r"\s*CoordinateSystem:\s*([LR](?:[UD][FB]|[FB][UD]))\s*", re.ASCII | re.IGNORECASE
 )
 
+_OFFSET = re.compile(r"\s*CoordinateOffset:\s*(\S+)\s+(\S+)\s+(\S+)\s*", re.IGNORECASE)
+
 #: Properties that are no attribute of a Gaussian, but are turned with it.
 NORMALS = ("nx", "ny", "nz")
 
@@ -141,6 +143,24 @@ def antialiased_of(comments: Iterable[str]) -> bool:
     """Whether comments ask for opacity compensation, as `Scene.antialiased`."""
     found = [m[1].lower() for m in map(_RENDER_MODE.fullmatch, comment_lines(comments)) if m]
     return bool(found) and found[-1] in ("mip", "1")
+
+
+def offset_of(comments: Iterable[str]) -> tuple[float, float, float] | None:
+    """What to add to centres for the coordinates of the source, by the last comment on it."""
+    found = [m for m in map(_OFFSET.fullmatch, comment_lines(comments)) if m]
+    try:
+        x, y, z = map(float, found[-1].groups())
+    except (IndexError, ValueError):
+        return None
+    return x, y, z
+
+
+def with_offset(comments: Iterable[str], offset: Iterable[float] | None) -> tuple[str, ...]:
+    """Comments with this offset, or with none, in place of theirs; see `offset_of`."""
+    kept = tuple(each for each in comments if not _OFFSET.fullmatch(each))
+    if offset is None:
+        return kept
+    return (*kept, "CoordinateOffset: " + " ".join(f"{float(x)!r}" for x in offset))
 
 
 def other_comments(comments: Iterable[str]) -> tuple[str, ...]:

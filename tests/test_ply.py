@@ -15,14 +15,17 @@ from scenes import assert_same_floats, random_scene, shared_scene_path
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
+from gs_codec.edit.actions import Action
 from gs_codec.errors import InvalidInput
+from gs_codec.files.coding import encode_file
+from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats import ply_header
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.formats.ply_body import ply_of
 from gs_codec.formats.registry import open_scene
 from gs_codec.runtime.mapped import opened
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, offset_of
 
 #: Every scalar type of the PLY format.
 PLY_TYPES = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
@@ -691,3 +694,50 @@ def test_writing_replaces_a_file_whole(tmp_path):
     write_ply(path, random_scene(5, 0))
     assert read_ply(path).count == 5
     assert list(tmp_path.iterdir()) == [path]
+
+
+def far_scene(path: Path) -> tuple[Path, np.ndarray]:
+    """A scene at UTM coordinates in float64, and its centres ``(300, 3)``."""
+    scene = random_scene(300, 0, seed=8)
+    rows = vertex_rows(scene)
+    centres = scene.positions.T.astype(np.float64) + [512_345.0, 5_212_345.0, 400.0]
+    return write_rows(path, with_columns(rows, dict(zip("xyz", centres.T, strict=True)))), centres
+
+
+def test_the_rounding_of_centres_is_told_in_units_and_sizes(tmp_path, caplog):
+    path, centres = far_scene(tmp_path / "a.ply")
+    scene = read_ply(path)
+    error = np.abs(scene.positions.T - centres).max(axis=1)
+    share = (error / np.exp(scene.log_scale.max(axis=0))).max()
+    [line] = caplog.messages
+    assert line.startswith(f"{path}: x, y, z rounded to float32 in 300 Gaussians, ")
+    assert f"by up to {error.max():.2g} units, {share:.2g} times a Gaussian's size" in line
+    assert 0.2 < error.max() < 0.3
+    middle = np.rint((centres.min(axis=0) + centres.max(axis=0)) / 2)
+    shift = ",".join(f"{-x:.0f}" for x in middle)
+    said = f"; --translate={shift}, as the first action, shifts them to the middle before"
+    assert line.endswith(said)
+
+
+def test_a_translation_comes_before_rounding(tmp_path, caplog):
+    path, centres = far_scene(tmp_path / "a.ply")
+    shift = (-512_345.0, -5_212_345.0, -400.0)
+    actions = [Action("translate", "-512345,-5212345,-400")]
+    done = convert_file(path, tmp_path / "b.ply", actions=actions)
+    assert [each.before for each in done.actions] == [300]
+    scene = read_ply(tmp_path / "b.ply")
+    np.testing.assert_allclose(scene.positions.T, centres + shift, atol=1e-6)
+    assert offset_of(scene.comments) == tuple(-x for x in shift)
+    assert "times a Gaussian's size" in caplog.text
+    assert "--translate" not in caplog.text
+    encode_file(path, tmp_path / "a.egs", Config("lossless", keep_order=True), actions=actions)
+    coded = read_scene(tmp_path / "a.egs")
+    np.testing.assert_array_equal(coded.positions, scene.positions)
+    assert offset_of(coded.comments) == tuple(-x for x in shift)
+    moved = convert_file(
+        tmp_path / "b.ply", tmp_path / "c.ply", actions=[Action("translate", "0,1,0")]
+    )
+    assert moved.count == 300
+    assert offset_of(read_ply(tmp_path / "c.ply").comments) == (512_345.0, 5_212_344.0, 400.0)
+    convert_file(tmp_path / "b.ply", tmp_path / "d.ply", actions=[Action("rotate", "0,90,0")])
+    assert offset_of(read_ply(tmp_path / "d.ply").comments) is None

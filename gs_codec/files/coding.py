@@ -13,13 +13,14 @@ from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config
 from gs_codec.edit.actions import Action, check_actions
-from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, scene_in, tell_lost, write_parts
+from gs_codec.files.shifted import early_shift, edit_shifted
 from gs_codec.files.suffixes import ENCODED, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
+from gs_codec.formats.rounding import Shift
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
@@ -130,11 +131,12 @@ def encode_file(
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
             exact = config.profile == LOSSLESS and plan is None and not actions
-            scene, input_bytes, counted = read_source(source, config, max_bytes, exact)
+            shift = early_shift([source], actions)
+            scene, input_bytes, counted = read_source(source, config, max_bytes, exact, shift)
         with located(source):
             if actions:
                 with times.stage("edit"):
-                    scene, done = edit_scenes([scene], actions, plan, progress)
+                    scene, done = edit_shifted([scene], actions, shift, plan, progress)
                 counted = scene.float_bytes
             float_bytes = scene.float_bytes
             if plan is None and rate is None:
@@ -155,10 +157,14 @@ def encode_file(
 
 
 def read_source(
-    source: str | Path, config: Config, max_bytes: int | None, exact: bool
+    source: str | Path,
+    config: Config,
+    max_bytes: int | None,
+    exact: bool,
+    shift: Shift | None = None,
 ) -> tuple[Scene, int, int]:
     """The scene of a file, its size, and the bytes that a ratio counts from."""
-    with open_scene(source) as file:
+    with open_scene(source, shift) as file:
         # Bits of a PLY or .egs stay as they are, and the comment that names another system, which
         # other formats do not state.
         stays = config.format == EGS and file.format in ("egs", "ply")

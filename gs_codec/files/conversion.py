@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,6 @@ from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, ROUNDED_FORMATS, Config, as_config
 from gs_codec.edit.actions import Action, check_actions
-from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import (
     check_target,
@@ -23,9 +23,11 @@ from gs_codec.files.scenes import (
     write_scene,
     written_bytes,
 )
+from gs_codec.files.shifted import early_shift, edit_shifted
 from gs_codec.files.suffixes import IN_PARTS, format_of
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
+from gs_codec.formats.rounding import Shift
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
@@ -173,15 +175,17 @@ def convert_file(
     asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
     finest = not asked and format_of(suffix) in ROUNDED_FORMATS and all(map(_is_rounded, sources))
     exact = suffix == ".egs" and config.profile == LOSSLESS and not actions
+    shift = None if stated else early_shift(sources, actions)
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            scenes = [_read(each, config, stated, progress, max_bytes, exact) for each in sources]
+            read = partial(_read, config, stated, progress, max_bytes, exact, shift)
+            scenes = [read(each) for each in sources]
         with located(" + ".join(map(str, sources))):
             before = system_of(scenes[0])
             with times.stage("edit"):
                 if chosen is not None:
                     scenes = [_choose(scenes, chosen)]
-                scene, done = edit_scenes(scenes, actions, plan, progress)
+                scene, done = edit_shifted(scenes, actions, shift, plan, progress)
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)
@@ -226,14 +230,15 @@ def _choose(scenes: Sequence[Scene], chosen: NDArray[np.bool_]) -> Scene:
 
 
 def _read(
-    source: str | Path,
     config: Config,
     stated: str,
     progress: Progress | None,
     most: int | None,
     exact: bool,
+    shift: Shift | None,
+    source: str | Path,
 ) -> Scene:
     """The scene of a file in the system that it states, or that is said to be its."""
-    scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most, exact)
+    scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most, exact, shift)
     with located(source):
         return state_system(scene, stated.upper()) if stated else scene

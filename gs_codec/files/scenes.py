@@ -32,6 +32,7 @@ from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.dialects import with_filter
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.rounding import Shift
 from gs_codec.formats.usd import require_usd_core
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.guidance.planned import encode_camera_free
@@ -155,13 +156,14 @@ def read_scene(
     coordinates: str | None = CONVENTION,
     max_bytes: int | None = None,
     exact: bool = False,
+    shift: Shift | None = None,
 ) -> Scene:
     """The scene of a file of any format; see `gs_codec.read` for the options.
 
     It is converted to the system `coordinates`; None leaves it in the file's. If `exact`, floats
-    are as in the file, those of infinite opacity too.
+    are as in the file, those of infinite opacity too. For `shift`, see `SceneFile`.
     """
-    with open_scene(path) as file:
+    with open_scene(path, shift) as file:
         return scene_in(file, extra, progress, coordinates, max_bytes, exact)
 
 

@@ -27,6 +27,7 @@ from gs_codec.formats.limits import check_bytes
 from gs_codec.formats.packed_ply import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
 from gs_codec.formats.ply_body import Ply, Rows, ply_of, to_rows
 from gs_codec.formats.ply_header import PlyHeader
+from gs_codec.formats.rounding import Rounding, Shift
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
@@ -39,7 +40,9 @@ from gs_codec.scene import (
     SH_COEFFICIENTS,
     Scene,
     is_extra_name,
+    offset_of,
     property_names,
+    with_offset,
 )
 
 log = logging.getLogger(__name__)
@@ -80,8 +83,11 @@ def scene_of(
     max_bytes: int | None = None,
     index: slice | NDArray[np.int64] = slice(None),
     tell: bool = True,
+    shift: Shift | None = None,
 ) -> Scene:
     """The scene of an open PLY, or the Gaussians that `index` selects; see `read_ply`.
+
+    Centres in float64 are shifted before they are rounded; a comment has the offset.
 
     Unless `tell`, nothing is logged of what the header shows to be left out.
     """
@@ -104,7 +110,7 @@ def scene_of(
     others = [n for n in data.dtype.names or () if n not in used and not n.startswith("f_rest_")]
     normals = [*NORMALS] if set(NORMALS) <= set(others) else []
     kept = [n for n in others if n == FILTER or (extra == "keep" and is_extra_name(n))]
-    planes, columns, given = _read_columns(path, data, wanted, kept, normals)
+    planes, columns, given = _read_columns(path, data, wanted, kept, normals, shift)
     if not given:
         others = [name for name in others if name not in normals]
         columns = {name: column for name, column in columns.items() if name not in normals}
@@ -128,7 +134,11 @@ def scene_of(
             told = {*columns, *moving(others)}
             left_out = [name for name in others if name not in told]
             say_left_out(path, left_out, elements, _lines(ply.header))
-        return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=columns)
+        comments = ply.header.comments
+        if shift is not None:
+            before = offset_of(comments) or (0.0, 0.0, 0.0)
+            comments = with_offset(comments, np.subtract(before, shift))
+        return Scene(**parts, has_normals=has_normals, comments=comments, extra=columns)
 
 
 def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | None) -> Scene:
@@ -185,7 +195,12 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
 
 
 def _read_columns(
-    path: str | Path, rows: Rows, wanted: list[str], kept: list[str], normals: list[str]
+    path: str | Path,
+    rows: Rows,
+    wanted: list[str],
+    kept: list[str],
+    normals: list[str],
+    shift: Shift | None,
 ) -> tuple[NDArray[np.float32], dict[str, NDArray], bool]:
     """Planes of the wanted properties, columns to keep, and whether there are normals, in one pass.
 
@@ -193,13 +208,11 @@ def _read_columns(
     """
     planes = empty((len(wanted), len(rows)), np.float32)
     columns = {name: empty((len(rows),), rows.dtype[name].newbyteorder("=")) for name in kept}
-    rounded: list[tuple[str, int]] = []
+    rounding = Rounding(wanted, shift)
     given: list[bool | np.bool] = []
 
     def use(place: slice, tile: NDArray) -> None:
-        for plane, name in zip(planes, wanted, strict=True):
-            if count := _fill(plane[place], tile[name]):
-                rounded.append((name, count))
+        rounding.fill([plane[place] for plane in planes], tile)
         for name, column in columns.items():
             column[place] = tile[name]
         for name in normals:
@@ -208,20 +221,8 @@ def _read_columns(
             given.append(other or (name in columns and np.signbit(tile[name]).any()))
 
     rows.for_tiles(use)
-    for name in wanted:
-        changed = sum(count for other, count in rounded if other == name)
-        if changed:
-            log.warning("%s: %s rounded to float32 in %d Gaussians", path, name, changed)
+    rounding.tell(path)
     return planes, columns, any(given)
-
-
-def _fill(plane: NDArray[np.float32], column: NDArray) -> int:
-    """Fill a plane; return how many numbers were rounded."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        plane[:] = column
-        if np.can_cast(column.dtype, np.float32):
-            return 0
-        return int(np.count_nonzero((plane != column) & ~np.isnan(column)))
 
 
 def write_ply(path: str | Path, scene: Scene) -> tuple[()]:

@@ -28,13 +28,15 @@ from gs_codec.formats import (
     streamed_sog,
     usd,
 )
+from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
 from gs_codec.formats.ply_header import BOM
+from gs_codec.formats.rounding import Shift
 from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
 from gs_codec.runtime.mapped import FileBytes, opened
-from gs_codec.scene import Scene, float_bytes
+from gs_codec.scene import Scene, coordinates_of, float_bytes
 
 Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "usd", "ksplat", "pt", "streamed sog"]
 
@@ -85,10 +87,13 @@ class SceneFile:
     path : Path
     data : FileBytes
         The bytes of the file.
+    shift : tuple of three float, optional
+        Translation of centres before they are rounded; see `has_doubles`.
     """
 
     path: Path
     data: FileBytes
+    shift: Shift | None = None
 
     @cached_property
     def format(self) -> Format:
@@ -134,6 +139,14 @@ class SceneFile:
         """Whether it is in a format of other programs that rounds all values but a few."""
         rounded = ("splat", "ksplat", "spz", "sog", "streamed sog")
         return self.format in rounded or (self.format == "ply" and self.is_compressed)
+
+    @property
+    def has_doubles(self) -> bool:
+        """Whether it is a PLY of float64 centres, in the axes of the trainer."""
+        if self.is_compressed or coordinates_of(self.ply.header.comments) not in (None, CONVENTION):
+            return False
+        vertex = self.ply.header.elements.get("vertex")
+        return vertex is not None and any(vertex.types.get(axis) == "f8" for axis in "xyz")
 
     @property
     def is_read_in_parts(self) -> bool:
@@ -189,7 +202,7 @@ class SceneFile:
 
     def _scene(self, extra: Extra, max_bytes: int | None) -> Scene:
         if self.format == "ply":
-            scene = scene_of(self.ply, extra, max_bytes)
+            scene = scene_of(self.ply, extra, max_bytes, shift=self.shift)
         else:
             scene = self._read_whole(max_bytes)
         self.data.check_unchanged()
@@ -210,10 +223,10 @@ class SceneFile:
 
 
 @contextmanager
-def open_scene(path: str | Path) -> Iterator[SceneFile]:
+def open_scene(path: str | Path, shift: Shift | None = None) -> Iterator[SceneFile]:
     """Open the file of a scene, in any format; raises as `opened` does."""
     with opened(path) as data:
-        yield SceneFile(Path(path), data)
+        yield SceneFile(Path(path), data, shift)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,15 @@ from gs_codec.formats.packed_values import spans
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all, using_threads
-from gs_codec.scene import NORMALS, SH_COEFFICIENTS, Scene, sh_bands, sh_values
+from gs_codec.scene import (
+    NORMALS,
+    SH_COEFFICIENTS,
+    Scene,
+    offset_of,
+    sh_bands,
+    sh_values,
+    with_offset,
+)
 
 #: Axes may be scaled this differently: matrices in files are rounded.
 _ALIKE = 1e-4
@@ -65,6 +73,11 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     axial = np.eye(4)
     axial[1:, 1:] = own * np.round(np.linalg.det(own))
     sh = sh_turn(turn, scene.sh_degree)
+    offset = offset_of(scene.comments)
+    if offset is not None:
+        shifts = np.array_equal(wide[:3, :3], np.eye(3))
+        offset = tuple(np.subtract(offset, wide[:3, 3])) if shifts else None
+        scene = replace(scene, comments=with_offset(scene.comments, offset))
     return replace(
         scene,
         positions=_weighted(scene.positions, factor * turn, wide[:3, 3]),

@@ -1,0 +1,44 @@
+"""Scenes far from the origin: shifted before their centres are rounded to float32."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gs_codec.edit.actions import Action
+from gs_codec.edit.pipeline import edit_scenes
+from gs_codec.formats.registry import open_scene
+from gs_codec.formats.rounding import Shift
+from gs_codec.report import ActionReport, Progress
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.steps import Plan
+
+
+def early_shift(sources: Sequence[str | Path], actions: Sequence[Action]) -> Shift | None:
+    """The translation that is the first action, if all sources have centres in float64."""
+    if not actions or actions[0].name != "translate":
+        return None
+    for source in sources:
+        with open_scene(source) as file:
+            if not file.has_doubles:
+                return None
+    x, y, z = actions[0].arguments
+    return x, y, z
+
+
+def edit_shifted(
+    scenes: Sequence[Scene],
+    actions: Sequence[Action],
+    shift: Shift | None,
+    plan: Plan | None = None,
+    progress: Progress | None = None,
+) -> tuple[Scene, tuple[ActionReport, ...]]:
+    """See `edit_scenes`; with a `shift`, the scenes were read with it, so that it is done."""
+    if shift is None:
+        return edit_scenes(scenes, actions, plan, progress)
+    count = sum(scene.count for scene in scenes)
+    scene, done = edit_scenes(scenes, actions[1:], plan, progress)
+    return scene, (ActionReport(str(actions[0]), count, count, {}, 0.0), *done)

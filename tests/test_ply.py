@@ -700,7 +700,7 @@ def far_scene(path: Path) -> tuple[Path, np.ndarray]:
     """A scene at UTM coordinates in float64, and its centres ``(300, 3)``."""
     scene = random_scene(300, 0, seed=8)
     rows = vertex_rows(scene)
-    centres = scene.positions.T.astype(np.float64) + [512_345.0, 5_212_345.0, 400.0]
+    centres = np.add(scene.positions.T, [512_345.0, 5_212_345.0, 400.0])
     return write_rows(path, with_columns(rows, dict(zip("xyz", centres.T, strict=True)))), centres
 
 
@@ -728,8 +728,7 @@ def test_a_translation_comes_before_rounding(tmp_path, caplog):
     scene = read_ply(tmp_path / "b.ply")
     np.testing.assert_allclose(scene.positions.T, centres + shift, atol=1e-6)
     assert offset_of(scene.comments) == tuple(-x for x in shift)
-    assert "times a Gaussian's size" in caplog.text
-    assert "--translate" not in caplog.text
+    assert caplog.text == ""
     encode_file(path, tmp_path / "a.egs", Config("lossless", keep_order=True), actions=actions)
     coded = read_scene(tmp_path / "a.egs")
     np.testing.assert_array_equal(coded.positions, scene.positions)

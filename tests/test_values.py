@@ -144,8 +144,8 @@ def test_lossless_keeps_every_bit_of_them(nonfinite, tmp_path):
     config = Config("lossless", keep_order=True, nonfinite=nonfinite)
     write_ply(tmp_path / "a.ply", scene)
     for code in (encode_file, convert_file):
-        code(tmp_path / "a.ply", tmp_path / "a.egs", config)
-        decode_file(tmp_path / "a.egs", tmp_path / "b.ply")
+        code(tmp_path / "a.ply", tmp_path / "a.egs", config, overwrite=True)
+        decode_file(tmp_path / "a.egs", tmp_path / "b.ply", overwrite=True)
         assert_same_floats(scene, read_ply(tmp_path / "b.ply"))
     assert_same_floats(scene, decode_scene((tmp_path / "a.egs").read_bytes()))
 

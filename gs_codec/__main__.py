@@ -18,12 +18,21 @@ def start(program: str, module: str) -> None:
     gc.set_threshold(_OBJECTS)
     try:
         import_module(module).main()
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if isinstance(error, SystemExit) or not _was_interrupted(error):
+            raise
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     finally:
         # When Python ends, it looks once more through all that was imported: 0.1 s, for nothing.
         gc.freeze()
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: compiled modules turn it into an ImportError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
+from gs_codec import __main__ as entry
 from gs_codec.cli import main as cli
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
@@ -303,10 +304,22 @@ def test_interrupt_while_modules_are_imported_is_one_line(folder, program, modul
     assert not (folder / "out.egs").exists()
 
 
+@pytest.mark.parametrize("cause", [KeyboardInterrupt, ValueError])
+def test_an_error_that_an_interrupt_caused_is_one_line(cause, monkeypatch, capsys):
+    def load(_: str) -> None:
+        raise ImportError("initialization failed") from cause()
+
+    monkeypatch.setattr(entry, "import_module", load)
+    with pytest.raises(SystemExit if cause is KeyboardInterrupt else ImportError) as stop:
+        entry.start("gs-viewer", "viewer.main")
+    assert capsys.readouterr().err == "gs-viewer: interrupted\n" * (cause is KeyboardInterrupt)
+    assert getattr(stop.value, "code", 130) == 130
+
+
 def test_the_console_script_is_the_module():
-    entry = (ROOT / "pyproject.toml").read_text()
-    assert 'gs-codec = "gs_codec.__main__:main"' in entry
-    assert 'gs-viewer = "viewer.__main__:main"' in entry
+    project = (ROOT / "pyproject.toml").read_text()
+    assert 'gs-codec = "gs_codec.__main__:main"' in project
+    assert 'gs-viewer = "viewer.__main__:main"' in project
 
 
 CACHE = """

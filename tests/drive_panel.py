@@ -13,6 +13,7 @@ import numpy as np
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
+from viewer.scenes.edits import Edits
 from viewer.scenes.pose import Pose
 from viewer.scenes.request import Request
 from viewer.window.dialogs import inside
@@ -155,7 +156,9 @@ def histogram(driver: Driver) -> dict:
     driver.rest()
     chart = viewer.dock.chart
     ends = [chart.value_at(x, frame.width) for x in (100, 160)]
-    return {"chosen": chart.chosen, "ends": ends, "name": chart.scenes[0].name}
+    found = {"chosen": chart.chosen, "ends": ends, "name": chart.scenes[0].name}
+    viewer.editor.do(Edits.invert)
+    return found | {"afterwards": viewer.dock.chart.chosen}
 
 
 def listed(driver: Driver) -> dict:

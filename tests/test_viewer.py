@@ -43,8 +43,10 @@ from viewer.pictures.layers import (
 )
 from viewer.pictures.picture import (
     Shown,
+    caption_lines,
     draw_points,
     draw_scene,
+    labelled,
     outlined,
     wipe_line,
     wiped,
@@ -403,6 +405,20 @@ def test_it_is_said_if_the_scene_does_not_show_which_way_is_up(caplog, tmp_path,
 # Pictures
 
 
+def test_captions_are_wrapped_in_small_pictures():
+    image, name = np.zeros((90, 120, 3), np.float32), "A: a long name of a scene.ply, edited"
+    lines = caption_lines(name, 120)
+    assert " ".join(lines) == name
+    assert len(lines) > 1
+    assert "".join(caption_lines("x" * 99, 120)) == "x" * 99
+    assert caption_lines("short\nsecond", 120) == ["short", "second"]
+    assert caption_lines("any", 3) == ["a", "n", "y"]
+    wide = np.asarray(labelled(np.zeros((90, 600, 3), np.float32), [(0, name)], []))
+    small = np.asarray(labelled(image, [(0, name)], []))
+    assert (small == 255).sum() == pytest.approx((wide == 255).sum(), rel=0.1)  # all letters
+    assert small[:, 118:].max() == 0
+
+
 @pytest.mark.one_in(3)
 @pytest.mark.usefixtures("few_cameras")
 @pytest.mark.parametrize(("width", "height"), [(200, 100), (80, 100), (100, 300)])
@@ -633,7 +649,7 @@ def test_screenshots_need_no_display(files, tmp_path):
     result = viewer(
         files / "a.ply", files / "b.egs", "--pruned", files / "report", "--width", "400",
         "--height", "200", "--layers", "splats,centres,pruned,boxes,octree", "--octree-depth", "3",
-        "--octree-colour", "bits", "--screenshot", out,
+        "--octree-colour", "bits", "--up=-y", "--screenshot", out,
         DISPLAY="",
     )  # fmt: skip
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")

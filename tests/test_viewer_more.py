@@ -222,7 +222,7 @@ def test_centres_show_before_it_is_known_where_to_look_from(chosen):
 
 
 def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(chosen):
-    assert chosen["where"][2] == "view 1 of 24: auto_01"
+    assert chosen["where"][2] == "auto_01, 2 of 24 (--view 1)"
     assert np.abs(np.array(chosen["n"]) - chosen["at_first"]).max() > 0.05
     np.testing.assert_allclose(chosen["Home"], chosen["at_first"], atol=1e-5)
     [model] = np.array(chosen["u"])  # by -y, the first axis after that of the cameras
@@ -360,14 +360,14 @@ def test_a_double_click_brings_what_is_there_to_the_middle(used):
 
 def test_all_of_the_scene_is_framed_and_the_panel_says_that_one_has_moved(used):
     assert used["focuses"]["framed"] > 0.9
-    assert used["focuses"]["where"] == "moved away from view 0 of 2: view0 (R goes back)"
+    assert used["focuses"]["where"] == "moved away from view0, 1 of 2 (--view 0) (R goes back)"
 
 
 def test_the_slider_sets_the_field_of_view(used):
     before, after, where = used["angles"]
     assert before == pytest.approx(2 * np.degrees(np.arctan(0.5 / 0.7697777)), abs=1e-3)
     assert after > before + 5
-    assert where.startswith("moved away from view 0")
+    assert where.startswith("moved away from view0")
 
 
 def test_the_chart_of_views_is_that_of_compare_and_leads_to_them(used, folder):
@@ -385,6 +385,7 @@ def test_a_range_is_dragged_in_a_histogram(used):
     assert found["name"] == "opacity"
     assert found["chosen"] == found["ends"]
     assert 0 < found["chosen"][0] < found["chosen"][1] < 1
+    assert found["afterwards"] is None  # another selection is not that range
 
 
 def test_views_are_listed_by_quality_and_visited_by_a_click(used):
@@ -393,7 +394,7 @@ def test_views_are_listed_by_quality_and_visited_by_a_click(used):
 
 def test_cameras_photographs_reports_and_recent_files_are_opened(used):
     assert used["opens"] == {
-        "where": "view 0 of 1: view1",
+        "where": "view1, 1 of 1 (--view 0)",
         "photographed": True,
         "layers": ["pruned", "splats"],
         "recent": ["b.egs", "a.ply", "Cancel"],
@@ -467,7 +468,7 @@ def test_an_encoding_becomes_b_with_the_numbers_of_the_commands(rated, folder):
     assert told[0] == "#1 m"
     rows = {line[:20].strip(): line[20:].strip() for line in told[1:5]}
     assert rows["file"] == size_text(info.file_bytes)
-    assert rows["times smaller"] == f"{times:.1f}"
+    assert rows["source / file"] == f"{times:.1f}"
     bits = sum(stream.bits_per_gaussian for stream in info.streams)
     assert rows["bits / Gaussian"] == f"{bits:.1f}"
     assert f"  {quality_text(compared.views[0].between)}" in told

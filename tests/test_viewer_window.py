@@ -43,9 +43,9 @@ def test_panes_are_named_and_the_panel_says_where_one_is(found):
     assert found["captions"] == [" A: a.ply", " B: b.egs"]
     assert found["flipped"] == [" A: a.ply", " B: b.egs, error against A"]
     assert found["where"] == [
-        "view 0 of 2: view0",
-        "moved away from view 0 of 2: view0 (R goes back)",
-        "view 0 of 2: view0",
+        "view0, 1 of 2 (--view 0)",
+        "moved away from view0, 1 of 2 (--view 0) (R goes back)",
+        "view0, 1 of 2 (--view 0)",
         "overview; 2 views",
     ]
 

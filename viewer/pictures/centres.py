@@ -20,6 +20,7 @@ from viewer.pictures.layers import (
     legend_of,
     reason_colour,
 )
+from viewer.pictures.ticks import scale_marks
 from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import SCALED
 from viewer.scenes.opened import Opened, Pruned, thinned
@@ -41,7 +42,7 @@ KINDS = 8
 class _Magnitude:
     """A quantity of Gaussians that is not negative.
 
-    `quantiles` get the first and the last colour; without them, `least` and 1 do, on a linear
+    `quantiles` get about the first and the last colour; without them, `least` and 1 do, on a linear
     scale 0 and 1.
     """
 
@@ -51,7 +52,7 @@ class _Magnitude:
     least: float = 0.0
 
     def range(self, scenes: Sequence[Opened], scale: str) -> tuple[float, float]:
-        """The values of the first and the last colour, of all scenes together."""
+        """The values of about the first and the last colour, of all scenes together."""
         if self.quantiles is None:
             return (0.0 if scale == "linear" else self.least), 1.0
         known = [each for each in map(self.values, scenes) if each is not None]
@@ -64,7 +65,7 @@ class _Magnitude:
 
 
 _MAGNITUDES = {
-    "opacity": _Magnitude("opacity", lambda scene: scene.opacities, least=1 / 256),
+    "opacity": _Magnitude("opacity", lambda scene: scene.opacities, least=1e-4),
     "scale": _Magnitude("longest axis, scene units", lambda scene: scene.lengths, (0.01, 0.99)),
     "bits": _Magnitude("bits / Gaussian", lambda scene: scene.bits, (0.02, 0.98)),
     "sh": _Magnitude("SH energy (sum of squares)", lambda scene: scene.sh_energy, (0.02, 0.98)),
@@ -136,12 +137,12 @@ def why_unknown(scene: Opened, colouring: str, scenes: Sequence[Opened]) -> str:
 def _by_magnitude(
     magnitude: _Magnitude, values: NDArray, known: Sequence[Opened], scale: str
 ) -> tuple[NDArray[np.float32], Legend]:
-    low, high = magnitude.range(known, scale)
+    marks = scale_marks(*magnitude.range(known, scale), scale)
     if scale == "linear":
-        return heat(values, low, high), legend_of(magnitude.title, np.linspace(low, high, 5))
+        return heat(values, marks[0], marks[-1]), legend_of(magnitude.title, marks)
     with np.errstate(divide="ignore"):
-        colours = heat(np.log(values), np.log(low), np.log(high))
-    return colours, legend_of(magnitude.title, np.geomspace(low, high, 5))
+        colours = heat(np.log(values), *np.log(marks[[0, -1]]))
+    return colours, legend_of(magnitude.title, marks)
 
 
 def _by_error(errors: NDArray, scale: str) -> tuple[NDArray[np.float32], Legend]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from viewer.pictures.picture import BACKGROUND, from_pillow, to_pillow
+from viewer.pictures.ticks import axis_ticks
 
 if TYPE_CHECKING:
     from gs_codec.edit import AttributeStatistics
@@ -21,6 +22,9 @@ _TEXT, _MARGINS = 13, (64, 26, 16, 22)
 #: Colours of scenes A and B, which the colour-blind tell apart; of text, of lines, of a range.
 _SCENES = ((86, 180, 233), (230, 159, 0))
 _WHITE, _GREY, _RANGE = (235, 235, 235), (120, 120, 125), (75, 75, 60)
+
+#: Most values below a histogram, and left of bars.
+_TICKS, _LINES = 8, 4
 
 #: Height of the names of views below their pictures, pixels.
 _LINE = 22
@@ -80,7 +84,7 @@ class QualityChart:
         def row(value: float) -> int:
             return round(bottom - (min(value, high) - low) / (high - low) * (bottom - top))
 
-        _rule(pen, row, np.linspace(low, high, 3), left, right)
+        _rule(pen, row, axis_ticks(low, high, _LINES), left, right)
         step = (right - left) / max(len(self.order), 1)
         for place, index in enumerate(self.order):
             first = round(left + place * step)
@@ -219,7 +223,7 @@ class HistogramChart:
         for number, scene in enumerate(self.scenes):
             thick = 2 if number else 5  # of two that are the same, both are seen
             self._outline(pen, scene, (_SCENES[number], thick), most, width, height)
-        for value in np.linspace(*self.span, 7):
+        for value in axis_ticks(*self.span, _TICKS, self._log):
             shown = 10.0**value if self._log else value
             column = round(
                 left + (value - self.span[0]) / (self.span[1] - self.span[0]) * (right - left)

@@ -14,6 +14,7 @@ from gs_codec.coding.far import find_far
 from gs_codec.coding.morton import decode_morton
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import UNKNOWN, Legend, Points, heat, legend_of
+from viewer.pictures.ticks import scale_marks
 from viewer.scenes.choice import DEPTHS, OctreeChoice
 from viewer.scenes.opened import Opened, thinned
 
@@ -120,7 +121,8 @@ class Octree:
         most = self._fullest(depth)
         title = f"Gaussians in a cell {self._side(depth):.2g} wide"
         counts = self._sorted[scene].counts(first)
-        return heat(np.log(counts), 0, np.log(most)), legend_of(title, np.geomspace(1, most, 5))
+        marks = scale_marks(1, most, "log")
+        return heat(np.log(counts), 0, np.log(marks[-1])), legend_of(title, marks)
 
     def _by_bits(
         self, scene: Opened, first: NDArray[np.int64], depth: int
@@ -128,17 +130,16 @@ class Octree:
         """As `_by_occupancy`; grey where bits are unknown."""
         if scene.bits is None:
             return np.full((len(first), 3), UNKNOWN, np.float32), None
-        low, high = self._bits
+        marks = scale_marks(*self._bits, "linear")
         cells = self._sorted[scene]
         sums = np.add.reduceat(scene.bits[cells.order], first)
         title = f"bits / Gaussian, cells {self._side(depth):.2g} wide"
-        return heat(sums / cells.counts(first), low, high), legend_of(
-            title, np.linspace(low, high, 5)
-        )
+        means = sums / cells.counts(first)
+        return heat(means, marks[0], marks[-1]), legend_of(title, marks)
 
     @cached_property
     def _bits(self) -> tuple[float, float]:
-        """The bits that get the first and the last colour, at all depths."""
+        """The bits that get about the first and the last colour, at all depths."""
         known = [scene.bits for scene in self._sorted if scene.bits is not None]
         low, high = np.quantile(np.concatenate(known), _BITS).tolist()
         return low, high

@@ -276,8 +276,9 @@ def labelled(
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
     font = ImageFont.load_default(TEXT)
-    for left, caption in captions:
-        _write(pen, (left + 8, 6), caption, font)
+    ends = [*(left for left, _ in captions[1:]), canvas.width]
+    for (left, caption), end in zip(captions, ends, strict=True):
+        _write(pen, (left + 8, 6), "\n".join(caption_lines(caption, end - left)), font)
     for row, legend in enumerate(reversed(legends)):
         top = canvas.height - 52 * (row + 1)
         _write(pen, (20, top), legend.title, font)
@@ -288,17 +289,37 @@ def labelled(
     return canvas
 
 
+def caption_lines(caption: str, width: int) -> list[str]:
+    """The lines of a caption that is wrapped to a width, pixels."""
+    font = ImageFont.load_default(TEXT)
+    lines: list[str] = []
+    for line in caption.splitlines():
+        rest = line
+        while len(rest) > 1 and font.getlength(rest) > width - 16:
+            fits = [k for k in range(1, len(rest)) if font.getlength(rest[:k]) <= width - 16]
+            most = max(fits, default=1)
+            cut = rest.rfind(" ", 0, most + 1)
+            cut = cut if cut > 0 else most
+            lines.append(rest[:cut])
+            rest = rest[cut:].lstrip()
+        lines.append(rest)
+    return lines
+
+
 def reasons_text(pruned: Pruned) -> list[tuple[str, tuple[float, float, float]]]:
     """A line of text for each reason for pruning, and its colour."""
     found = enumerate(pruned.counts.items())
     return [(f"{n:,} by {reason}", reason_colour(k)) for k, (reason, n) in found if n]
 
 
-def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
-    """Write the reasons for pruning, with counts, into the upper left corner below the caption."""
+def write_reasons(canvas: Image.Image, pruned: Pruned, below: int = 1) -> None:
+    """Write the reasons for pruning, with counts, into the upper left corner below the caption.
+
+    `below` is the number of the caption's lines.
+    """
     pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(TEXT)
     for row, (text, colour) in enumerate(reasons_text(pruned)):
-        top = 26 + 18 * row
+        top = 8 + 18 * (below + row)
         pen.rectangle((8, top + 3, 18, top + 13), fill=_bytes(colour))
         _write(pen, (24, top), text, font)
 

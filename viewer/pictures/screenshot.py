@@ -17,6 +17,7 @@ from gs_codec.runtime.atomic import atomic_writer, check_writable
 from viewer.pictures.layers import Legend
 from viewer.pictures.picture import (
     Shown,
+    caption_lines,
     draw_scene,
     from_pillow,
     labelled,
@@ -131,7 +132,9 @@ def compose(
     parts = _arrange(drawn, labels, mode, wipe, front)
     has_first = mode != "flip" or len(scenes) < 2 or front == 0
     if shown.pruned is not None and "pruned" in shown.layers and has_first:
-        write_reasons(parts[0], shown.pruned.of(shown.scenes[0]))
+        wide = wipe_line(wipe, width)[1] if mode == "wipe" and len(scenes) > 1 else width
+        below = len(caption_lines(labels[0], wide))
+        write_reasons(parts[0], shown.pruned.of(shown.scenes[0]), below)
     if photograph is not None:
         parts.append(labelled(_fitted(photograph, width, height), [(0, "photograph")], []))
     return to_pillow(side_by_side([from_pillow(part) for part in parts]))

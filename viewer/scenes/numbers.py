@@ -31,7 +31,7 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
         )
         rows += [
             ("file", size_text(scene.file_bytes)),
-            ("raw / file", f"{raw / scene.file_bytes:.1f}"),
+            ("float32 / file", f"{raw / scene.file_bytes:.1f}"),
             ("bits / Gaussian", f"{bits:.1f}"),
         ]
     if scene.info is not None:
@@ -44,7 +44,7 @@ def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
     """Rows that compare the sizes of two scenes; files only if they are of what is shown."""
     rows, edited = [], first.whole or second.whole
     if first.file_bytes and second.file_bytes and not edited:
-        rows.append(("B is", f"{first.file_bytes / second.file_bytes:.1f}x smaller than A"))
+        rows.append(("A's file / B's", f"{first.file_bytes / second.file_bytes:.1f}"))
     if first.count != second.count:
         share = second.count / max(first.count, 1)
         rows.append(("Gaussians left", f"{100 * share:.1f} %"))

@@ -156,6 +156,18 @@ class Dock:
             if chart.chosen is not None:
                 self._selected(chart.scenes[0].name, *chart.chosen)
 
+    def mark(self, name: str, low: float, high: float) -> None:
+        """Mark the range of a quantity that is selected, if its histogram is shown."""
+        chart = self.chart
+        if isinstance(chart, HistogramChart) and chart.scenes[0].name == name:
+            self.chart = replace(chart, chosen=(low, high))
+            self.canvas.redraw()
+
+    def unmark(self) -> None:
+        """Mark no range: something else is selected."""
+        if isinstance(self.chart, HistogramChart):
+            self.chart = replace(self.chart, chosen=None)
+
     def next(self) -> str:
         """What is shown after the present."""
         return DOCKS[(DOCKS.index(self._viewer.choice.dock) + 1) % len(DOCKS)]

@@ -154,6 +154,7 @@ class Editor:
                 stage.replace(number, edits.scene)
         stage.draw_only({e.scene: e.drawn for e in self.all if e.drawn is not None})
         self._mark()
+        self._viewer.dock.unmark()
         self._viewer.refresh_panel()
 
     def _mark(self) -> None:
@@ -163,6 +164,7 @@ class Editor:
     def select_range(self, name: str, low: float, high: float) -> None:
         """Select by a range of a quantity, both ends included; see `in_range`."""
         self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high)))
+        self._viewer.dock.mark(name, low, high)
 
     def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
         """Delete what is outside a box."""

@@ -64,7 +64,7 @@ class RateTab:
 
     def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
         self._viewer = viewer
-        self.widget = widgets.column()
+        self.widget, self._upper, self._below = widgets.tab()
         self._scales: dict[str, _Scale] = {}
         self._source: Opened | None = None
         self.lines: list[str] = []
@@ -74,44 +74,44 @@ class RateTab:
         self._add_tries(widgets)
         self._numbers = gui.Label("")
         self._numbers.font_id = font
-        self.widget.add_child(self._numbers)
+        self._below.add_child(self._numbers)
 
     def _add_request(self, widgets: Widgets) -> None:
         """Controls of how to encode."""
         self.profile = widgets.choice(
-            self.widget, "profile", PROFILE_CHOICES, lambda _: self.refresh()
+            self._upper, "profile", PROFILE_CHOICES, lambda _: self.refresh()
         )
         self.profile.selected_text = "m"
         self.guided = widgets.checkbox("camera-guided", lambda _: self.refresh())
         self.guided.tooltip = "by the cameras that are open, else by estimated ones"
-        self.widget.add_child(self.guided)
-        self.wish = widgets.choice(self.widget, "by", _WISHES, lambda _: self.refresh())
+        self._upper.add_child(self.guided)
+        self.wish = widgets.choice(self._upper, "by", _WISHES, lambda _: self.refresh())
         self.number = gui.NumberEdit(gui.NumberEdit.DOUBLE)
         self.number.decimal_precision = 3
         self.number.set_limits(1e-3, 1e6)
         self.number.set_on_value_changed(self.set_value)
-        self.widget.add_child(self.number)
+        self._upper.add_child(self.number)
         self.slider = gui.Slider(gui.Slider.DOUBLE)
         self.slider.set_on_value_changed(self._slide)
-        self.widget.add_child(self.slider)
+        self._upper.add_child(self.slider)
         self.start = widgets.button("Encode", lambda: self._viewer.encoding.encode(self.asked))
         self.stop = widgets.button("Cancel", self._viewer.encoding.cancel)
-        widgets.row(self.widget, self.start, self.stop)
+        widgets.row(self._below, self.start, self.stop)
         self._doing = gui.Label("")
         self.progress = gui.ProgressBar()
-        self.widget.add_child(self._doing)
-        self.widget.add_child(self.progress)
+        self._below.add_child(self._doing)
+        self._below.add_child(self.progress)
 
     def _add_tries(self, widgets: Widgets) -> None:
         """The list of what was tried."""
         self.list = gui.ListView()
         self.list.set_max_visible_items(_LINES)
         self.list.set_on_selection_changed(self._select)
-        self.widget.add_child(self.list)
+        self._below.add_child(self.list)
         self.as_a = widgets.button("Show as A", lambda: self._show(0))
         self.as_b = widgets.button("Show as B", lambda: self._show(1))
         self.save = widgets.button("Save", self._ask_save)
-        widgets.row(self.widget, self.as_a, self.as_b, self.save)
+        widgets.row(self._below, self.as_a, self.as_b, self.save)
 
     @property
     def told(self) -> str:
@@ -221,7 +221,7 @@ class RateTab:
         report, quality, stage = tried.report, tried.quality, self._viewer.stage
         rows = [
             ("file", size_text(report.file_bytes)),
-            ("times smaller", f"{report.ratio:.1f}"),
+            ("source / file", f"{report.ratio:.1f}"),
             ("bits / Gaussian", f"{tried.bits:.1f}"),
         ]
         if has_steps(tried.asked.profile):

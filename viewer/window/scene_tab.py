@@ -33,7 +33,7 @@ class SceneTab:
 
     def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
         self._viewer = viewer
-        self.widget = widgets.column()
+        self.widget, self._upper, below = widgets.tab()
         self._add_files(widgets)
         self.boxes = {
             layer: widgets.checkbox(layer, lambda _, layer=layer: viewer.toggle(layer))  # type: ignore[misc]
@@ -41,11 +41,11 @@ class SceneTab:
         }
         rows = list(self.boxes.values())
         for k in range(0, len(rows), 3):
-            widgets.row(self.widget, *rows[k : k + 3])
+            widgets.row(self._upper, *rows[k : k + 3])
         self.logarithmic = widgets.checkbox("log", viewer.set_logarithmic)
         self.logarithmic.tooltip = "Colours on a logarithmic scale."
         self.colouring = widgets.choice(
-            self.widget,
+            self._upper,
             "centres by",
             COLOURINGS,
             lambda k: viewer.set_colouring(COLOURINGS[k]),
@@ -53,19 +53,19 @@ class SceneTab:
         )
         self._add_octree(widgets)
         self.mode = widgets.choice(
-            self.widget, "two scenes", _MODE_NAMES, lambda k: viewer.set_mode(MODES[k])
+            below, "two scenes", _MODE_NAMES, lambda k: viewer.set_mode(MODES[k])
         )
         self.turned = widgets.checkbox(
             "reverse B's y and z axes (T)", lambda _: viewer.loading.turn()
         )
-        self.widget.add_child(self.turned)
+        below.add_child(self.turned)
         self._reasons = [gui.Label("") for _ in range(4)]
         for index, label in enumerate(self._reasons):
             label.text_color = gui.Color(*reason_colour(index))
-            self.widget.add_child(label)
+            below.add_child(label)
         self.numbers = gui.Label("")
         self.numbers.font_id = font
-        self.widget.add_child(self.numbers)
+        below.add_child(self.numbers)
 
     def _add_files(self, widgets: Widgets) -> None:
         """Buttons that open and save files."""
@@ -91,13 +91,13 @@ class SceneTab:
         }
         for row in rows:
             buttons = [widgets.button(text, action, tips.get(text, "")) for text, action in row]
-            widgets.row(self.widget, *buttons)
+            widgets.row(self._upper, *buttons)
 
     def _add_octree(self, widgets: Widgets) -> None:
         """Controls of the octree, which show with it."""
         set_octree = self._viewer.set_octree
         self._octree = gui.Vert(0.25 * widgets.em)
-        self.widget.add_child(self._octree)
+        self._upper.add_child(self._octree)
         self.cells = widgets.choice(
             self._octree,
             "octree by",

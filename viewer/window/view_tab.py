@@ -31,10 +31,10 @@ class ViewTab:
 
     def __init__(self, viewer: Any, widgets: Widgets) -> None:
         self._viewer = viewer
-        self.widget = widgets.column()
+        self.widget, upper, self._below = widgets.tab()
         visits = viewer.visits
         widgets.row(
-            self.widget,
+            upper,
             widgets.button("<", lambda: visits.go(-1), "previous view (P)"),
             widgets.button(">", lambda: visits.go(1), "next view (N)"),
             widgets.button("Reset", visits.reset, "back to the view (R)"),
@@ -42,20 +42,18 @@ class ViewTab:
             widgets.button("All", viewer.frame_all, "go back until all is seen (G)"),
         )
         self._where = gui.Label("")
-        self.widget.add_child(self._where)
+        upper.add_child(self._where)
         self.flying = widgets.checkbox("drags look around (V); fly: WASD, QE", viewer.set_flying)
-        self.widget.add_child(self.flying)
-        self.up = widgets.choice(
-            self.widget, "up axis", (), lambda k: visits.set_up(visits.views.ups[k])
-        )
-        self.look = LookControls(viewer, widgets, self.widget)
+        upper.add_child(self.flying)
+        self.up = widgets.choice(upper, "up axis", (), lambda k: visits.set_up(visits.views.ups[k]))
+        self.look = LookControls(viewer, widgets, upper)
         self._add_path(widgets)
-        self.dock = widgets.choice(self.widget, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
-        self.order = widgets.choice(self.widget, "views by", _ORDERS, lambda _: self.refresh())
+        self.dock = widgets.choice(self._below, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
+        self.order = widgets.choice(self._below, "views by", _ORDERS, lambda _: self.refresh())
         self.list = gui.ListView()
         self.list.set_max_visible_items(12)
         self.list.set_on_selection_changed(self._chosen)
-        self.widget.add_child(self.list)
+        self._below.add_child(self.list)
         self._listed: list[str] = []
         self.places: list[int] = []
 
@@ -63,7 +61,7 @@ class ViewTab:
         """The poses that are kept."""
         saved = self._viewer.saved
         self._kept = gui.Label("")
-        self.widget.add_child(self._kept)
+        self._below.add_child(self._kept)
         self.path = [
             widgets.button("Keep", saved.keep, "Keep this pose (I)."),
             widgets.button("Drop", saved.drop, "Drop the pose kept last."),
@@ -71,7 +69,7 @@ class ViewTab:
             widgets.button("Save", saved.ask_write, "Save the poses as cameras, for --flythrough."),
             widgets.button("Open", saved.ask_open, "Open poses, or cameras, instead of these."),
         ]
-        widgets.row(self.widget, *self.path)
+        widgets.row(self._below, *self.path)
 
     def refresh(self) -> None:
         """Update controls and the list."""

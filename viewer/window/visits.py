@@ -148,7 +148,8 @@ class Visits:
         text = f"overview; {count} views"
         if self.number:
             index, count = self.number - self.views.first, len(self.views.cameras)
-            text = f"view {index} of {count}: {self.viewpoints[self.number].name}"
+            name = self.viewpoints[self.number].name
+            text = f"{name}, {index + 1} of {count} (--view {index})"
         return f"moved away from {text} (R goes back)" if self.moved else text
 
     def tick(self) -> None:

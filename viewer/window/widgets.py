@@ -21,8 +21,23 @@ class Widgets:
 
     def column(self) -> gui.Widget:
         """What a tab holds."""
-        margins = gui.Margins(0.5 * self.em, 0.5 * self.em, 0.5 * self.em, 0.5 * self.em)
-        return gui.ScrollableVert(0.3 * self.em, margins)
+        return gui.ScrollableVert(0.3 * self.em, self._margins)
+
+    def tab(self) -> tuple[gui.Widget, gui.Widget, gui.Widget]:
+        """What a tab with sliders holds, its upper part, and what scrolls below that.
+
+        Sliders belong to the upper part: in what scrolls, Open3D draws them without a track.
+        """
+        upper = gui.Vert(0.3 * self.em, self._margins)
+        below = self.column()
+        whole = gui.Vert(0)
+        whole.add_child(upper)
+        whole.add_child(below)
+        return whole, upper, below
+
+    @property
+    def _margins(self) -> gui.Margins:
+        return gui.Margins(0.5 * self.em, 0.5 * self.em, 0.5 * self.em, 0.5 * self.em)
 
     def row(self, parent: gui.Widget, *children: gui.Widget) -> gui.Horiz:
         """Widgets beside each other, added to a parent."""

@@ -131,9 +131,11 @@ def test_options_are_those_of_encode(folder):
 
 def test_batch_has_the_options_of_encode():
     of_encode, of_batch = (signature(x.command).parameters.keys() for x in (encode, batch))
-    assert of_encode - {"checkpoint"} <= of_batch  # One file for one scene.
-    # One file for one scene; `--dask` is no expert's of batch.
-    own = re.compile(r"\n--(checkpoint FILE|dask ADDRESS) .*?(?=\n--|\n\n)", re.DOTALL)
+    # One file for one scene, or stdin.
+    assert of_encode - {"checkpoint", "input_format"} <= of_batch
+    # `--dask` is no expert's of batch.
+    options = "checkpoint FILE|dask ADDRESS|input-format NAME"
+    own = re.compile(rf"\n--({options}) .*?(?=\n--|\n\n)", re.DOTALL)
     without = own.sub("", encode.command.epilog)
     assert "--crop-box X,Y,Z,X,Y,Z " in without
     assert without == batch.command.epilog

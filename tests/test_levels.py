@@ -315,8 +315,8 @@ def test_guided_prepared_and_converted_files_have_levels(tmp_path):
     for write, expected in (
         (lambda: encode_file(source, target, config, plan), 375),
         (lambda: encode_file(source, target, config, pruning, overwrite=True), 338),
-        (lambda: prepare_file(source, target, pruning, config), 338),
-        (lambda: convert_file(source, target, config), 375),
+        (lambda: prepare_file(source, target, pruning, config, overwrite=True), 338),
+        (lambda: convert_file(source, target, config, overwrite=True), 375),
     ):
         write()
         assert decode_part(target.read_bytes(), Part(level=1))[0].count == expected
@@ -461,7 +461,7 @@ def test_a_view_reads_only_its_bytes(folder):
     assert read_ply(out).count == seen.count < 1000
     whole = decode_file(folder / "a.egs", out, Part(view=FAR, tolerance=0), overwrite=True)
     assert seen.bytes_read < whole.bytes_read < whole.file_bytes
-    level = decode_file(folder / "a.egs", out, Part(level=1))
+    level = decode_file(folder / "a.egs", out, Part(level=1), overwrite=True)
     assert level.count == 2250
     assert level.bytes_read < 0.5 * level.file_bytes
 

@@ -43,6 +43,7 @@ from gs_codec.report import EncodeReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.mapped import opened
 from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import float_bytes
 
 
 @checked
@@ -157,8 +158,7 @@ def encode_with(
         rendered=loss,
         sh_degree=coded.chunks.header.sh_degree,
     )
-    ratio = sources.ratio_bytes / report.file_bytes
-    return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)
+    return _counted(report, sources)
 
 
 def _quantise_all(
@@ -230,5 +230,14 @@ def _encode_nothing(sources: Sources, target: Path, config: Config) -> EncodeRep
     """Encode a scene without Gaussians."""
     parts, report = encode_parts(sources.head, config)
     write_parts(target, parts)
-    ratio = sources.ratio_bytes / report.file_bytes
-    return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)
+    return _counted(report, sources)
+
+
+def _counted(report: EncodeReport, sources: Sources) -> EncodeReport:
+    """The report with sizes of the sources, and the ratio to them."""
+    return replace(
+        report,
+        input_bytes=sources.stored_bytes,
+        ratio=sources.ratio_bytes / report.file_bytes,
+        float_bytes=float_bytes(sources.count, sources.head.sh_degree),
+    )

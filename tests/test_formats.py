@@ -274,9 +274,10 @@ def test_flags_of_spz_that_are_not_known_are_reported(more, version, tmp_path, c
     expected = read_scene(written(tmp_path / "b.spz", foreign.spz_file(streams, 20, version, 1)))
     after = {"extensions": bytes(more)} if version < 4 else {}
     given = [*streams, bytes(more)] if version == 4 else streams
-    path = written(tmp_path / "a.spz", foreign.spz_file(given, 20, version, 1, 0x44, **after))
+    flags = 0x44 if version < 4 else 0xC4
+    path = written(tmp_path / "a.spz", foreign.spz_file(given, 20, version, 1, flags, **after))
     assert_same_floats(read_scene(path), expected)
-    assert caplog.messages == [f"{path}: flags 0x44 not known, not kept"]
+    assert caplog.messages == [f"{path}: flags {flags:#x} not known, not kept"]
 
 
 LEVELS_OF_SPARK = {

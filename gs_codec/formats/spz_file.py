@@ -84,7 +84,12 @@ class SpzHeader:
     @property
     def unknown(self) -> int:
         """Flags of which nothing is known."""
-        return self.flags & ~(ANTIALIASED | _EXTENSIONS | (LEVELS if self.version < 4 else 0))
+        return self.flags & ~(ANTIALIASED | _EXTENSIONS | (LEVELS if self.has_tree else 0))
+
+    @property
+    def has_tree(self) -> bool:
+        """Whether a tree of levels of detail follows, which version 4 does not have."""
+        return bool(self.flags & LEVELS) and self.version < 4
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -115,7 +120,7 @@ def read_streams(
         log.warning("%s: flags %#x not known, not kept", path, header.unknown)
     if header.sh_degree == len(SH_COEFFICIENTS):
         say_degree_4(path)
-    if header.flags & LEVELS:
+    if header.has_tree:
         size = _NODE * header.count
         tree, extensions = extensions[:size], extensions[size:]
         header, streams = _leaves(path, header, streams, tree)
@@ -188,7 +193,7 @@ def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, lis
         raise InvalidInput(f"version {version}{where}, expected 1 to 3")
     header = _check_header(version, tuple(fields), len(data), max_bytes)
     bounds = np.cumsum([0, *(size * header.count for size in header.sizes)]).tolist()
-    least = bounds[-1] + (_NODE * header.count if header.flags & LEVELS else 0)
+    least = bounds[-1] + (_NODE * header.count if header.has_tree else 0)
     limit = least + (1 << 20 if header.flags & _EXTENSIONS else 0)
     body, ended = memoryview(data)[_HEADER.size :], True
     if inflater:

@@ -42,6 +42,27 @@ def test_a_decoded_scene_is_matched_with_its_own_encoding(decoded, tmp_path, fir
     assert compare_files(source, target).counts == (1500, 1500)
 
 
+def test_copies_and_odd_scenes_are_matched_or_refused():
+    scene = random_scene(400, 1, seed=230)
+    order = np.random.default_rng(231).permutation(400)
+    copies = scene.take(np.arange(400) // 4)
+    one, other, _ = put_side_by_side(copies, copies.take(order))
+    np.testing.assert_array_equal(one.f_dc, other.f_dc)
+    alike = scene.take(np.zeros(400, int))
+    recoloured = replace(alike, f_dc=alike.f_dc + np.float32(0.1))
+    assert put_side_by_side(alike, recoloured)[2] == "index"
+    # Of Gaussians in one place, centres do not tell which is which.
+    place = replace(scene, positions=np.zeros_like(scene.positions))
+    for first, second in ((place, place.take(order)), (scene, random_scene(400, 1, seed=232))):
+        with pytest.raises(InvalidInput, match="no match of the scenes' Gaussians"):
+            put_side_by_side(first, second)
+    for value in (np.nan, np.inf, 3e38):
+        broken = replace(scene, positions=scene.positions.copy(), rot=scene.rot.copy())
+        broken.positions[:, :9], broken.rot[:, 5:20] = value, value
+        one, other, _ = put_side_by_side(broken, broken.take(order))
+        np.testing.assert_array_equal(one.f_dc[:, 9:], other.f_dc[:, 9:])
+
+
 def test_other_scenes_that_were_decoded_alike_are_not_matched(decoded, tmp_path):
     write_ply(tmp_path / "other.ply", random_scene(1500, 1, seed=221))
     encode_file(tmp_path / "other.ply", tmp_path / "other.egs", Config("paper-m"))

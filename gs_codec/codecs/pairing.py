@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.morton import spatial_order
 from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import SH_C0, Scene
 
@@ -68,16 +69,20 @@ class Pairing:
         own = self._own_terms
         if not own.shape[1]:
             return np.ones(3)
+        # A neighbour that is the same in all is as good a partner.
+        same = (own == 0).all(axis=2)
         shares = []
         for kept, share in ((slice(None), 1.0), (slice(1, None), 1.0), (slice(1), 0.5)):
             found, nearest = (_cost(each[..., kept], self._unit[kept]) for each in (terms, own))
+            nearest[same] = np.inf
             shares.append(np.mean(found < share * nearest.min(axis=1)))
         return np.array(shares)
 
     def nearest(self) -> NDArray[np.int64]:
         """Partners, each Gaussian of the second scene once: the most similar of the nearest."""
         partners = np.full(self.count, -1)
-        left, free = np.arange(self.count), np.arange(self.count)
+        # Along a curve, neighbours are found several times faster.
+        left, free = (spatial_order(each.T.astype(np.float32)) for each in self._places)
         for _ in range(_ROUNDS):
             if not len(left):
                 return partners
@@ -85,8 +90,10 @@ class Pairing:
             order = np.lexsort((cost, best))
             first = np.r_[True, np.diff(best[order]) > 0]
             partners[left[order[first]]] = best[order[first]]
-            left = np.flatnonzero(partners < 0)
-            free = np.setdiff1d(free, best, assume_unique=False)
+            left = left[partners[left] < 0]
+            taken = np.zeros(self.count, bool)
+            taken[best] = True
+            free = free[~taken[free]]
         partners[left] = free
         return partners
 

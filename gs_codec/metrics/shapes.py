@@ -138,7 +138,8 @@ def _unit(rot: NDArray[np.float32]) -> NDArray[np.float64]:
     """Normalised quaternions; the identity where the norm is 0."""
     values = rot.astype(np.float64)
     norm = np.linalg.norm(values, axis=0)
-    return np.where(norm == 0, _IDENTITY, values / np.where(norm == 0, 1.0, norm))
+    with np.errstate(invalid="ignore"):
+        return np.where(norm == 0, _IDENTITY, values / np.where(norm == 0, 1.0, norm))
 
 
 def _with_real_part(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes
 from gs_codec.formats.ply import write_ply
-from gs_codec.formats.registry import open_scene, overview_of
+from gs_codec.formats.registry import check_file, open_scene, overview_of
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.auto_cameras import auto_cameras
@@ -425,6 +425,17 @@ def test_a_zip_that_unpacks_to_too_much_is_refused(copy, tmp_path):
         InvalidInput, match=r"zip of 1\d+ bytes unpacked, expected at most 1073741824"
     ):
         read_scene(path)
+
+
+def test_verify_reads_all_levels(copy, tmp_path):
+    path = zipped(copy, tmp_path / "a.ssog")
+    check_file(copy / STREAMED)
+    check_file(path)
+    (copy / "2_0" / "sh0.webp").write_bytes(b"RIFF")
+    for damaged in (copy / STREAMED, zipped(copy, path)):
+        assert read_scene(damaged).count == 1150
+        with pytest.raises(InvalidInput, match=r"2_0/meta\.json: image 'sh0\.webp'"):
+            check_file(damaged)
 
 
 def test_a_zip_without_a_file_that_its_scene_needs_is_refused(copy, tmp_path):

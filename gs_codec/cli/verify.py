@@ -53,10 +53,12 @@ def command(
 
 def _verify_other(source: Path, file: Path, asked: Asked) -> None:
     """Read a scene that is no .egs, at `file` and called `source`."""
-    from gs_codec.formats.registry import overview_of
+    from gs_codec.formats.registry import check_file, overview_of
 
     start = time.perf_counter()
-    found, seconds = overview_of(file, asked["max_bytes"]), time.perf_counter() - start
+    found = overview_of(file, asked["max_bytes"])
+    check_file(file, asked["max_bytes"])
+    seconds = time.perf_counter() - start
     if asked["json"]:
         told = found.as_dict()
         print_document(

@@ -273,6 +273,13 @@ def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
     return read_with_overview(path, max_bytes)[1]
 
 
+def check_file(path: str | Path, max_bytes: int | None = None) -> None:
+    """Read what `SceneFile.scene` leaves out, coarser levels; raises as it does."""
+    with open_scene(path) as file:
+        if file.format == "streamed sog":
+            streamed_sog.check_coarser(file.path, file.data[:], max_bytes)
+
+
 def read_with_overview(path: str | Path, max_bytes: int | None = None) -> tuple[Scene, Overview]:
     """A scene of any format but `.egs`, in its own coordinate system, and its summary."""
     with open_scene(path) as file:

@@ -137,6 +137,17 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     return join_scenes(scenes)
 
 
+def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
+    """Read the files that hold coarser levels alone, too; raises as `read_streamed` does."""
+    with _opened(path, data, finest=True) as (_, finest):
+        pass
+    with _opened(path, data, finest=False) as (files, names):
+        for name in names:
+            if name not in finest:
+                with located(name), opened_unit(files, name) as unit:
+                    scene_of_unit(f"{path}: {name}", unit, len(data) + unit.stored_bytes, max_bytes)
+
+
 def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:
     """Refuse images of an earlier unit: thousands could have the same."""
     if unit.files.archive is files.archive:

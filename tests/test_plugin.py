@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from scenes import random_scene
 
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.rendering.inria import as_camera
 from viewer.pictures.layers import error_legend, reason_colour
 from viewer.pictures.notes import draw_notes
-from viewer.scenes.opened import Pruned
+from viewer.scenes.choice import Appearance
+from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import look_at
 from viewer.scenes.viewpoints import nearest_camera
-from viewer.window.pane import draws_splats
+from viewer.window.pane import draws_splats, splat_material
 
 
 def has(picture, colour) -> bool:
@@ -65,3 +68,10 @@ def test_splats_are_drawn_by_graphics_cards_alone(monkeypatch):
     assert not draws_splats("cpu")
     monkeypatch.setattr("viewer.window.pane.rendering.MaterialRecord", object)
     assert not draws_splats("gpu")  # an Open3D from before its splat shader
+
+
+def test_the_shader_leaves_out_no_large_splat():
+    scene = Opened("a", to_cloud(random_scene(9, 1)))
+    material = splat_material(scene, Appearance())
+    assert material.gaussian_splat_max_tiles_per_splat == 1 << 16
+    assert material.gaussian_splat_sh_degree == 1

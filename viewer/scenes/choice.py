@@ -108,6 +108,8 @@ class Choice:
     up : str
         Name of the up axis, in `UPS` or "cameras".
     octree : OctreeChoice
+    exact : bool
+        Whether a graphics card leaves splats to gs_codec's rasteriser.
     flying : bool
         Whether a drag looks around instead of turning about the point ahead.
     dock : str
@@ -122,6 +124,7 @@ class Choice:
     wipe: float = 0.5
     up: str = "-y"
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    exact: bool = False
     flying: bool = False
     dock: str = "nothing"
     appearance: Appearance = field(default_factory=Appearance)

@@ -51,6 +51,9 @@ _STUCK = 4
 #: Size of cameras, relative to the median distance from their middle; their RGB.
 _FRUSTUM, _FRUSTUM_COLOUR = 0.05, (1.0, 0.6, 0.0)
 
+#: Most tiles of the picture that Open3D's splat shader lets a splat cover: all of them.
+_MOST_TILES = 1 << 16
+
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
 
@@ -317,6 +320,8 @@ def splat_material(scene: Opened, appearance: Appearance) -> rendering.MaterialR
     material.shader = "gaussianSplat"
     degree = min(scene.sh_degree, appearance.sh_degree, _MAX_DEGREE)
     material.gaussian_splat_sh_degree = degree
+    # Or larger splats would be left out.
+    material.gaussian_splat_max_tiles_per_splat = _MOST_TILES
     return material
 
 

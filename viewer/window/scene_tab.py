@@ -29,6 +29,8 @@ class SceneTab:
     logarithmic : gui.Checkbox
         Whether the scale of the colours is.
     depth : gui.Slider
+    exact : gui.Checkbox
+        Shown where a graphics card draws.
     """
 
     def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
@@ -55,6 +57,10 @@ class SceneTab:
         self.mode = widgets.choice(
             below, "two scenes", _MODE_NAMES, lambda k: viewer.set_mode(MODES[k])
         )
+        self.exact = widgets.checkbox("exact splats, by the CPU", viewer.set_exact)
+        self.exact.tooltip = "SH of all degrees, as measured; slower than the graphics card."
+        self.exact.visible = viewer.stage.device == "gpu"
+        below.add_child(self.exact)
         self.turned = widgets.checkbox(
             "reverse B's y and z axes (T)", lambda _: viewer.loading.turn()
         )
@@ -128,6 +134,7 @@ class SceneTab:
         self.cells.selected_index = CELL_COLOURINGS.index(choice.octree.colouring)
         self.depth.int_value = choice.octree.depth
         self.mode.selected_index = MODES.index(choice.mode)
+        self.exact.checked = choice.exact
         self.turned.visible = two
         self.turned.checked = two and stage.scenes[1].system != CONVENTION
         pruned = None if stage.pruned is None else stage.pruned.of(stage.scenes[0])
@@ -139,7 +146,8 @@ class SceneTab:
 
     def _all_numbers(self) -> str:
         stage = self._viewer.stage
-        lines = [_DRAWN_BY[stage.device]] if stage.scenes else []
+        drawn_by = "cpu" if self._viewer.choice.exact else stage.device
+        lines = [_DRAWN_BY[drawn_by]] if stage.scenes else []
         if len(stage.scenes) > 1:
             wide, high = stage.pose.measured if stage.pose is not None else (0, 0)
             lines += [

@@ -204,7 +204,11 @@ class Stage:
     @property
     def by_hand(self) -> bool:
         """Whether splats are drawn by gs_codec's rasteriser."""
-        return self.device == "cpu" and "splats" in self.choice.layers
+        return "splats" in self.choice.layers and not self._by_shader
+
+    @property
+    def _by_shader(self) -> bool:
+        return self.device == "gpu" and not self.choice.exact
 
     @property
     def resting(self) -> bool:
@@ -251,7 +255,7 @@ class Stage:
         """Update what depends on the appearance, but for the pictures."""
         shown, layers = self.shown, self.choice.layers
         for pane in self.panes:
-            by_shader = self.device == "gpu" and "splats" in layers
+            by_shader = self._by_shader and "splats" in layers
             by_shader = by_shader and not shown.shows_error(pane.scene)
             pane.show_splats(shown.look(pane.scene) if by_shader else None)
             pane.set_background(shown.appearance.background)

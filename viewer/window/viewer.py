@@ -171,6 +171,11 @@ class Viewer:
         self.choice.octree = replace(self.choice.octree, **changes)
         self.stage.show_octree()
 
+    def set_exact(self, exact: bool) -> None:
+        """Set whether splats are drawn by gs_codec's rasteriser on a graphics card, too."""
+        self.choice.exact = exact
+        self.refresh()
+
     def set_appearance(self, **changes: Any) -> None:
         """Change how splats are drawn: fields of `Appearance`."""
         appearance = replace(self.choice.appearance, **changes)

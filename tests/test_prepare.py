@@ -532,15 +532,15 @@ def test_encode_tells_what_preparation_did(folder, monkeypatch):
 
 
 def test_number_of_gaussians(folder):
+    def encoded(steps: Steps) -> int:
+        plan = Plan(steps, folder / "cameras.json")
+        scene = folder / "scene.ply"
+        return encode_file(scene, folder / "a.egs", plan=plan, overwrite=True).count
+
     for number, left in ((150, 150), (400, 400), (1000, 400)):
-        chosen = Plan(Steps(gaussians=number), folder / "cameras.json")
-        assert (
-            encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen, overwrite=True).count
-            == left
-        )
+        assert encoded(Steps(gaussians=number)) == left
     # Refinement then chooses no other number.
-    chosen = Plan(Steps(gaussians=390, refine=5), folder / "cameras.json")
-    assert encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen).count == 390
+    assert encoded(Steps(gaussians=390, refine=5)) == 390
     with pytest.raises(InvalidInput, match="gaussians: prune says how many, too"):
         Steps(prune=0, gaussians=5)
 

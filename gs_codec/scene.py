@@ -18,7 +18,7 @@ from gs_codec.runtime.threads import run_all, using_threads
 #: SH-AC coefficients of one colour for each SH degree.
 SH_COEFFICIENTS = (0, 3, 8, 15)
 
-#: The same of degree 4, which some programs write; its own are left out.
+#: Number of coefficients of degree 4, which some programs write; degree 4 itself is left out.
 DEGREE_4 = 24
 
 #: Attribute groups of a scene, in the order reports list them.

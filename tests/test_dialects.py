@@ -112,7 +112,7 @@ def test_a_filter_that_an_egs_keeps_apart_is_fused_when_it_is_read(tmp_path, cap
     ("names", "named"),
     [
         (["trbf_center", "trbf_scale", "motion_0", "omega_3"], "trbf_center, trbf_scale, motion_0"),
-        (["t", "scale_t", "label"], "t, scale_t say"),
+        (["t", "scale_t", "label"], "t, scale_t"),
     ],
 )
 @pytest.mark.parametrize("extra", ["keep", "drop"])
@@ -122,7 +122,8 @@ def test_scenes_that_move_are_named_as_such(names, named, extra, tmp_path, caplo
     back = read_scene(tmp_path / "a.ply", extra)
     assert list(back.extra) == (names if extra == "keep" else [])
     first, *rest = caplog.messages
-    assert first.startswith(f"{tmp_path / 'a.ply'}: a 4D scene: {named}")
+    start = f"{tmp_path / 'a.ply'}: a 4D scene, read as a static one; these describe its motion"
+    assert first.startswith(f"{start}: {named}")
     left_out = "label" in names and extra == "drop"
     assert rest == ([f"{tmp_path / 'a.ply'}: left out: properties label"] if left_out else [])
 
@@ -207,7 +208,7 @@ NOT_GAUSSIANS = {
     "mesh": (["x", "y", "z", "nx"], "element face 12\nproperty list uchar int vertex_indices\n",
              "a mesh of 12 faces without opacity and scales, not Gaussians"),
     "Scaffold-GS": (["x", "y", "z", "f_offset_0", "f_anchor_feat_0", "opacity", "scale_5"], "",
-                    "anchors of Scaffold-GS, of which a neural network makes Gaussians, not"),
+                    "anchors of Scaffold-GS, not Gaussians: a neural network"),
 }  # fmt: skip
 
 

@@ -303,7 +303,7 @@ def test_of_the_levels_that_spark_writes_leaves_are_read(case, zipped, tmp_path,
     plain = foreign.spz_file(streams, 7, 2, 1)
     expected = read_scene(written(tmp_path / "b.spz", plain), coordinates=None)
     assert_same_floats(scene, expected.take(np.array(leaves)))
-    part = f"{path}: one of several files, which have the other Gaussians"
+    part = f"{path}: one of several files; the others hold the rest of the scene"
     told = f"{path}: levels of detail: {len(leaves)} leaves of 7 Gaussians read"
     assert caplog.messages == [part] * is_part + [told]
 

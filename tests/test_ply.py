@@ -715,7 +715,7 @@ def test_the_rounding_of_centres_is_told_in_units_and_sizes(tmp_path, caplog):
     assert 0.2 < error.max() < 0.3
     middle = np.rint((centres.min(axis=0) + centres.max(axis=0)) / 2)
     shift = ",".join(f"{-x:.0f}" for x in middle)
-    said = f"; --translate={shift}, as the first action, shifts them to the middle before"
+    said = f"; shift them first: --translate={shift} as the first action"
     assert line.endswith(said)
 
 

@@ -397,7 +397,9 @@ def test_units_that_share_images_are_refused(copy):
     meta = json.loads((copy / STREAMED).read_text())
     meta["filenames"][2] = "0_1/again.json"
     (copy / STREAMED).write_text(json.dumps(meta))
-    with pytest.raises(InvalidInput, match=r"again.json: image 'means_l.webp' is that of another"):
+    with pytest.raises(
+        InvalidInput, match=r"again.json: image 'means_l.webp' also belongs to another"
+    ):
         read_scene(copy / STREAMED)
 
 

@@ -37,10 +37,11 @@ def command(
         typer.Option(metavar="C", help=f"Measure what views lose by errors too: {CAMERAS}"),
     ] = None,
     sample: Annotated[
-        int, typer.Option(metavar="N", help="Most Gaussians that statistics go by.", min=2)
+        int,
+        typer.Option(metavar="N", help="Maximum number of Gaussians for the statistics.", min=2),
     ] = 200_000,
     seed: Annotated[
-        int, typer.Option(metavar="N", help="Of the sample, of shuffling, and of noise.", min=0)
+        int, typer.Option(metavar="N", help="Seed of the sample, of shuffling and of noise.", min=0)
     ] = 0,
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""

@@ -128,7 +128,7 @@ def takes(
         def called(ctx: typer.Context, **values: Any) -> None:
             quiet, verbose = values.pop("quiet"), values.pop("verbose")
             if quiet and verbose:
-                raise InvalidInput("--quiet: --verbose is its opposite, expected one of them")
+                raise InvalidInput("--quiet and --verbose: expected only one of them")
             set_loudness(quiet, verbose, ctx.info_name in _RESULTS)
             arguments = {p.name: values[p.name] for p in kept}
             command(**arguments, asked=Asked(ctx, values))

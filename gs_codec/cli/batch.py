@@ -88,7 +88,7 @@ def command(
         str,
         typer.Option(
             metavar="continue|stop",
-            help="After a scene that failed.",
+            help="What to do after a scene fails.",
             autocompletion=completion(("continue", "stop")),
         ),
     ] = "continue",

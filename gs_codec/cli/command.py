@@ -36,7 +36,7 @@ class Shown:
 
 
 def argument_names(command: Any) -> list[str]:
-    """The names of a command's arguments as its usage line has them."""
+    """The names of a command's arguments, as in its usage line."""
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     several = {p.metavar for p in arguments if p.nargs == -1 and not p.metavar.endswith("...")}
     return [p.metavar + "..." * (p.metavar in several) for p in arguments]

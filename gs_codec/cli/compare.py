@@ -92,7 +92,7 @@ def _print_attributes(comparison: Comparison) -> None:
         ["attribute", "unit", "max error", "rms error"],
         [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
     )
-    print_text("Gaussians that nobody sees count too; --cameras auto compares what is seen")
+    print_text("Invisible Gaussians count too; --cameras auto compares what cameras see")
 
 
 def _say_systems(systems: tuple[str, str]) -> None:

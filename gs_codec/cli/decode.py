@@ -51,7 +51,7 @@ def command(
         str | None,
         typer.Option(
             metavar="CAMERAS[:NAME]",
-            help="Only blocks that this camera sees (NAME, or #N from 0), coarser ones where its"
+            help="Only blocks that this camera sees (NAME, or #N from 0), as coarse as its"
             " pixels allow.",
         ),
     ] = None,

@@ -50,8 +50,8 @@ OPTIONS = {
     ),
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),
-    "quiet": Option("Print no progress and, unless they are the result, no reports.", bool),
-    "verbose": Option("Print seconds of each stage, and the memory used.", bool),
+    "quiet": Option("Print no progress and no reports, except results.", bool),
+    "verbose": Option("Print the time of each stage, and the memory used.", bool),
     "report": Option("Write report.json, ablation.md, labels.npy there.", Path, metavar="DIR"),
     "split": Option(
         "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."

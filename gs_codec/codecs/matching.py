@@ -39,7 +39,7 @@ _GRID, _FLOATS = "grid", "floats"
 #: Last word of a line on a grid, if Gaussians outside of it come last.
 _FAR = "far"
 
-#: How Gaussians are matched that nothing else tells.
+#: How Gaussians are matched if no order matches them.
 NEAREST = "nearest centre"
 
 _INSTEAD = "compare what cameras see (--cameras auto)"

@@ -18,19 +18,19 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import SH_C0, Scene
 
-#: Neighbours among which a Gaussian's partner is sought.
+#: Number of nearest neighbours searched for a Gaussian's partner.
 _NEIGHBOURS = 8
 
-#: About so many Gaussians tell whether pairs are right.
+#: Approximate size of the sample that checks pairs.
 _SAMPLE = 2000
 
 #: Largest value of a term.
 _MOST = 4.0
 
-#: Searches for partners; those who find none are paired in the order they come.
+#: Rounds of the search for partners; Gaussians left over are paired in order.
 _ROUNDS = 12
 
-#: Most Gaussians whose partners are sought at once.
+#: Maximum number of Gaussians matched at once.
 _CHUNK = 1 << 16
 
 #: Logarithms of scales are clipped to this, so that their differences are finite.

@@ -77,5 +77,5 @@ def _with_shared(scenes: Sequence[Scene]) -> list[Scene]:
     types = [{name: column.dtype for name, column in scene.extra.items()} for scene in scenes]
     shared = [name for name, dtype in types[0].items() if all(t.get(name) == dtype for t in types)]
     others = dict.fromkeys(name for own in types for name in own if name not in shared)
-    say_left_out("merged scenes, which do not have all properties alike", [*others])
+    say_left_out("merged scenes with different properties", [*others])
     return [replace(scene, extra={n: scene.extra[n] for n in shared}) for scene in scenes]

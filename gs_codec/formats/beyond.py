@@ -1,4 +1,4 @@
-"""What files have beyond the Gaussians of this layout, and one line that says what is left out."""
+"""Properties and elements beyond the 3DGS layout: kept, refused, or left out with a warning."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LENGTH = 60
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:
-    """Names in words, of which a file may have any number."""
+    """Names in one line; beyond `most`, only how many more."""
     shown = [name[:_LENGTH] for name in names[:most]]
     more = len(names) - len(shown)
     return ", ".join([*shown, f"{more} more"] if more else shown)

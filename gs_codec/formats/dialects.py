@@ -1,4 +1,4 @@
-"""What PLY files of other programs mean: their names, filters and flat Gaussians, and what is none.
+"""PLY files of other programs: property names, filters, flat Gaussians, and files without any.
 
 FORMATS.md lists the programs.
 """
@@ -51,11 +51,11 @@ def layout_names(types: Mapping[str, str]) -> dict[str, str]:
 
 
 def refuse_no_gaussians(elements: Mapping[str, Element]) -> None:
-    """Refuse a PLY that is something else, and say what."""
+    """Refuse a PLY that holds no Gaussians, and name what it holds."""
     names = elements["vertex"].types
     if any(name.startswith("f_anchor_feat_") for name in names):
         raise InvalidInput(
-            "anchors of Scaffold-GS, of which a neural network makes Gaussians, not Gaussians"
+            "anchors of Scaffold-GS, not Gaussians: a neural network generates those"
         )
     if not {"x", "y", "z"} <= {*names} or {"opacity", "scale_0", "f_dc_0"} & {*names}:
         return
@@ -66,20 +66,20 @@ def refuse_no_gaussians(elements: Mapping[str, Element]) -> None:
 
 
 def moving(names: Collection[str]) -> list[str]:
-    """Properties that say how a scene moves; ``s`` and ``t`` together are of a texture."""
+    """Properties that describe motion; ``s`` and ``t`` together are texture coordinates."""
     known = [name for name in names if _MOVING.fullmatch(name)]
     return [name for name in known if name != "t" or "s" not in names]
 
 
 def say_dialect(where: str | Path, names: Collection[str]) -> None:
-    """Log which properties change what a scene looks like, and what is made of them."""
+    """Log how properties of other programs change the appearance of a scene."""
     if FILTER in names:
         log.warning("%s: %s of Mip-Splatting fused into scales and opacity", where, FILTER)
     if is_flat(names):
         log.warning("%s: a 2DGS scene without scale_2; its Gaussians are flat", where)
     if moves := moving(names):
         log.warning(
-            "%s: a 4D scene: %s say how it moves; its Gaussians are read as if they were at rest",
+            "%s: a 4D scene, read as a static one; these describe its motion: %s",
             where,
             listed(moves),
         )

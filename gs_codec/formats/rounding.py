@@ -1,4 +1,4 @@
-"""Properties of PLY files that are no float32: rounded, and how far that moves centres."""
+"""Rounds PLY properties to float32, and measures by how much centres move."""
 
 from __future__ import annotations
 
@@ -94,4 +94,4 @@ class Rounding:
             return text
         middle = np.rint((self._low + self._high) / 2)
         by = ",".join(f"{-x:.0f}" for x in middle)
-        return f"{text}; --translate={by}, as the first action, shifts them to the middle before"
+        return f"{text}; shift them first: --translate={by} as the first action"

@@ -225,7 +225,7 @@ def _leaves(
     if header.count and not count:
         raise InvalidInput(f"a tree of {header.count} Gaussians without leaves")
     if (number + first.astype(np.int64) > header.count).any():
-        log.warning("%s: one of several files, which have the other Gaussians", path)
+        log.warning("%s: one of several files; the others hold the rest of the scene", path)
     log.warning("%s: levels of detail: %d leaves of %d Gaussians read", path, count, header.count)
     kept = [
         np.frombuffer(stream, np.uint8).reshape(header.count, size)[leaves]

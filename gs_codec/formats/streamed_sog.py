@@ -133,7 +133,7 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
                 _check_unseen(seen, files, unit)
                 scenes.append(scene_of_unit(f"{path}: {name}", unit, file_bytes, max_bytes))
     if len({scene.antialiased for scene in scenes}) > 1:
-        log.warning("%s: antialiased in parts, read as the first part is", path)
+        log.warning("%s: only some parts are antialiased, read as the first part is", path)
     return join_scenes(scenes)
 
 
@@ -154,7 +154,7 @@ def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:
         images = {str(unit.files.folder / image) for image in unit.images}
         if seen & images:
             shared = Path(min(seen & images)).name
-            raise InvalidInput(f"image {shared!a:.60} is that of another scene, too")
+            raise InvalidInput(f"image {shared!a:.60} also belongs to another scene")
         seen |= images
 
 

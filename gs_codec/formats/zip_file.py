@@ -17,7 +17,7 @@ ZIP = b"PK\x03\x04"
 
 _ENTRIES = 10_000
 
-#: Bytes that are read at once, of those that are not used.
+#: Unused bytes are read in parts of this size.
 _PIECE = 1 << 20
 
 #: Number of a system in a zip.

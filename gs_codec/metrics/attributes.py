@@ -118,7 +118,7 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """
     if first.count != second.count:
         raise InvalidInput(
-            f"{first.count} and {second.count} Gaussians: cannot tell which belong together, so no "
+            f"{first.count} and {second.count} Gaussians cannot be matched, so no "
             "errors by attribute: compare what cameras see (--cameras auto)"
         )
     coefficients = max(len(first.f_rest), len(second.f_rest)) // 3

@@ -68,7 +68,7 @@ class Steps:
         Iterations of Adam on all attributes of the remaining Gaussians. Left out, with a warning,
         if held-out views lose by it, unless `keep_refined`.
     keep_refined : bool
-        Keep what `refine` makes even if held-out views lose by it, as the paper does; no effect
+        Keep the refined scene even if held-out views get worse, as the paper does; no effect
         without `refine`.
     compact_sh : float
         Strength of SH energy compaction, 0 and up: about the mean squared error of an image value
@@ -125,7 +125,7 @@ class Steps:
     )  # fmt: skip
     keep_refined: bool = option(
         False,
-        "Keep what --refine makes, even if held-out views lose by it, as the paper does.",
+        "Keep the refined scene even if held-out views get worse, as the paper does.",
         kind=bool,
     )
     compact_sh: float = option(

@@ -106,7 +106,9 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
     shared = [name for name, stem in zip(names, stems, strict=True) if counts[stem] > 1]
     if shared:
         log.warning(
-            "%d cameras share names: their files are numbered, as %s", len(shared), shared[0]
+            "%d cameras share names: their files are numbered, for example %s",
+            len(shared),
+            shared[0],
         )
     return names
 
@@ -131,7 +133,7 @@ def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | No
             names = " and ".join(f"'{cameras[k].name}'" for k in (owners[path], i))
             raise InvalidInput(
                 f"{path}: image of cameras {owners[path]} and {i}, named {names}; "
-                "expected names that tell photographs apart"
+                "expected another photograph for each camera"
             )
     return paths
 

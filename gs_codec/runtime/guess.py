@@ -5,7 +5,7 @@ from __future__ import annotations
 #: Bytes at the beginning of a file that are looked at.
 LOOKED_AT = 512
 
-_LFS = "a Git LFS pointer, not the file it stands for (`git lfs pull` fetches that)"
+_LFS = "a Git LFS pointer, not the file itself (`git lfs pull` fetches it)"
 _HTML = "an HTML page, not a scene (a server may answer with one in place of a file)"
 
 #: Beginnings, in lower case, of text without the white space before it.

@@ -355,11 +355,13 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
             f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.file_count:,}"
         )
     if centres is None:
-        log.warning("%s: without a checksum of its scene, only numbers of Gaussians agree", folder)
+        log.warning(
+            "%s: no checksum of its scene, only the number of Gaussians was checked", folder
+        )
     elif centres != centres_checksum((scene.whole or scene).positions.T):
         raise gs_codec.GsCodecError(
-            f"{folder}: report of another scene than {scene.name}, or of another order of it: "
-            "other centres (checksum)"
+            f"{folder}: report of another scene than {scene.name}, or of another order: "
+            "the checksum of centres differs"
         )
     if labels.max(initial=0) > len(reasons):
         raise gs_codec.GsCodecError(f"{folder}: label {labels.max()}, expected 0 to {len(reasons)}")

@@ -126,8 +126,6 @@ def test_quiet_leaves_results_warnings_and_errors(folder, caplog):
     assert (status, out) == (1, "")
     assert re.fullmatch(r"\[1/1\] error: .*bad\.ply: .*\n", err)
     assert "--quiet and --verbose: expected" in folder.refuse("verify", "scene.egs", "-q", "-v")
-        "verify", "scene.egs", "-q", "-v"
-    )
 
 
 def test_verbose_tells_stages_and_memory(folder, caplog):

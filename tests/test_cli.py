@@ -258,7 +258,7 @@ def test_compare_prints_the_errors(folder):
     lines = folder.run("compare", "scene.ply", "decoded.ply").out.splitlines()
     assert lines[0] == "1,500 Gaussians, matched by stored order"
     assert len(lines) == 3 + len(result["groups"])
-    assert lines[-1].endswith("--cameras auto compares what is seen")
+    assert lines[-1].endswith("--cameras auto compares what cameras see")
     assert f"{errors['opacity', 'logit']:.6g}" in lines[5].split()
 
 

@@ -282,7 +282,7 @@ def test_matrices_that_are_no_similarity_are_refused(tmp_path, number):
         ("gaussians 0", "expected an integer from 1"),
         ("keep 0%", "expected a percentage above 0"),
         ("keep 101%", "expected a percentage above 0"),
-        ("keep 0.5", "expected a percentage above 0, for example 40%"),
+        ("keep 0.5", "expected percent, for example 50% or 0.5%"),
         ("sort size", "expected morton"),
         ("remove-nan 3", "takes no value"),
     ],

@@ -102,7 +102,7 @@ def test_a_code_begins_with_those_of_the_cells_around():
 
 @pytest.mark.parametrize("depth", [0, 17, -1, 6.0, "6", None])
 def test_other_depths_are_refused(depth):
-    with pytest.raises(InvalidInput, match=f"depth {depth}: expected an integer from 1 to 16"):
+    with pytest.raises(InvalidInput, match=r"^depth.*: .*expected (an integer from 1 to 16|int)$"):
         gs_codec.to_octree(to_cloud(random_scene(9)), depth)
 
 

@@ -148,7 +148,7 @@ def test_centres_of_hidden_and_of_faint_gaussians_are_left_out(scene, colouring)
     assert 0 < len(some.positions) == kept.sum() < mask.sum()
     np.testing.assert_array_equal(some.positions, all_of.positions[kept])
     np.testing.assert_array_equal(some.colours, all_of.colours[kept])
-    assert len(centres(scene, colouring, [scene, other], 100, look).positions) <= 100
+    assert len(centres(scene, colouring, [scene, other], 100, look=look).positions) <= 100
 
 
 def test_the_shader_gets_the_gaussians_that_are_drawn(scene):

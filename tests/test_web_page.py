@@ -559,7 +559,7 @@ def test_pages_turn_about_the_axis_asked_for(files, tmp_path):
 def test_pages_hold_what_may_be_up(files, tmp_path):
     cameras = files.folder / "cameras.json"
     for up in (None, "-x"):
-        share([files.folder / "a.egs"], tmp_path / "page.html", cameras, up=up)
+        share([files.folder / "a.egs"], tmp_path / "page.html", cameras, up=up, overwrite=True)
         told = described(tmp_path / "page.html")
         assert told["up"] == (up or "cameras")
         assert list(told["ups"]) == ["cameras", *UPS]
@@ -594,7 +594,7 @@ def test_estimated_cameras_are_upright_by_the_axis_asked_for(files, tmp_path, ca
         assert right[2] == pytest.approx(0, abs=1e-9)
         assert down[2] < 0
     assert not caplog.records
-    share([tmp_path / "a.egs"], tmp_path / "page.html")
+    share([tmp_path / "a.egs"], tmp_path / "page.html", overwrite=True)
     assert [record.getMessage() for record in caplog.records] == [
         "cameras 'auto': the scene does not show which way is up; "
         "choose an axis (up), or give its cameras"

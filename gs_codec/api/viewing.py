@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec.codecs.matching import put_side_by_side
 from gs_codec.config import Config, as_config
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @checked
 def render(
     source: PointCloud | str | Path,
-    cameras: str | Path | Sequence[Camera] = "auto",
+    cameras: str | Path | Sequence[Camera | Mapping[str, Any]] = "auto",
     *,
     split: str = "all",
     width: int | None = None,
@@ -106,7 +106,7 @@ def render(
 def compare(
     first: PointCloud | str | Path,
     second: PointCloud | str | Path,
-    cameras: str | Path | Sequence[Camera] | None = None,
+    cameras: str | Path | Sequence[Camera | Mapping[str, Any]] | None = None,
     *,
     split: str = "held-out",
     width: int | None = None,

@@ -142,7 +142,7 @@ def _differences(a: NDArray, b: NDArray, others: NDArray, looks: NDArray) -> NDA
     apart = np.abs(looks - b[:, None])
     return np.stack(
         [
-            np.linalg.norm(others - a[:, None], axis=2),
+            np.sqrt(((others - a[:, None]) ** 2).sum(axis=2)),
             apart[..., :3].max(axis=2),
             apart[..., 3],
             apart[..., 4:].max(axis=2),

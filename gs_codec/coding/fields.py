@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from gs_codec.coding.binary import code_raw
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.mapped import FileBytes
 
 
 class ByteReader:
     """Cursor over bytes that names the section in its errors."""
 
-    def __init__(self, data: memoryview, where: str) -> None:
+    def __init__(self, data: memoryview | FileBytes, where: str) -> None:
         self._data = data
         self.where = where
         self.position = 0
@@ -26,13 +27,17 @@ class ByteReader:
 
     def take(self, size: int) -> memoryview:
         """The next `size` bytes."""
+        self.skip(size)
+        return self._data[self.position - size : self.position]
+
+    def skip(self, size: int) -> None:
+        """Pass the next `size` bytes."""
         left = len(self._data) - self.position
         if size > left:
             raise TruncatedStream(
                 f"{self.where}: {left} bytes left at {self.position}, expected {size}"
             )
         self.position += size
-        return self._data[self.position - size : self.position]
 
     def rest(self) -> memoryview:
         """Everything that is left."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
 from gs_codec.rendering.lens import BROWN, FISHEYE, lens_fields
-from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.mapped import FileBytes, opened
 
 log = logging.getLogger(__name__)
 
@@ -244,11 +244,10 @@ def _name(where: str, raw: bytes) -> str:
 
 
 def _read_binary(
-    path: Path, parse: Callable[[Path, memoryview, ByteReader], T], smallest: int
+    path: Path, parse: Callable[[Path, FileBytes, ByteReader], T], smallest: int
 ) -> list[T]:
     """All entries of a file, each of `smallest` bytes or more."""
-    with opened(path) as file:
-        data = file[:]
+    with opened(path) as data:
         reader = ByteReader(data, str(path))
         try:
             (count,) = reader.unpack("Q")
@@ -263,7 +262,7 @@ def _read_binary(
     return entries
 
 
-def _binary_camera(path: Path, _: memoryview, reader: ByteReader) -> _Intrinsics:
+def _binary_camera(path: Path, _: FileBytes, reader: ByteReader) -> _Intrinsics:
     camera_id, number, width, height = reader.unpack("IiQQ")
     model = _MODELS[number] if 0 <= number < len(_MODELS) else f"number {number}"
     # The number of parameters is known only for the models that are supported.
@@ -271,7 +270,7 @@ def _binary_camera(path: Path, _: memoryview, reader: ByteReader) -> _Intrinsics
     return _Intrinsics(camera_id, model, width, height, reader.unpack(f"{count}d"))
 
 
-def _binary_image(path: Path, data: memoryview, reader: ByteReader) -> _Image:
+def _binary_image(path: Path, data: FileBytes, reader: ByteReader) -> _Image:
     image_id, *pose, camera_id = reader.unpack("I7dI")
     where = f"{path}: image {image_id}"
     name = bytes(data[reader.position : reader.position + _MAX_NAME + 1])
@@ -280,7 +279,7 @@ def _binary_image(path: Path, data: memoryview, reader: ByteReader) -> _Image:
     name = name[: name.index(b"\0")]
     reader.take(len(name) + 1)
     (points,) = reader.unpack("Q")
-    reader.take(24 * points)
+    reader.skip(24 * points)
     return _Image(where, tuple(pose), camera_id, _name(where, name))
 
 

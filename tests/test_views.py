@@ -328,7 +328,7 @@ def test_photographs_of_cameras_of_one_name_are_refused(pair, tmp_path):
     views = [camera("a"), camera("frame"), camera("frame", position=(1.0, 0.0, -4.0))]
     for name in ("a", "frame"):
         Image.new("RGB", (40, 30)).save(tmp_path / f"{name}.png")
-    message = r"frame.png: image of cameras 1 and 2, named 'frame' and 'frame'; expected names that"
+    message = r"frame.png: image of cameras 1 and 2, named 'frame' and 'frame'; expected another"
     with pytest.raises(InvalidInput, match=message):
         compare_views(*pair, views, tmp_path)
     with pytest.raises(InvalidInput, match=message):
@@ -524,7 +524,7 @@ def test_views_are_drawn_when_asked_for(pair):
     assert np.abs(other.colour - drawn.colour).max() > 0.1
     with pytest.raises(InvalidInput, match=r"camera: no 'fx'"):
         views.draw({key: value for key, value in entry.items() if key != "fx"})
-    with pytest.raises(InvalidInput, match="expected a camera"):
+    with pytest.raises(InvalidInput, match="expected str or Path or Sequence"):
         gs_codec.render(to_cloud(scene), [3])
 
 

@@ -107,13 +107,13 @@ def _profile_lines(
         start = time.perf_counter()
         data, report = encode_scene(scene, config)
         middle = time.perf_counter()
-        decoded = decode_scene(data)
+        decode_scene(data)
         seconds["encode"].append(middle - start)
         seconds["decode"].append(time.perf_counter() - middle)
-    held_out = prepared.views.held_out
-    quality = held_out.quality(decoded, lpips=lpips)
-    for step in coding_steps(scene, config, data, report, held_out):
+    steps = coding_steps(scene, config, data, report, prepared.views.held_out, lpips)
+    for step in steps:
         yield _step_line(measured, step, profile, prepared)
+    quality = steps[-1].quality
     yield {
         "kind": "profile",
         "scene": measured.name,

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.mapped import FileBytes
-
-#: Byte order mark, which some editors of text write first.
-BOM = b"\xef\xbb\xbf"
 
 #: Longest header. `.egs` files keep up to 2^20 bytes of comments; PLY adds a word to each line.
 _HEADER_BYTES = 1 << 24
@@ -133,7 +131,7 @@ def read_header(data: memoryview | FileBytes) -> PlyHeader:
 def _split_lines(data: memoryview | FileBytes) -> tuple[list[str], int]:
     """The lines between ``ply`` and ``end_header``, and where the body begins."""
     head = data[:_FIRST_BYTES]
-    start = re.match(rb"(?:%b)?ply[ \t]*(\r\n|\n|\r)" % BOM, head)
+    start = re.match(rb"(?:%b)?ply[ \t]*(\r\n|\n|\r)" % BOM_UTF8, head)
     if not start:
         raise _error(1, f"{bytes(head[:20])!a}, expected 'ply'")
     # Use one kind of line end: the first byte of the body may look like part of another kind.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -31,7 +32,6 @@ from gs_codec.formats import (
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
-from gs_codec.formats.ply_header import BOM
 from gs_codec.formats.rounding import Shift
 from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
@@ -57,7 +57,7 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (EGS, "egs"),
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
-    (BOM + b"ply", "ply"),
+    (BOM_UTF8 + b"ply", "ply"),
     (spz_file.MAGIC, "spz"),
     (ZIP, "sog"),
     (gltf_file.MAGIC, "gltf"),

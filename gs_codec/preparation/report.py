@@ -170,15 +170,21 @@ def _markdown(rows: Sequence[Sequence[str]]) -> str:
 
 
 def coding_steps(
-    scene: Scene, config: Config, data: bytes, report: EncodeReport, held_out: ReferenceViews
+    scene: Scene,
+    config: Config,
+    data: bytes,
+    report: EncodeReport,
+    held_out: ReferenceViews,
+    lpips: str | None = None,
 ) -> list[StepReport]:
     """Size and quality after quantisation, entropy coding, and coding of the geometry.
 
     Quantised attributes take the bits of their depths. Entropy coding then codes all but positions
     and SH-DC; geometry coding codes these too, and gives the size of the file. Only quantisation
-    loses quality. Profiles without depths have one step. `data` and `report` are from encoding.
+    loses quality. Profiles without depths have one step. `data` and `report` are from encoding;
+    with weights of `lpips`, quality has LPIPS too.
     """
-    quality = held_out.quality(decode_as(config, data))
+    quality = held_out.quality(decode_as(config, data), lpips=lpips)
     if config.profile not in PROFILES:
         name, took = f"coding ({config.profile})", sum(report.seconds.values())
         return [StepReport(name, report.count, report.file_bytes, quality, took)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
+
 #: Bytes at the beginning of a file that are looked at.
 LOOKED_AT = 512
 
@@ -28,7 +30,7 @@ _SIGNATURES = {
 
 def looks_like(head: bytes) -> str:
     """What is known not to be a scene, by the first `LOOKED_AT` bytes, in words; "" if unknown."""
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    text = head.removeprefix(BOM_UTF8).lstrip().lower()
     found = [words for begin, words in _TEXTS.items() if text.startswith(begin)]
     found += [words for begin, words in _SIGNATURES.items() if head.startswith(begin)]
     return found[0] if found else ""

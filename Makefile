@@ -4,6 +4,7 @@ PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
+WEB := viewer/web
 # The pip that comes with Python may be years old, and install half as fast.
 NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
@@ -43,7 +44,7 @@ test: $(VENV)/installed-test
 # `test-ci` is without tests that take seconds each, to show more of what others show: on more processes, windows,
 # browsers and real scenes, for every bit, or for all cases of large tables. They are marked `thorough`, or `one_in`.
 test-ci: CHOSEN := -m "not thorough"
-test-all test-ci: $(VENV)/compiled web tests/web/node_modules/.package-lock.json
+test-all test-ci: $(VENV)/compiled $(WEB)/node_modules/.package-lock.json tests/web/node_modules/.package-lock.json
 	$(PYTEST) $(CHOSEN)
 
 # What tests import is compiled once, before every worker would. If that fails, tests say why.
@@ -64,12 +65,10 @@ docs: $(VENV)/installed
 	rm -rf build/docs
 	$(BIN)/python samples/api_pages.py build/docs
 
-# The page of `gs-codec share` for browsers: Node 18 and npm, which fetches what package-lock.json names.
-WEB := viewer/web
-web: $(WEB)/build/page.html
-
-$(WEB)/build/page.html: $(WEB)/node_modules/.package-lock.json $(WEB)/build.mjs $(wildcard $(WEB)/page/* $(WEB)/src/*)
-	@echo "Building $@"
+# The page of `gs-codec share` for browsers, which is kept beside its sources and built again after they change: Node 18
+# and npm, which fetches what package-lock.json names.
+web: $(WEB)/node_modules/.package-lock.json
+	@echo "Building $(WEB)/page.html"
 	@npm --prefix $(WEB) run --silent build
 
 # esbuild for the page; for tests playwright-core, PlayCanvas, three.js and Spark.
@@ -146,4 +145,4 @@ $(VENV)/installed-all: pyproject.toml .ci/system-packages
 	@touch $(VENV)/installed $(VENV)/installed-test $@
 
 clean:
-	rm -rf $(VENV) demo build fuzz *.egg-info $(WEB)/build $(WEB)/node_modules tests/web/node_modules
+	rm -rf $(VENV) demo build fuzz *.egg-info $(WEB)/node_modules tests/web/node_modules

@@ -19,7 +19,6 @@ from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Results, bd_rate
 from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
-from gs_codec.files import sharing
 from gs_codec.formats.ply import write_ply
 from samples.generate import generate
 
@@ -44,8 +43,6 @@ def folder(tmp_path, monkeypatch, few_cameras):
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
     # Pictures have no pixels, which tests of reports draw.
     monkeypatch.setattr(plots, "png_of", lambda _: b"")
-    # A page is written where none has been built, too.
-    monkeypatch.setattr(sharing, "_template", lambda: "<!--title--><!--data-->")
     return tmp_path
 
 

@@ -18,7 +18,7 @@ from urllib.request import url2pathname
 
 import pytest
 from scenes import random_scene
-from test_web_page import Job, built, in_browser, open_pages
+from test_web_page import Job, in_browser, open_pages
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
@@ -151,7 +151,6 @@ def test_the_address_is_no_argument_of_the_browser(page, monkeypatch, tmp_path, 
 
 
 @pytest.mark.thorough
-@built
 @in_browser
 def test_a_browser_shows_it(scene):
     page = serve([scene], "auto", None, None, None)
@@ -164,7 +163,6 @@ def test_a_browser_shows_it(scene):
     assert asked == [page.url, f"{page.url}a.egs"]
 
 
-@built
 def test_the_page_turns_about_the_axis_asked_for(scene):
     page = serve([scene], "auto", None, None, None, "-x")
     page.server_close()
@@ -172,7 +170,6 @@ def test_the_page_turns_about_the_axis_asked_for(scene):
     assert b'"up": "-x"' in text
 
 
-@built
 def test_it_serves_until_it_is_interrupted(scene):
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     process = subprocess.Popen(
@@ -210,7 +207,6 @@ def test_it_serves_until_it_is_interrupted(scene):
         (["a.egs", "--web", "--max-bytes", "99"], "the limit is 99"),
     ],
 )
-@built
 def test_refusals_are_one_line(scene, tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     shutil.copy(scene, "a.egs")
@@ -223,7 +219,6 @@ def test_refusals_are_one_line(scene, tmp_path, monkeypatch, capsys, arguments, 
     assert error.count("\n") == 1
 
 
-@built
 def test_a_taken_port_is_one_line(scene, monkeypatch, capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -16,7 +16,7 @@ import pytest
 import test_web_page as web_page
 from damage import flipped
 from test_web_levels import city
-from test_web_page import Job, built, decibels, drawn, in_browser, open_pages, seen
+from test_web_page import Job, decibels, drawn, in_browser, open_pages, seen
 
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.decode import choose_part
@@ -28,7 +28,7 @@ from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.cameras import write_cameras
 from gs_codec.scene import Scene
 
-pytestmark = [built, in_browser]
+pytestmark = in_browser
 
 SIZE = WIDTH, HEIGHT = 300, 200
 

@@ -45,18 +45,13 @@ from viewer.pictures.layers import error_image
 
 ROOT = Path(__file__).parents[1]
 HERE = Path(__file__).parent / "web"
+WEB = ROOT / "viewer" / "web"
 NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
 
-built = pytest.mark.skipif(
-    not (ROOT / "viewer" / "web" / "build" / "page.html").is_file(),
-    reason="the page is not built: make web",
-)
 in_browser = pytest.mark.skipif(
     not (NODE and CHROMIUM and (HERE / "node_modules").is_dir()),
     reason="needs Node, Chromium, and npm ci in tests/web",
 )
-pytestmark = built
-
 SIZE = WIDTH, HEIGHT = 300, 200
 
 
@@ -909,14 +904,22 @@ def test_refusals_are_one_line(files, tmp_path, monkeypatch, capsys, arguments, 
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.skipif(
+    not (NODE and (WEB / "node_modules").is_dir()), reason="needs Node, and make web for esbuild"
+)
+def test_the_page_is_what_its_sources_give(tmp_path):
+    subprocess.run([NODE, WEB / "build.mjs", tmp_path / "page.html"], check=True)
+    assert (tmp_path / "page.html").read_bytes() == (WEB / "page.html").read_bytes(), "make web"
+
+
 def test_three_scenes_are_too_many(files, tmp_path):
     with pytest.raises(InvalidInput, match="3 scenes, expected one or two"):
         share([files.folder / "a.egs"] * 3, tmp_path / "page.html")
 
 
-def test_without_the_build_it_says_what_builds_it(files, tmp_path, monkeypatch):
+def test_an_installation_without_the_page_is_reported(files, tmp_path, monkeypatch):
     monkeypatch.setattr(sharing.importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(MissingTool, match="the page for browsers is not built: make web"):
+    with pytest.raises(MissingTool, match=r"viewer/web/page\.html: no such file"):
         share([files.folder / "a.egs"], tmp_path / "page.html")
 
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -14,7 +15,10 @@ import pytest
 import gs_codec
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ("LICENSE", "README.md", "gs_codec", "pyproject.toml", "samples", "tests", "viewer")
+SOURCES = (
+    ".ci", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "Makefile", "README.md",
+    "gs_codec", "pyproject.toml", "samples", "tests", "viewer",
+)  # fmt: skip
 
 
 def run(*arguments: str | Path, cwd: Path, path: Path | None = None) -> str:
@@ -30,8 +34,8 @@ def run(*arguments: str | Path, cwd: Path, path: Path | None = None) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    """A wheel of a copy of the sources: builds leave files behind."""
+def sdist(tmp_path_factory) -> Path:
+    """The source distribution of a copy of the sources: builds leave files behind."""
     folder = tmp_path_factory.mktemp("wheel")
     copy = folder / "sources"
     copy.mkdir()
@@ -42,8 +46,17 @@ def wheel(tmp_path_factory) -> Path:
         else:
             left = shutil.ignore_patterns("__pycache__", "node_modules")
             shutil.copytree(source, copy / name, ignore=left)
+    code = f"from setuptools import build_meta; build_meta.build_sdist({str(folder)!r})"
+    run("-W", "ignore", "-c", code, cwd=copy)
+    return next(folder.glob("*.tar.gz"))
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist) -> Path:
+    """A wheel of the source distribution."""
+    folder = sdist.parent
     pip = "-m", "pip", "--disable-pip-version-check", "wheel", "--no-index", "--no-deps"
-    run(*pip, "--no-build-isolation", "--wheel-dir", folder, copy, cwd=folder)
+    run(*pip, "--no-build-isolation", "--wheel-dir", folder, sdist, cwd=folder)
     return next(folder.glob("*.whl"))
 
 
@@ -52,6 +65,18 @@ def unpacked(wheel) -> Path:
     folder = wheel.parent / "unpacked"
     zipfile.ZipFile(wheel).extractall(folder)
     return folder
+
+
+def test_source_distribution_holds_the_sources(sdist):
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert names >= {
+        path.relative_to(ROOT).as_posix()
+        for source in map(ROOT.joinpath, SOURCES)
+        for path in ([source] if source.is_file() else source.rglob("*"))
+        if path.is_file() and not {"__pycache__", "node_modules"} & set(path.parts)
+    }
+    assert not any("node_modules" in name or "__pycache__" in name for name in names)
 
 
 def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
@@ -71,7 +96,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
             "gs_codec/bench/*.jsonl",
             "gs_codec/bench/*.png",
             "viewer/*.png",
-            "viewer/web/build/page.html",  # where it has been built
+            "viewer/web/page.html",
         )
         for path in ROOT.glob(pattern)
     }

@@ -105,7 +105,7 @@ def share(
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
         As for `read` and `render`; or if there are more scenes, or the target cannot be written.
     MissingTool
-        If the page has not been built (``make web``).
+        If the page is not where `viewer` is installed.
     """
     target = Path(target)
     if up is not None:
@@ -233,10 +233,10 @@ def _template() -> str:
     """The page that was built, without scenes."""
     spec = importlib.util.find_spec("viewer")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
-        built = Path(folder, "web", "build", "page.html")
+        built = Path(folder, "web", "page.html")
         if built.is_file():
             return built.read_text(encoding="utf-8")
-    raise MissingTool("the page for browsers is not built: make web, which needs Node and npm")
+    raise MissingTool("viewer/web/page.html: no such file; install gs-codec again")
 
 
 def _fill(template: str, **parts: str) -> str:

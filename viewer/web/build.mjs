@@ -1,6 +1,6 @@
-// Builds the page: build/page.html, all in one file, in which `gs-codec share` puts scenes.
+// Builds the page: page.html or the file named, all in one file, in which `gs-codec share` puts scenes.
 import { createHash } from 'node:crypto';
-import { mkdir, readFile, writeFile } from 'node:fs/promises';
+import { readFile, writeFile } from 'node:fs/promises';
 import { dirname, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
@@ -61,5 +61,4 @@ const parts = {
 };
 let text = await readFile(page('page.html'), 'utf8');
 for (const [name, part] of Object.entries(parts)) text = text.replace(`<!--${name}-->`, () => part);
-await mkdir(resolve(here, 'build'), { recursive: true });
-await writeFile(resolve(here, 'build', 'page.html'), text);
+await writeFile(process.argv[2] ?? resolve(here, 'page.html'), text);

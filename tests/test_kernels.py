@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 
+from gs_codec.runtime import kernel_cache
 from gs_codec.runtime.kernels import kernel
 
 ROOT = Path(__file__).parents[1]
@@ -152,6 +154,83 @@ def test_processes_that_start_together_compile_once(tmp_path):
     ]
     lines = [process.communicate()[0].splitlines()[0] for process in together]
     assert sorted(line.startswith("[14.] Counter({") for line in lines) == [False, True, True]
+
+
+@pytest.fixture
+def places(tmp_path, monkeypatch):
+    """A home and a folder for temporary files; gives what says where kernels are kept."""
+    (tmp_path / "home").mkdir()
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+
+    def found() -> str | None:
+        folder = kernel_cache.cache_folder.__wrapped__()
+        return folder and folder.relative_to(tmp_path).as_posix()
+
+    return found
+
+
+TEMPORARY = f"tmp/gs-codec-{os.geteuid()}"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have other folders")
+def test_compiled_kernels_are_kept_in_the_cache_folder_of_the_user(places, tmp_path, monkeypatch):
+    assert places() == "home/.cache/gs-codec"
+    assert (tmp_path / "home/.cache/gs-codec").stat().st_mode & 0o777 == 0o700
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert places() == "cache/gs-codec"
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "chosen"))
+    assert places() == "chosen"
+
+
+@pytest.mark.parametrize("named", ["", "cache"])
+def test_a_cache_folder_without_an_absolute_name_is_not_taken(places, tmp_path, monkeypatch, named):
+    """Code would be loaded from wherever the user works, such as a download."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", named)
+    assert places() == "home/.cache/gs-codec"
+
+
+def test_without_a_home_compiled_kernels_are_kept_among_temporary_files(
+    places, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("HOME", str(tmp_path / "missing"))
+    assert places() == TEMPORARY
+    assert not (tmp_path / "missing").exists()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing/tmp"))
+    assert places() is None
+
+
+@pytest.mark.parametrize("mode", [0o720, 0o702])
+def test_no_code_is_loaded_from_where_others_write(places, tmp_path, mode):
+    (tmp_path / "home/.cache/gs-codec").mkdir(parents=True)
+    (tmp_path / "home/.cache/gs-codec").chmod(mode)
+    assert places() == TEMPORARY
+    (tmp_path / TEMPORARY).chmod(mode)
+    assert places() is None
+
+
+def test_no_code_is_loaded_from_folders_of_others(places, tmp_path, monkeypatch):
+    assert places() == "home/.cache/gs-codec"
+    (tmp_path / TEMPORARY).symlink_to(tmp_path / "home/.cache/gs-codec")
+    user = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: user + 1)
+    (tmp_path / "tmp" / f"gs-codec-{user + 1}").mkdir()
+    (tmp_path / "tmp").chmod(0o1777)
+    assert places() is None
+
+
+def test_no_code_is_loaded_from_what_others_can_move_or_link(places, tmp_path):
+    (tmp_path / "home/.cache").mkdir()
+    (tmp_path / "home/.cache").chmod(0o777)
+    (tmp_path / "tmp/elsewhere").mkdir()
+    (tmp_path / TEMPORARY).symlink_to(tmp_path / "tmp/elsewhere")
+    assert places() is None
+    (tmp_path / "home/.cache").chmod(0o1777)
+    assert places() == "home/.cache/gs-codec"
 
 
 def test_make_asks_for_it():

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import zipfile
 from pathlib import Path
@@ -58,6 +59,11 @@ def wheel(sdist) -> Path:
     pip = "-m", "pip", "--disable-pip-version-check", "wheel", "--no-index", "--no-deps"
     run(*pip, "--no-build-isolation", "--wheel-dir", folder, sdist, cwd=folder)
     return next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def sources(wheel) -> Path:
+    return wheel.parent / "sources"
 
 
 @pytest.fixture(scope="module")
@@ -154,3 +160,36 @@ def test_unpacked_wheel_loads_every_command(unpacked, tmp_path):
     )
     loaded = run("-c", code, cwd=tmp_path, path=unpacked).split()
     assert "gs_codec.cli.bench" in loaded
+
+
+#: Runs a kernel, and names the package and the folder of compiled kernels.
+COMPILING = """
+import numpy as np
+import gs_codec
+from gs_codec.coding.quantise import _range_of, fit_range
+assert fit_range(np.array([1, 3], np.float32), 2).step == 2 / 3
+print(gs_codec.__file__, _range_of.stats.cache_path, *_range_of.stats.cache_hits.values())
+"""
+
+
+@pytest.mark.thorough
+def test_an_installed_copy_that_has_run_gives_way_to_another(wheel, sources, tmp_path, monkeypatch):
+    """Files that pip does not know, in the package, would keep it there: in the way of another."""
+    venv, pip = tmp_path / "venv", ("-m", "pip", "--disable-pip-version-check", "--quiet")
+    run("-m", "venv", "--without-pip", venv, cwd=tmp_path)
+    site = next(venv.glob("lib*/python*/site-packages"))
+    (site / "rest.pth").write_text(sysconfig.get_path("purelib"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(sys, "executable", str(venv / "bin/python"))
+    options = "--no-index", "--no-deps", "--no-build-isolation", "--force-reinstall"
+    hits = []
+    for what, place in [((wheel,), site), (("-e", sources), sources)] * 2:
+        run(*pip, "install", *options, *what, cwd=tmp_path)
+        package, cache, *found = run("-c", COMPILING, cwd=tmp_path).split()
+        assert Path(package) == place / "gs_codec/__init__.py"
+        assert Path(cache).parent == tmp_path / "gs-codec"
+        hits.append(found)
+        assert (site / "gs_codec").exists() == (place == site)
+        assert not [*place.glob("gs_codec/**/*.nb*")]
+    assert hits == [[], ["1"], ["1"], ["1"]], "each place has compiled again"

@@ -1,20 +1,16 @@
 """Compile functions with numba: cached on disk if possible, without the GIL."""
 
-import os
-import pickle
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 import numba
-import numpy as np
+from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 
 from gs_codec.runtime.atomic import alone
-
-#: Errors of a full disk, a folder without permission, or a truncated cache entry.
-_CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
+from gs_codec.runtime.kernel_cache import kept
 
 #: How long to wait for a process that compiles kernels of the same source file; it may be stopped.
 _PATIENCE = 60.0
@@ -33,10 +29,8 @@ def kernel(function: Callable) -> Any:
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     if compiled is function:  # numba is disabled (NUMBA_DISABLE_JIT)
         return compiled
-    with suppress(RuntimeError):  # no folder for a cache: each process compiles again
-        compiled.enable_caching()
-        go_by_cache(compiled._cache, function, _Loading)
-        compiled.compile = _alone(compiled.compile, function.__code__.co_filename)
+    compiled._cache = kept(FunctionCache, function, _Loading)
+    compiled.compile = _alone(compiled.compile, function.__code__.co_filename)
     return compiled
 
 
@@ -62,52 +56,6 @@ def _locked(source: str) -> Iterator[None]:
             yield
     finally:
         _compiling.remove(source)
-
-
-def go_by_cache(cache: Any, function: Callable, loading: Callable[[Any], Any]) -> None:
-    """Load from the cache, and ignore its failures: a kernel can be compiled again.
-
-    `loading` makes of numba's target the one that machine code is loaded with.
-    """
-    load, save = cache.load_overload, cache.save_overload
-
-    def try_to_load(signature: Any, target: Any) -> Any:
-        # Only now are all globals of the function's module there.
-        cache._cache_file._source_stamp = _stamp(function)
-        with suppress(*_CACHE_ERRORS):
-            return load(signature, loading(target))
-        return None
-
-    def try_to_save(*arguments: Any) -> None:
-        with suppress(*_CACHE_ERRORS):
-            save(*arguments)
-
-    cache.load_overload, cache.save_overload = try_to_load, try_to_save
-
-
-def _stamp(function: Callable) -> list[Any]:
-    """What a kernel is compiled from; numba's own stamp is that of its source file alone.
-
-    These are the source files of all kernels that it calls, and the values of globals of all.
-    """
-    stamp: dict[str, Any] = {}
-
-    def add(function: Any) -> None:
-        source, names = function.__code__.co_filename, function.__code__.co_names
-        with suppress(OSError):
-            status = os.stat(source)
-            stamp[source] = status.st_mtime, status.st_size
-        for name in names:
-            value, key = function.__globals__.get(name), f"{source}:{name}"
-            called = getattr(value, "py_func", None)
-            if called is not None and key not in stamp:
-                stamp[key] = None
-                add(called)
-            elif isinstance(value, bool | int | float | tuple | np.generic | np.ndarray):
-                stamp[key] = value.tobytes() if isinstance(value, np.ndarray) else repr(value)
-
-    add(function)
-    return sorted(stamp.items(), key=str)
 
 
 def inlined(function: Callable) -> Any:

@@ -8,7 +8,6 @@ through these.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS, PassTables
 from gs_codec.coding.rans import LANES
-from gs_codec.runtime.kernels import go_by_cache
+from gs_codec.runtime.kernel_cache import kept
 
 #: Whether kernels run in numba's simulator.
 SIMULATED = bool(config.ENABLE_CUDASIM)
@@ -70,15 +69,14 @@ if SIMULATED:
 
 else:
     from numba.cuda import libdevice
+    from numba.cuda.dispatcher import CUDACache
 
     device = cuda.jit(device=True)
 
     def launched(function: Callable) -> Any:
         """Compile a kernel, which takes seconds, or load it from the disk, if possible."""
         compiled: Any = cuda.jit(function)
-        with suppress(RuntimeError):  # no folder for a cache
-            compiled.enable_caching()
-            go_by_cache(compiled._cache, function, lambda target: target)
+        compiled._cache = kept(CUDACache, function, lambda target: target)
         return compiled
 
     @device

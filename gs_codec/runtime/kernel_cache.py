@@ -1,0 +1,173 @@
+"""Compiled kernels on disk: in a folder of this user's, never in the installed package."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import pickle
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba.core import config
+from numba.core.caching import NullCache
+from numba.misc.appdirs import AppDirs
+
+#: Errors of a full disk, a folder without permission, or a truncated cache entry.
+_CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
+
+#: Settings of numba that change machine code and are not in the key of its caches.
+_SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+
+#: Source files of the package are named from here, wherever it is installed.
+_PACKAGE = Path(__file__).parents[1]
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """Where this user's compiled kernels are: NUMBA_CACHE_DIR, or the first safe place.
+
+    That is the system's cache folder of the user, or else a folder in that of temporary files. As
+    code is loaded from it, no other user may write there. None if there is no such place.
+    """
+    if config.CACHE_DIR:
+        return Path(config.CACHE_DIR)
+    return next(filter(_is_private, _places()), None)
+
+
+def _places() -> Iterator[Path]:
+    home = Path(os.path.expanduser("~/.cache/gs-codec"))
+    user = Path(AppDirs("gs-codec", appauthor=False).user_cache_dir)
+    yield user if user.is_absolute() else home  # the current folder is not this user's
+    yield Path(tempfile.gettempdir(), f"gs-codec-{os.geteuid() if _has_owners() else 'kernels'}")
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder is there, or can be made, that no other user can write to or move."""
+    try:
+        folder.parent.mkdir(0o700, exist_ok=True)
+        if not _has_owners():
+            folder.mkdir(exist_ok=True)
+            return True
+        around, others = folder.parent.stat(), stat.S_IWGRP | stat.S_IWOTH
+        shared = around.st_mode & stat.S_IWOTH or around.st_uid not in (0, os.geteuid())
+        if shared and not around.st_mode & stat.S_ISVTX:
+            return False
+        folder.mkdir(0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return False
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    return own and not found.st_mode & others
+
+
+def _has_owners() -> bool:
+    return sys.platform != "win32"
+
+
+def kept(kind: Any, function: Callable, loading: Callable[[Any], Any]) -> Any:
+    """A cache of one of numba's kinds for a kernel, in `cache_folder`.
+
+    Its failures are ignored: a kernel can be compiled again. `loading` makes of numba's target the
+    one that machine code is loaded with.
+    """
+    return NullCache() if cache_folder() is None else _kind(kind)(function, loading)
+
+
+@functools.cache
+def _kind(kind: Any) -> Any:
+    class Files(kind._impl_class):
+        _locator_classes = (_Place,)
+
+    class Kept(kind):
+        _impl_class = Files
+
+        def __init__(self, function: Callable, loading: Callable[[Any], Any]) -> None:
+            super().__init__(function)
+            self._function, self._loading = function, loading
+
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            # Only now are all globals of the function's module there.
+            self._cache_file._source_stamp = stamp(self._function)
+            with suppress(*_CACHE_ERRORS):
+                return super().load_overload(sig, self._loading(target_context))
+            return None
+
+        def save_overload(self, sig: Any, data: Any) -> None:
+            with suppress(*_CACHE_ERRORS):
+                super().save_overload(sig, data)
+
+        def _index_key(self, sig: Any, codegen: Any) -> Any:
+            return *super()._index_key(sig, codegen), settings()
+
+    return Kept
+
+
+class _Place:
+    """Where numba's cache keeps the kernels of a source file: by its content."""
+
+    def __init__(self, function: Callable, source: str) -> None:
+        _, digest = source_digest(source)
+        self._line = function.__code__.co_firstlineno
+        self._path = Path(cache_folder() or "", f"{Path(source).stem}-{digest[:16]}")
+
+    @classmethod
+    def from_function(cls, function: Callable, source: str) -> _Place | None:
+        """None for functions without a source file."""
+        return cls(function, source) if os.path.exists(source) else None
+
+    def get_cache_path(self) -> str:
+        return str(self._path)
+
+    def ensure_cache_path(self) -> None:
+        self._path.mkdir(0o755, parents=True, exist_ok=True)
+
+    def get_source_stamp(self) -> None:
+        """That of a kernel is `stamp`."""
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+def settings() -> tuple[Any, ...]:
+    """Settings of numba that change machine code."""
+    return tuple(getattr(config, name, None) for name in _SETTINGS)
+
+
+@functools.cache
+def source_digest(path: str) -> tuple[str, str]:
+    """The name of a source file, in the package from its folder on, and a digest of its content."""
+    source = Path(path)
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    inside = source.is_relative_to(_PACKAGE)
+    return (source.relative_to(_PACKAGE) if inside else source).as_posix(), digest
+
+
+def stamp(function: Callable) -> list[Any]:
+    """What a kernel is compiled from; numba's own stamp is that of its source file alone.
+
+    These are the source files of all kernels that it calls, and the values of globals of all.
+    """
+    found: dict[str, Any] = {}
+
+    def add(function: Any) -> None:
+        source, names = function.__code__.co_filename, function.__code__.co_names
+        with suppress(OSError):
+            source, found[source] = source_digest(source)
+        for name in names:
+            value, key = function.__globals__.get(name), f"{source}:{name}"
+            called = getattr(value, "py_func", None)
+            if called is not None and key not in found:
+                found[key] = None
+                add(called)
+            elif isinstance(value, bool | int | float | tuple | np.generic | np.ndarray):
+                found[key] = value.tobytes() if isinstance(value, np.ndarray) else repr(value)
+
+    add(function)
+    return sorted(found.items(), key=str)

@@ -2,21 +2,55 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import update_wrapper
+from threading import Lock
 from typing import Any
 
-import numba
-from numba.core.caching import FunctionCache
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.runtime import rtsys
-
 from gs_codec.runtime.atomic import alone
-from gs_codec.runtime.kernel_cache import kept
 
 #: How long to wait for a process that compiles kernels of the same source file; it may be stopped.
 _PATIENCE = 60.0
 
 #: Source files whose kernels this process is compiling.
 _compiling: set[str] = set()
+
+#: Held while a dispatcher is made.
+_making = Lock()
+
+
+class Kernel:
+    """A function whose dispatcher numba makes when it is first called, or called by a kernel.
+
+    Commands import a hundred and fifty of them and call a few; numba loads with the first.
+
+    Parameters
+    ----------
+    function : callable
+    make : callable
+        Makes numba's dispatcher of it; all other attributes are the dispatcher's.
+    """
+
+    def __init__(self, function: Callable, make: Callable[[Callable], Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+        self._make = make
+        self._made: Any = None
+
+    @property
+    def dispatcher(self) -> Any:
+        """What numba made of the function."""
+        if self._made is None:
+            with _making:
+                if self._made is None:
+                    self._made = self._make(self.py_func)
+        return self._made
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the machine code for the types of the arguments; load or compile it before."""
+        return self.dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.dispatcher, name)
 
 
 def kernel(function: Callable) -> Any:
@@ -26,6 +60,26 @@ def kernel(function: Callable) -> Any:
     compile the text of an error as well; and what begins at a constant and goes to other kernels
     begins at ``np.int64(0)``, as these would be compiled for the constant, too.
     """
+    return Kernel(function, _cached)
+
+
+def inlined(function: Callable) -> Any:
+    """Compile a small function that kernels call in their inner loops."""
+    return Kernel(function, _inlined)
+
+
+def _inlined(function: Callable) -> Any:
+    import numba
+
+    return numba.njit(inline="always", error_model="numpy")(function)
+
+
+def _cached(function: Callable) -> Any:
+    import numba
+    from numba.core.caching import FunctionCache
+
+    from gs_codec.runtime.kernel_cache import kept
+
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     if compiled is function:  # numba is disabled (NUMBA_DISABLE_JIT)
         return compiled
@@ -36,6 +90,7 @@ def kernel(function: Callable) -> Any:
 
 def _alone(compile_one: Callable, source: str) -> Callable:
     """Compile while no other process compiles a kernel of this source file: it may be the same."""
+    from numba.core.compiler_lock import global_compiler_lock
 
     def compile_alone(signature: Any) -> Any:
         with global_compiler_lock, _locked(source):
@@ -58,11 +113,6 @@ def _locked(source: str) -> Iterator[None]:
         _compiling.remove(source)
 
 
-def inlined(function: Callable) -> Any:
-    """Compile a small function that kernels call in their inner loops."""
-    return numba.njit(inline="always", error_model="numpy")(function)
-
-
 class _Loading:
     """numba's target for loading a kernel from the cache, with half the start-up time.
 
@@ -76,6 +126,8 @@ class _Loading:
 
     def refresh(self) -> None:
         """Do the part of the target's own `refresh` that machine code needs."""
+        from numba.core.runtime import rtsys
+
         rtsys.initialize(self._target)
 
     def __getattr__(self, name: str) -> Any:

@@ -933,8 +933,8 @@ for line in {commands}:
             RUN_ALL.format(
                 commands=["compare scene.ply scene.egs --cameras auto --width 40 --device cpu"]
             ),
-            {"skimage"},
-            {"torch", "lpips", "torchvision"},
+            {"gs_codec.metrics.views"},
+            {"torch", "lpips", "torchvision", "skimage"},
         ),
     ],
     ids=["import", "help", "files", "views"],

@@ -15,7 +15,7 @@ from gs_codec.runtime.threads import available_threads
 
 #: Packages that measured codecs use, ours and others'.
 _PACKAGES = (
-    "numpy", "numba", "scipy", "scikit-image", "plyfile", "pcodec", "crc32c", "zstandard", "spz",
+    "numpy", "numba", "scipy", "plyfile", "pcodec", "crc32c", "zstandard", "spz",
 )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def decode_distributed(
 
     Examples
     --------
-    >>> gs_codec.decode_distributed("scene.egs", "decoded.ply").count
+    >>> gs_codec.decode_distributed("scene.egs", "whole.ply").count
     2000
     """
     check_target([source], target, (".ply",), overwrite)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.lpips import LEAST, load_lpips
+from gs_codec.rendering.image_loss import mean_ssim
 from gs_codec.runtime.arguments import checked
 
 #: Side of the window of SSIM, pixels.
@@ -122,8 +123,6 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
     >>> gs_codec.compare_images(drawn.colour, drawn.colour * 0.5).psnr > 5
     True
     """
-    from skimage.metrics import structural_similarity
-
     first, second = np.asarray(first), np.asarray(second)
     for image in (first, second):
         if image.ndim != 3 or image.shape[2] != 3:
@@ -136,12 +135,8 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
             f"images of {_size(first)} pixels, expected at least {least} each way for {metric}"
         )
     a, b = (np.clip(image, 0, 1).astype(np.float64) for image in (first, second))
-    ssim = structural_similarity(
-        a, b, data_range=1, channel_axis=2, gaussian_weights=True, sigma=1.5,
-        use_sample_covariance=False,
-    )  # fmt: skip
     distance = None if lpips is None else load_lpips(lpips).distance(a, b)
-    return Quality(psnr(a, b), float(ssim), distance)
+    return Quality(psnr(a, b), mean_ssim(a, b), distance)
 
 
 def psnr(a: NDArray, b: NDArray) -> float:

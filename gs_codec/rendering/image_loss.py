@@ -1,4 +1,4 @@
-"""The derivative of 3DGS' loss between an image and its target (Kerbl et al. 2023, Equation 7)."""
+"""SSIM of two images, and the derivative of 3DGS' loss (Kerbl et al. 2023, Equation 7)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.flo
     # Rows outside the image stay 0.
     means = np.zeros((5, height + 2 * _HALF, 3 * width))
     slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
-    bands = [(y, min(y + _BAND, height)) for y in range(0, height, _BAND)]
+    bands = _bands(height)
     run_all(lambda band: _blur_across(image, target, *band, means), bands)
     run_all(lambda band: _compare_windows(means, -_SSIM / image.size, *band, slopes), bands)
     factor = _ABSOLUTE / image.size
@@ -49,6 +49,27 @@ def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.flo
         lambda band: _differentiate(image, target, slopes, factor, *band, by_image, errors), bands
     )
     return by_image.reshape(colour.shape), float(errors.sum() / image.size)
+
+
+def mean_ssim(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """SSIM of two images ``(H, W, 3)`` in 0-1, at least 11 pixels each way.
+
+    The window is that of `differentiate_loss`; the mean is over pixels whose window lies within
+    the image.
+    """
+    height, width, _ = first.shape
+    a, b = first.reshape(height, -1), second.reshape(height, -1)
+    means = np.empty((5, height + 2 * _HALF, 3 * width))
+    inner = height - 2 * _HALF
+    sums = np.empty(inner)
+    run_all(lambda band: _blur_across(a, b, *band, means), _bands(height))
+    run_all(lambda band: _sum_ssim(means, *band, sums), _bands(inner))
+    return float(sums.sum() / (3 * inner * (width - 2 * _HALF)))
+
+
+def _bands(height: int) -> list[tuple[int, int]]:
+    """First and end row of each task."""
+    return [(y, min(y + _BAND, height)) for y in range(0, height, _BAND)]
 
 
 def differentiate_loss_tensor(
@@ -125,6 +146,23 @@ def _blur_across(image, target, first, end, means):
             padded[4, 15 + j] = x * t
         for k in range(5):
             _blur_row(padded[k], means[k, y + _HALF])
+
+
+@kernel
+def _sum_ssim(means, first, end, sums):
+    """Sum of SSIM over each row, without the 5 pixels at either end, of rows from the fifth on."""
+    size = means.shape[2]
+    window = np.empty((5, size))
+    for y in range(first, end):
+        for k in range(5):
+            _blur_column(means[k], y + _HALF, window[k])
+        total = 0.0
+        for j in range(3 * _HALF, size - 3 * _HALF):
+            x, t = window[0, j], window[1, j]
+            top = (2.0 * x * t + _C1) * (2.0 * (window[4, j] - x * t) + _C2)
+            spread = window[2, j] - x * x + window[3, j] - t * t + _C2
+            total += top / ((x * x + t * t + _C1) * spread)
+        sums[y] = total
 
 
 @kernel

@@ -91,7 +91,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
     expected = {
         path.relative_to(ROOT).as_posix()
         for package in (ROOT / "gs_codec", ROOT / "viewer")
-        for suffix in ("py", "md")
+        for suffix in ("py", "pyi", "md")
         for path in package.rglob(f"*.{suffix}")
         if ROOT / "viewer" / "web" not in path.parents  # JavaScript, for pages
     }
@@ -101,12 +101,14 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
             "gs_codec/bench/*.jpg",
             "gs_codec/bench/*.jsonl",
             "gs_codec/bench/*.png",
+            "*/py.typed",
             "viewer/*.png",
             "viewer/web/page.html",
         )
         for path in ROOT.glob(pattern)
     }
     assert {name for name in names if not name.startswith(metadata)} == expected
+    assert names >= {"gs_codec/py.typed", "viewer/py.typed"}
     documents = "egs/FORMAT.md", "TRUST.md", "cli/COMMANDS.md", "bench/RESULTS.md"
     assert names >= {f"gs_codec/{name}" for name in documents}
     assert metadata + "licenses/LICENSE" in names

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,13 +22,17 @@ from viewer.scenes.request import Request, find_views, parse_layers
 from viewer.scenes.viewpoints import find_viewpoints, nearest_camera
 from viewer.window.device import find_device
 
+if TYPE_CHECKING:
+    from open3d.pybind.t.geometry import PointCloud
+    from open3d.pybind.visualization import O3DVisualizer
+
 #: The group of the geometries that actions show.
 _GROUP = "gs_codec"
 
 
 def draw(
-    *scenes: Any,
-    cameras: Any = None,
+    *scenes: PointCloud | str | Path,
+    cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, Any]] | None = None,
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
     colour: str = "colour",
@@ -98,7 +102,7 @@ def draw(
     run(request, device)
 
 
-def attach(visualizer: Any) -> Actions:
+def attach(visualizer: O3DVisualizer) -> Actions:
     """Add actions to the menu of an `open3d.visualization.O3DVisualizer`.
 
     The actions open a scene of any format that `gs_codec` reads, show the Gaussians that a report
@@ -155,7 +159,7 @@ class Actions:
         Those opened last.
     """
 
-    def __init__(self, visualizer: Any) -> None:
+    def __init__(self, visualizer: O3DVisualizer) -> None:
         from viewer.window.notes import NotesWindow
 
         self._visualizer, self._attached = visualizer, True
@@ -211,7 +215,7 @@ class Actions:
         self._process_colours(False)
         from viewer.window.pane import camera_lines
 
-        self._visualizer.add_geometry(self._frustums, camera_lines(found), None, _GROUP)
+        self._visualizer.add_geometry(self._frustums, camera_lines(found), group=_GROUP)
 
     def nearest(self) -> str:
         """Look from the camera nearest to the view, show its photograph, and return its name."""

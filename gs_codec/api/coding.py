@@ -24,7 +24,7 @@ from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.threads import using_threads
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
 
 
 @checked

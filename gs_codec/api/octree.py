@@ -13,8 +13,8 @@ from gs_codec.runtime.arguments import checked
 from gs_codec.scene import SH_C0
 
 if TYPE_CHECKING:
-    from open3d.geometry import Octree
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.geometry import Octree
+    from open3d.pybind.t.geometry import PointCloud
 
 
 @checked

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 from gs_codec.runtime.arguments import checked
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
+    from torch import Tensor
 
 
 def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
@@ -59,8 +60,20 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     return to_cloud(with_finite_ends(scene))
 
 
+@overload
+def to_tensors(
+    cloud: PointCloud, library: Literal["numpy"] = "numpy"
+) -> dict[str, NDArray[np.float32]]: ...
+
+
+@overload
+def to_tensors(cloud: PointCloud, library: Literal["torch"]) -> dict[str, Tensor]: ...
+
+
 @checked
-def to_tensors(cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy") -> dict[str, Any]:
+def to_tensors(
+    cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy"
+) -> dict[str, NDArray[np.float32]] | dict[str, Tensor]:
     """The tensors of a cloud, as gsplat's trainer names and shapes them, before any activation.
 
     Parameters
@@ -90,7 +103,7 @@ def to_tensors(cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy") 
     ((2000, 3), (2000,), (2000, 15, 3))
     """
     Option("", values=("numpy", "torch")).check("library", library)
-    tensors: dict[str, Any] = tensors_of(from_cloud(cloud, "drop"))
+    tensors = tensors_of(from_cloud(cloud, "drop"))
     if library == "numpy":
         return tensors
     try:

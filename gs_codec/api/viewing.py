@@ -29,7 +29,7 @@ from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
 
     from gs_codec.preparation.report import PrepareReport
 

@@ -180,7 +180,7 @@ class Info:
         """Compression ratio: raw bytes over bytes of the file."""
         return self.raw_bytes / self.file_bytes
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         """The same as plain types, for JSON."""
         plain = dict(vars(self), ratio=self.ratio)
         plain["streams"] = [vars(stream) for stream in self.streams]

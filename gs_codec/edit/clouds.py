@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
 
 Arguments = ParamSpec("Arguments")
 Either = TypeVar("Either", Scene, "PointCloud")
@@ -24,15 +24,15 @@ def on_clouds(
     edit: Callable[Concatenate[Scene, Arguments], Scene],
 ) -> Callable[Concatenate[Either, Arguments], Either]:
     """Let a function from scene to scene take a cloud and return one; attributes are kept."""
-    edit = checked(edit)
+    change: Callable[..., Any] = checked(edit)
 
     @wraps(edit)
     def edited(scene: Either, *arguments: Arguments.args, **options: Arguments.kwargs) -> Either:
         if isinstance(scene, Scene):
-            return edit(scene, *arguments, **options)
+            return change(scene, *arguments, **options)
         from gs_codec.formats.cloud import from_cloud, to_cloud
 
-        return to_cloud(edit(from_cloud(scene, "keep"), *arguments, **options))
+        return to_cloud(change(from_cloud(scene, "keep"), *arguments, **options))
 
     return edited
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, channel_count, sh_bands
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
 
 #: Bins of a histogram.
 BINS = 40
@@ -105,7 +105,7 @@ class Statistics:
     attributes: tuple[AttributeStatistics, ...]
     shares: tuple[Share, ...]
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         """The same as plain types, for JSON; every number is finite."""
         return asdict(self)
 

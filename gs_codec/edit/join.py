@@ -14,7 +14,7 @@ from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene, join_scenes, other_comments, stated_comments
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
 
 log = logging.getLogger(__name__)
 

@@ -143,8 +143,8 @@ def quality(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -
     width, height = pose.measured
     if min(width, height) < _LEAST_SIDE:
         return None
-    images = [splats(views, scene, pose, width, height) for scene in scenes]
-    return gs_codec.compare_images(*images)
+    first, second = (splats(views, scene, pose, width, height) for scene in scenes)
+    return gs_codec.compare_images(first, second)
 
 
 def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:

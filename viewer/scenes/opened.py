@@ -31,7 +31,7 @@ from gs_codec.preparation.report import centres_checksum
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 
 if TYPE_CHECKING:
-    from open3d.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import PointCloud
 
 log = logging.getLogger(__name__)
 

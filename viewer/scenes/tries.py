@@ -75,7 +75,7 @@ class Asked:
         """The encoder's target."""
         if self.wish == "steps":
             return None
-        value = int(self.value) if self.wish == "size" else self.value
+        value: Any = int(self.value) if self.wish == "size" else self.value
         return gs_codec.RateTarget(**{_TARGETS[self.wish]: value})
 
     def plan(self, cameras: Sequence[Any]) -> gs_codec.Plan | None:

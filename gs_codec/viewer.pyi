@@ -1,0 +1,2 @@
+from viewer import attach as attach
+from viewer import draw as draw

@@ -1,0 +1,2 @@
+from viewer.plugin import attach as attach
+from viewer.plugin import draw as draw

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.runtime.wording import counted
 
 #: SH-AC coefficients of one colour for each SH degree.
 SH_COEFFICIENTS = (0, 3, 8, 15)
@@ -224,13 +225,16 @@ class Scene:
             plane = getattr(self, group)
             if plane.dtype != np.float32 or plane.ndim != 2:
                 raise InvalidInput(
-                    f"{group}: {plane.dtype} of {plane.ndim} dimensions, expected planar float32"
+                    f"{group}: {plane.dtype} of {counted(plane.ndim, 'dimension')}, "
+                    "expected planar float32"
                 )
             expected = (rows[group], self.count)
             if plane.shape != expected:
                 raise InvalidInput(f"{group}: shape {plane.shape}, expected {expected}")
         if len(self.f_rest) not in [3 * k for k in SH_COEFFICIENTS]:
-            raise InvalidInput(f"f_rest: {len(self.f_rest)} channels, expected 0, 9, 24 or 45")
+            raise InvalidInput(
+                f"f_rest: {counted(len(self.f_rest), 'channel')}, expected 0, 9, 24 or 45"
+            )
         for name, column in self.extra.items():
             if not is_extra_name(name):
                 raise InvalidInput(f"property '{name}': not a name beside the layout")

@@ -591,7 +591,7 @@ def test_a_false_count_does_not_allocate(profile, count):
 
 
 def test_decoder_refuses_more_than_it_may_hold():
-    with pytest.raises(CorruptStream, match="the limit is 1000"):
+    with pytest.raises(CorruptStream, match="the limit is 1,000"):
         decode_scene(small(False), max_bytes=1000)
 
 

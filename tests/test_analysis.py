@@ -489,8 +489,8 @@ def test_what_is_left_out_is_said():
     analysis = analyse_scene(constant, "x", sample=500, seed=4)
     assert (analysis.count, analysis.sampled) == (1999, 500)
     notes = "\n".join(analysis.notes)
-    assert "1 Gaussians with NaN or infinity" in notes
-    assert "500 of the 1,999" in notes
+    assert "1 Gaussian with NaN or infinity" in notes
+    assert "500 of 1,999" in notes
     assert "seed 4" in notes
     assert "SH degree 1: higher bands are absent" in notes
     assert "f_rest_8" in notes
@@ -543,7 +543,7 @@ def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
     views = ("--cameras", "auto", "--width", "40") if degree == 1 else ()
     status, out, err = folder.run("analyze", "scene.ply", "--out", "report", "--json", *views)
     assert status == 0, err
-    assert "600 Gaussians are few" in err
+    assert "Only 600 Gaussians" in err
     content = strict_json(out)
     written = folder.path / "report"
     saved = strict_json((written / "report.json").read_text())
@@ -593,7 +593,7 @@ def test_command_prints_a_summary(folder):
     (folder.path / "scene.egs").write_bytes(encoded)
     status, out, err = folder.run("analyze", "scene.egs", "--out", "report", "--sample", "900")
     assert status == 0
-    assert "900 of the 1,500" in err
+    assert "900 of 1,500" in err
     lines = out.splitlines()
     assert lines[0].endswith("1,500 Gaussians, SH degree 0")
     assert lines[1].split()[-7:] == list(PROFILE_CHOICES)

@@ -18,6 +18,7 @@ from scenes import shared_scene_path
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.cameras import read_cameras
+from gs_codec.runtime.wording import counted
 
 MODELS = {
     "SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4,
@@ -334,7 +335,7 @@ BAD_ENTRIES: dict[str, tuple[Any, str]] = {
     "no id is needed, but a name": ({"id": 0}, "no 'img_name'"),
     "name of a number": ({"img_name": 7}, "img_name 7"),
     "empty name": ({"img_name": ""}, "0 characters"),
-    "long name": ({"img_name": "n" * 1025}, "1025 characters"),
+    "long name": ({"img_name": "n" * 1025}, "1,025 characters"),
     "line end in name": ({"img_name": "a\nb"}, "control characters"),
     "zero in name": ({"img_name": "a\0"}, "control characters"),
     "line separator in name": ({"img_name": "a\u2028"}, "control characters"),
@@ -426,7 +427,7 @@ def test_json_too_large_for_memory_is_refused(tmp_path):
     path = tmp_path / "cameras.json"
     with open(path, "wb") as file:
         file.truncate((1 << 25) + 1)
-    assert_refused(path, "33554433 bytes, expected at most 33554432")
+    assert_refused(path, "33,554,433 bytes, expected at most 33,554,432")
 
 
 def test_several_cameras_may_have_one_name(tmp_path):
@@ -558,7 +559,7 @@ BAD_MODELS: dict[str, Change] = {
     "bell in name": ([Image("a\x07.jpg")], ONE, "images", "control characters in name"),
     "escape in name": ([Image("\x1b[31m.jpg")], ONE, "images", "control characters in name"),
     "C1 control in name": ([Image("a\x85b")], ONE, "images", "control characters in name"),
-    "long name": ([Image("n" * 1025)], ONE, "images", "1025 characters"),
+    "long name": ([Image("n" * 1025)], ONE, "images", "1,025 characters"),
     "zero quaternion": ([Image(quaternion=(0.0,) * 4)], ONE, "images", "pose"),
     "NaN quaternion": ([Image(quaternion=(1.0, NAN, 0.0, 0.0))], ONE, "images", "pose"),
     "infinite quaternion": ([Image(quaternion=(INF, 0.0, 0.0, 0.0))], ONE, "images", "pose"),
@@ -620,7 +621,7 @@ def replaced(stem: str, old: str, new: str) -> tuple[str, Callable[[bytes], byte
 LAST = "200.0 190.0 160.0"
 POSE = "1 0.5 0.5 -0.5 0.5"
 BAD_TEXTS: dict[str, tuple[tuple[str, Callable[[bytes], bytes]], str]] = {
-    "fields of a camera": (replaced("cameras", "PINHOLE 400 300 100.0 " + LAST, ""), "1 fields"),
+    "fields of a camera": (replaced("cameras", "PINHOLE 400 300 100.0 " + LAST, ""), "1 field,"),
     "too few parameters": (replaced("cameras", LAST, "1 1"), "3 parameters, expected 4 of PINHOLE"),
     "too many parameters": (replaced("cameras", LAST, LAST + " 7"), "5 parameters, expected 4"),
     "no parameters": (replaced("cameras", "100.0 " + LAST, ""), "0 parameters"),
@@ -693,7 +694,7 @@ def test_every_truncation_of_a_binary_file_is_refused(stem, tmp_path):
 def test_bytes_after_the_last_entry_are_refused(stem, surplus, tmp_path):
     path = write_model(tmp_path, ".bin") / f"{stem}.bin"
     path.write_bytes(path.read_bytes() + surplus)
-    assert_refused(tmp_path, f": {len(surplus)} bytes after the last entry", path)
+    assert_refused(tmp_path, f": {counted(len(surplus), 'byte')} after the last entry", path)
 
 
 @pytest.mark.parametrize("count", [2, 100, 2**32, 2**63, 2**64 - 1])
@@ -701,7 +702,7 @@ def test_bytes_after_the_last_entry_are_refused(stem, surplus, tmp_path):
 def test_count_beyond_the_file_is_refused(stem, count, tmp_path):
     path = write_model(tmp_path, ".bin") / f"{stem}.bin"
     path.write_bytes(struct.pack("<Q", count) + path.read_bytes()[8:])
-    message = f"{count} entries, too many for" if count > 2 else "bytes left|too many"
+    message = f"{count:,} entries, too many for" if count > 2 else "bytes left|too many"
     assert_refused(tmp_path, message, path)
 
 
@@ -738,7 +739,7 @@ def test_empty_name_is_refused(tmp_path):
 def test_name_without_end_is_refused(size, tmp_path):
     path = write_model(tmp_path, ".bin") / "images.bin"
     path.write_bytes(path.read_bytes()[:72] + b"n" * size)
-    message = f"image 1: no end of its name in {min(size, 4097)} bytes"
+    message = f"image 1: no end of its name in {min(size, 4097):,} bytes"
     assert_refused(tmp_path, message, path)
 
 

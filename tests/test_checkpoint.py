@@ -374,7 +374,7 @@ BAD = {
             opacities=stored(shape=(1 << 39,), strides=(0,)),
             sh0=stored(shape=(1 << 39, 3), strides=(0, 0)),
         ),
-        "549755813888 Gaussians, which take 30786325577728 bytes; at most",
+        "549,755,813,888 Gaussians of 30,786,325,577,728 bytes; at most",
     ),
 }
 
@@ -404,7 +404,7 @@ def test_of_a_large_storage_only_what_is_used_takes_memory(tmp_path):
         tracemalloc.stop()
     np.testing.assert_array_equal(scene.positions.T.ravel(), range(6))
     path.write_bytes(with_large_storage(zipfile.ZIP_DEFLATED))
-    assert_refused(path, "zip entry 'x/data/0': 100663296 bytes compressed, 24 of them used")
+    assert_refused(path, "zip entry 'x/data/0': 100,663,296 bytes compressed, 24 of them used")
 
 
 @pytest.mark.parametrize("name", BAD)

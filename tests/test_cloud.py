@@ -159,7 +159,7 @@ def test_scales_of_which_one_was_edited_are_refused_seed5(edit, count, tmp_path)
             lambda cloud: gs_codec.write(tmp_path / "a.ply", cloud),
             lambda cloud: gs_codec.compare(cloud, cloud),
         ):
-            with pytest.raises(InvalidInput, match=f"scale: .* log_scale in {count} Gaussians"):
+            with pytest.raises(InvalidInput, match=f"scale: .* log_scale in {count} Gaussian"):
                 use(edited)
     assert list(tmp_path.iterdir()) == []
 

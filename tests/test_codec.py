@@ -196,7 +196,7 @@ def test_carried_properties_and_comments_follow_their_gaussians():
 
 def test_decoder_refuses_more_than_it_may_hold():
     data, _ = encode_scene(random_scene(1000, 3, seed=14))
-    with pytest.raises(CorruptStream, match="the limit is 1000"):
+    with pytest.raises(CorruptStream, match="the limit is 1,000"):
         decode_scene(data, max_bytes=1000)
 
 

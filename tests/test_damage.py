@@ -131,7 +131,7 @@ def test_extra_properties_count_towards_the_limit(profile):
 
     def refused() -> None:
         for limit in (floats, most - 1):
-            with pytest.raises(CorruptStream, match="section 'extra': 1200000 bytes"):
+            with pytest.raises(CorruptStream, match="section 'extra': 1,200,000 bytes"):
                 decode_scene(data, max_bytes=limit)
 
     assert peak_of(refused) < 1 << 20

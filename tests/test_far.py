@@ -472,7 +472,7 @@ DAMAGED = {
     "NaN": (SectionId.FAR, lambda old: struct.pack("<f", math.nan) + old[4:], "not finite"),
     "infinite": (SectionId.FAR, lambda old: old[:-4] + struct.pack("<f", -math.inf), "not finite"),
     "another": (SectionId.FAR, lambda old: struct.pack("<f", -3e38) + old[4:], "section 'index'"),
-    "63 bits": (SectionId.LATTICE, with_bits, "grid of (21, 21, 21) bits"),
+    "63 bits": (SectionId.LATTICE, with_bits, "bits (21, 21, 21) of the grid"),
 }
 
 

@@ -335,14 +335,14 @@ BAD = {
     "VEC3 rotation": (edited("accessors", 1, "type", to="VEC3"), "expected VEC4 of numbers"),
     "32-bit integers": (edited("accessors", 0, "componentType", to=5125), "5125, expected VEC3"),
     "sparse": (edited("accessors", 0, "sparse", to={}), "not sparse"),
-    "one more": (edited("accessors", 0, "count", to=7), "beyond their buffer|expected 7"),
+    "one more": (edited("accessors", 0, "count", to=7), "beyond the buffer|expected 7"),
     "one less": (edited("accessors", 2, "count", to=5), "SCALE of 5, expected 6"),
     "2^32 Gaussians": (edited("accessors", 0, "count", to=1 << 32), "are read from a file"),
     "negative count": (edited("accessors", 0, "count", to=-1), "accessor.count is -1"),
     "count of text": (edited("accessors", 0, "count", to="6"), "accessor.count is '6'"),
-    "offset beyond": (edited("accessors", 0, "byteOffset", to=1 << 30), "beyond their buffer"),
-    "view beyond": (edited("bufferViews", 0, "byteOffset", to=1 << 30), "beyond their buffer"),
-    "small stride": (edited("bufferViews", 0, "byteStride", to=4), "beyond their buffer"),
+    "offset beyond": (edited("accessors", 0, "byteOffset", to=1 << 30), "beyond the buffer"),
+    "view beyond": (edited("bufferViews", 0, "byteOffset", to=1 << 30), "beyond the buffer"),
+    "small stride": (edited("bufferViews", 0, "byteStride", to=4), "beyond the buffer"),
     "no views": (edited("bufferViews", to=None), "bufferViews 0, expected one of 0"),
     "views of text": (edited("bufferViews", to=["a"]), "bufferViews is not a list of objects"),
     "larger buffer": (edited("buffers", 0, "byteLength", to=1 << 20), "of fewer bytes than"),
@@ -379,7 +379,7 @@ def test_nodes_may_show_a_mesh_often_but_not_each_of_many_primitives(tmp_path):
     document["nodes"] = [{"mesh": 0}] * 300
     assert read(tmp_path, document, binary).count == 300 * 6
     document["meshes"][0]["primitives"] *= 300
-    with pytest.raises(InvalidInput, match="nodes show more than 9600 primitives"):
+    with pytest.raises(InvalidInput, match="nodes show more than 9,600 primitives"):
         read(tmp_path, document, binary)
     document["nodes"] = [{"mesh": 0}]
     assert read(tmp_path, document, binary).count == 300 * 6
@@ -413,7 +413,7 @@ def test_broken_containers_are_refused(tmp_path):
         (data[:4] + struct.pack("<I", 1) + data[8:], "version 1"),
         (data[:8] + struct.pack("<I", len(data) + 1) + data[12:], "bytes of"),
         (data[:16] + b"TEXT" + data[20:], "chunk b'TEXT'"),
-        (data[:12] + struct.pack("<I", 1 << 31) + data[16:], "chunk b'JSON' of 2147483648"),
+        (data[:12] + struct.pack("<I", 1 << 31) + data[16:], "chunk b'JSON' of 2,147,483,648"),
         (data[:20], "bytes of 20"),
         (joined(made()[0], b""), "of fewer bytes"),
         (b"glTF" + struct.pack("<II", 2, 12), "12 bytes, expected a header and a chunk"),

@@ -204,7 +204,7 @@ def test_reserved_fields_are_checked(offset, layout, value):
 
 def test_sizes_have_53_bits():
     data = bytearray(encode_scene(scene())[0])
-    with pytest.raises(CorruptStream, match="Gaussians, expected fewer than 9007199254740992"):
+    with pytest.raises(CorruptStream, match="Gaussians, expected fewer than 9,007,199,254,740,992"):
         decode_scene(patched(data, COUNT, "Q", 1 << 53))
     struct.pack_into("<Q", data, HEADER + 8, 1 << 53)
     end = HEADER + ENTRY * struct.unpack_from("<I", data, SECTIONS)[0]

@@ -488,7 +488,7 @@ BAD_FILES = {
     "two formats": (rewritten("element", "format ascii 1.0\nelement"), "not expected"),
     "text rows too short": (
         lambda good: one_row(" ".join(["1"] * 22) + "\n\n\n"),
-        "1 rows of 22 numbers, expected 1 of 23",
+        "1 row of 22 numbers, expected 1 of 23",
     ),
     "a byte of 300": (
         lambda good: one_row("1 " * 22 + "300\n").replace(b"float rot_3", b"uchar rot_3"),

@@ -148,7 +148,7 @@ def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
     expected = compare_images(image, read_image(tmp_path / "b.png"))
     assert report.steps[0].quality == expected
     (tmp_path / "b.png").unlink()
-    with pytest.raises(InvalidInput, match="no image of the 1 cameras"):
+    with pytest.raises(InvalidInput, match="no image of 1 camera"):
         prepare_scene(scene, chosen)
 
 

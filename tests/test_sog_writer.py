@@ -151,7 +151,7 @@ def test_the_antialias_flag_is_kept_and_other_properties_are_not(tmp_path):
     data, lost = pack_sog(scene)
     assert unpacked(data)[0]["model"] == "antialiased"
     assert decoded(data, tmp_path).antialiased
-    assert lost[1:] == ("properties left out: seen", "comments left out: 1 lines")
+    assert lost[1:] == ("properties left out: seen", "comments left out: 1 line")
 
 
 @pytest.mark.thorough
@@ -248,7 +248,7 @@ def test_absurd_sh_are_clipped_and_counted(tmp_path):
     f_rest = scene.f_rest.copy()
     f_rest[4, 7] = -1e30
     data, lost = pack_sog(replace(scene, f_rest=f_rest))
-    assert lost[1:] == ("SH of 1 Gaussians clipped to the format's range",)
+    assert lost[1:] == ("SH of 1 Gaussian clipped to the format's range",)
     back = decoded(data, tmp_path)
     assert back.f_rest.min() == -4096
     assert np.count_nonzero(np.abs(back.f_rest) > 1) == 1

@@ -424,7 +424,7 @@ def test_a_zip_that_unpacks_to_too_much_is_refused(copy, tmp_path):
     struct.pack_into("<I", data, data.rindex(b"PK\1\2") + 24, (1 << 30) + 1)
     path.write_bytes(data)
     with pytest.raises(
-        InvalidInput, match=r"zip of 1\d+ bytes unpacked, expected at most 1073741824"
+        InvalidInput, match=r"zip of 1[\d,]+ bytes unpacked, expected at most 1,073,741,824"
     ):
         read_scene(path)
 

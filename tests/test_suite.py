@@ -322,7 +322,7 @@ def test_one_camera_is_measured_in_and_encoded_by(tmp_path):
 def test_photographs_of_other_cameras_are_refused(tmp_path):
     path = make_scene(tmp_path / "scene", 50, 3)
     (tmp_path / "scene" / "images").mkdir()
-    with pytest.raises(InvalidInput, match="no image of the 1 cameras"):
+    with pytest.raises(InvalidInput, match="no image of 1 camera"):
         open_beside(path, WIDTH)
 
 

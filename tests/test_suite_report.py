@@ -144,7 +144,7 @@ def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
         r"| slow \* |",
         "camera-free -",
         "camera-guided -",
-        "24 views of 300 x 200 are measured in, compared with photographs, 64 others guide",
+        "24 held-out views of 300 x 200 pixels measured against photographs, 64",
         "| bonsai | count tree | 16 | 0.20 | 0.10 | 0.08 | 24.0 |",
         "| bonsai | Open3D's Octree | 10 | 2.00 | 4.00 |  |  |",
         "EPYC",

@@ -208,7 +208,7 @@ LIES = {
     ),
     "size": (
         SectionId.SCALING, lambda part: part[:4] + b"\xff\xff\xff\xff" + part[8:],
-        TruncatedStream, "expected 4294967295",
+        TruncatedStream, "expected 4,294,967,295",
     ),
     "empty": (SectionId.OPACITY, lambda _: b"", TruncatedStream, "expected 4"),
     "no line": (SectionId.CODER, lambda _: b"", CorruptStream, "section 'coder': 0 bytes"),

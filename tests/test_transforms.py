@@ -385,7 +385,7 @@ BAD_FRAMES: dict[str, tuple[Any, str]] = {
     "no pose": ({"file_path": "b"}, "no 'transform_matrix'"),
     "name of a number": (frame(7), "file_path 7, expected text"),
     "empty name": (frame("./"), "0 characters"),
-    "long name": (frame("n" * 1025), "1025 characters"),
+    "long name": (frame("n" * 1025), "1,025 characters"),
     "line end in name": (frame("a\nb"), "control characters"),
     "escape in name": (frame("a\x1b[31m"), "control characters"),
     "surrogate in name": (frame("a\ud800"), "control characters"),

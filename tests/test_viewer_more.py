@@ -14,7 +14,8 @@ from windows import check_drags, drive, make_folder, needs_display
 import gs_codec
 from gs_codec.edit import Action
 from gs_codec.files.scenes import read_scene
-from viewer.scenes.numbers import quality_text, size_text
+from gs_codec.runtime.wording import size_text
+from viewer.scenes.numbers import quality_text
 
 pytestmark = [needs_display, pytest.mark.thorough]
 

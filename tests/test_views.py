@@ -275,7 +275,9 @@ def test_images_may_be_links(tmp_path):
 
 def test_output_names_that_cameras_share_are_numbered(caplog):
     assert output_names([camera("a/b.jpg"), camera("c"), camera("a_b")]) == ["a_b_1", "c", "a_b_2"]
-    assert caplog.messages == ["2 cameras share names: their files are numbered, for example a_b_1"]
+    assert caplog.messages == [
+        "2 cameras of equal names: their files are numbered, for example a_b_1"
+    ]
     names = ["a", "a_1", "a", "b", "a", "b"]
     assert output_names(list(map(camera, names))) == ["a_2", "a_1", "a_3", "b_1", "a_4", "b_2"]
 

@@ -125,7 +125,7 @@ def view(name: str) -> Camera:
     [
         ([], "no cameras"),
         (["a", ""], "camera 1: name of 0 characters"),
-        (["n" * 1025], "camera 0: name of 1025 characters"),
+        (["n" * 1025], "camera 0: name of 1,025 characters"),
         (["a\nb"], "camera 0: control characters in name"),
         (["a\ud800"], "camera 0: control characters in name"),
     ],

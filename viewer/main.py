@@ -16,6 +16,7 @@ from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.rendering.upright import UPS
+from gs_codec.runtime.wording import counted
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -323,7 +324,7 @@ def _write_film(request: Request, film: Film) -> None:
 
     with progress_bar() as progress:
         told = write_film(request, film, progress)
-    print_text(f"{film.path}: {film.frames} frames, {told}")
+    print_text(f"{film.path}: {counted(film.frames, 'frame')}, {told}")
 
 
 def main() -> None:

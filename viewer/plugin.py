@@ -11,6 +11,7 @@ import numpy as np
 import gs_codec
 from gs_codec.rendering.images import find_image, seek_images
 from gs_codec.rendering.photographs import read_photograph
+from gs_codec.runtime.wording import counted
 from viewer.pictures.centres import centres, pruned_centres
 from viewer.pictures.layers import Points
 from viewer.pictures.notes import draw_notes
@@ -86,7 +87,7 @@ def draw(
     >>> viewer.draw("scene.ply", "scene.egs", cameras="cameras.json", mode="wipe")
     """
     if not 1 <= len(scenes) <= 2:
-        raise gs_codec.GsCodecError(f"draw: {len(scenes)} scenes, expected one or two")
+        raise gs_codec.GsCodecError(f"draw: {counted(len(scenes), 'scene')}, expected one or two")
     a, b = (*scenes, None)[:2]
     folder = Path(pruned) if pruned is not None else None
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)

@@ -21,6 +21,7 @@ from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.preparation.reference_views import evenly
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import SCHEMA, Progress, step_counter
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: The profile whose depths are used for histograms, models and the marks on curves.
@@ -71,14 +72,17 @@ class Analysis:
         """What was left out, and why."""
         notes = []
         if self.dropped:
-            notes.append(f"{self.dropped:,} Gaussians with NaN or infinity were left out.")
+            notes.append(f"Left out: {counted(self.dropped, 'Gaussian')} with NaN or infinity.")
         if self.sampled < self.count:
             notes.append(
-                f"Mutual information and histograms use {self.sampled:,} of the {self.count:,} "
-                f"Gaussians, chosen at random (seed {self.seed}); all else uses every Gaussian."
+                f"Mutual information and histograms use {self.sampled:,} of "
+                f"{counted(self.count, 'Gaussian')}, chosen at random (seed {self.seed}); "
+                "all else uses every Gaussian."
             )
         if self.sampled < 1000:
-            notes.append(f"{self.sampled:,} Gaussians are few: the statistics are unreliable.")
+            notes.append(
+                f"Only {counted(self.sampled, 'Gaussian')}: the statistics are unreliable."
+            )
         if not self.sh_degree:
             notes.append("SH degree 0: there are no SH-AC, so their sections are absent.")
         elif self.sh_degree < 3:

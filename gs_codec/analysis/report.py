@@ -18,6 +18,7 @@ from gs_codec.analysis.sensitivity import SCALES, THRESHOLD, Curve, ErrorScale
 from gs_codec.files.scenes import read_scene
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_writable, write_files
+from gs_codec.runtime.wording import counted
 
 #: Errors in the titles of columns, and what they mean.
 _ERRORS: dict[ErrorScale, str] = {"deviation": "std.", "mean": "MSE/mean"}
@@ -92,8 +93,9 @@ def _page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
     """The report as HTML; `pictures` are PNG data by file name, from `draw_pictures`."""
     parts = [
         paragraph(
-            f"{analysis.count:,} Gaussians of SH degree {analysis.sh_degree}. The observations of "
-            "EntropyGS (arXiv 2508.10227, Section 3) on trained scenes, measured on this scene."
+            f"{counted(analysis.count, 'Gaussian')} of SH degree {analysis.sh_degree}. The "
+            "observations of EntropyGS (arXiv 2508.10227, Section 3) on trained scenes, measured "
+            "on this scene."
         )
     ]
     if analysis.notes:
@@ -247,8 +249,9 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
     width, height = found.cameras[0].width, found.cameras[0].height
     yield paragraph(
         "Uniform noise, like quantisation error, in all channels of one attribute at a time. PSNR "
-        f"is against the unchanged scene, mean over {len(found.cameras)} views of {width} x "
-        f"{height} pixels; seed {found.seed}. Most sensitive first: "
+        "is against the unchanged scene, mean over "
+        f"{counted(len(found.cameras), 'view')} of {width} x {height} pixels; seed {found.seed}. "
+        "Most sensitive first: "
         f"{', '.join(curve.attribute for curve in found.ranked())}. Attributes whose views stay "
         f"above {THRESHOLD:.0f} dB come last; the table has the largest error measured (>)."
     )

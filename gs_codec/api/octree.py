@@ -10,6 +10,7 @@ from gs_codec.coding.cube import DEPTHS, EXPANSION, Cube
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def to_octree(cloud: PointCloud, depth: int) -> Octree:
         raise InvalidInput("to_octree: no Gaussians, expected at least one")
     for name, plane in (("positions", scene.positions), ("f_dc", scene.f_dc)):
         if bad := np.count_nonzero(~np.isfinite(plane).all(axis=0)):
-            raise InvalidInput(f"{name}: not finite in {bad:,} Gaussians")
+            raise InvalidInput(f"{name}: not finite in {counted(bad, 'Gaussian')}")
     cube = Cube.around(scene.positions)
     if not cube.is_divisible(depth):
         raise InvalidInput("positions: too close together, so far from the origin, to be divided")

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.report import SCHEMA, finite
 from gs_codec.runtime.atomic import check_writable, try_lock
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -139,7 +140,7 @@ def _read_records(path: str | Path, content: bytes) -> dict[tuple[str, str], Rec
         else:
             records[record.input, record.output] = record
     if broken:
-        log.warning("%s: %d lines are not records, skipped", path, broken)
+        log.warning("%s: skipped %s without a record", path, counted(broken, "line"))
     return records
 
 

@@ -26,6 +26,7 @@ from gs_codec.batch.local import (
 from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.runtime.atomic import leftovers, temporary_name
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -148,7 +149,9 @@ class RemoteStorage:
             folder, depth = waiting.pop()
             if depth > _DEEPEST:
                 shown = self.shown(self._at(folder))
-                raise InvalidInput(f"{shown}: {depth} folders deep, expected links without circles")
+                raise InvalidInput(
+                    f"{shown}: {counted(depth, 'folder')} deep, expected links without circles"
+                )
             for path, info in self._listed(folder, depth):
                 if info.get("type") != "directory":
                     found[path] = info
@@ -215,20 +218,22 @@ class RemoteStorage:
         if stamp is None:
             raise InvalidInput(f"{shown}: {os.strerror(errno.ENOENT)}")
         if stamp.size > (free := shutil.disk_usage(folder).free):
-            raise InvalidInput(f"{shown}: {stamp.size} bytes, {folder} has {free} free")
+            raise InvalidInput(f"{shown}: {counted(stamp.size, 'byte')}, {free:,} free in {folder}")
         name = posixpath.basename(without_secrets(location.path)) or "scene"
         target = folder / name
         most = stamp.size if stamp.size >= 0 else int(_FILLED * free)
 
         def check(_: int | None, value: int, **__: Any) -> None:
             if value > most:
-                raise InvalidInput(f"{shown}: more than {most} bytes received")
+                raise InvalidInput(f"{shown}: more than {counted(most, 'byte')} received")
 
         with self._named(location):
             self._fs.get_file(location.path, str(target), callback=Callback(hooks={"most": check}))
             size = target.stat().st_size
         if stamp.size not in (-1, size):
-            raise InvalidInput(f"{shown}: {size} bytes received, expected {stamp.size}")
+            raise InvalidInput(
+                f"{shown}: {counted(size, 'byte')} received, expected {stamp.size:,}"
+            )
         return target
 
     def store(self, file: Path, location: Location, mark: str) -> None:

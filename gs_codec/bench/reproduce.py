@@ -25,6 +25,7 @@ from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.report import PrepareReport, StepReport, coding_steps
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 Line = dict[str, Any]
@@ -159,7 +160,7 @@ def tables_of(lines: Sequence[Line]) -> str:
         ("Ablation", _ablation),
     ):
         parts += [f"## {title}", "\n".join(table(lines, scenes))]
-    facts = (host["command"], f"{host['iterations']} iterations", host["processor"])
+    facts = (host["command"], counted(host["iterations"], "iteration"), host["processor"])
     return "\n\n".join([*parts, ", ".join(map(escaped, facts))]) + "\n"
 
 

@@ -14,6 +14,7 @@ from gs_codec.cli.command import Shown
 from gs_codec.cli.output import print_status
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.report import ActionReport
+from gs_codec.runtime.wording import counted
 
 #: Parameters of commands for actions begin with this: options of preparation share names.
 _PREFIX = "do_"
@@ -83,4 +84,6 @@ def say_what_was_done(actions: Iterable[ActionReport]) -> None:
         reasons = ", ".join(f"{reason} {count:,}" for reason, count in done.details.items())
         listed = f" ({reasons})" if reasons else ""
         gone = done.before - done.after
-        print_status(f"{done.action}: removed {gone:,} of {done.before:,} Gaussians{listed}")
+        print_status(
+            f"{done.action}: removed {gone:,} of {counted(done.before, 'Gaussian')}{listed}"
+        )

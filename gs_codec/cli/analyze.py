@@ -19,6 +19,7 @@ from gs_codec.cli.output import (
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
+from gs_codec.runtime.wording import counted
 
 
 @takes("width", "error_scale", "max_bytes", "overwrite", "json")
@@ -66,7 +67,9 @@ def command(
     if asked["json"]:
         print_document(**content | {"output": None if out is None else str(out)})
         return
-    print_text(f"{source}: {content['gaussians']:,} Gaussians, SH degree {content['sh_degree']}")
+    print_text(
+        f"{source}: {counted(content['gaussians'], 'Gaussian')}, SH degree {content['sh_degree']}"
+    )
     if content["sensitivity"]:
         ranked = ", ".join(content["sensitivity"]["most_sensitive_first"])
         print_text(f"most sensitive first: {ranked}")

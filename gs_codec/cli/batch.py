@@ -45,6 +45,7 @@ from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.report import bits_per_gaussian
+from gs_codec.runtime.wording import counted
 
 
 @takes(
@@ -136,7 +137,7 @@ def command(
 
 
 def _summed_up(summary: Any, done: str) -> str:
-    text = f"{summary.done:,} scene{'s' * (summary.done != 1)} {done}"
+    text = f"{counted(summary.done, 'scene')} {done}"
     if summary.skipped:
         text += f", {summary.skipped:,} complete before"
     if summary.failed:
@@ -195,7 +196,7 @@ class _Lines:
             return
         sizes = smaller(record.input_bytes, record.output_bytes, record.ratio or 0)
         lost = (record.rendered and f"; views lose {loss_text(record.rendered['loss'])}") or ""
-        self.said(f"{place}{task.name}: {record.gaussians:,} Gaussians, {sizes}{lost}")
+        self.said(f"{place}{task.name}: {counted(record.gaussians, 'Gaussian')}, {sizes}{lost}")
 
     def said(self, text: str) -> None:
         """See `Watcher.said`."""

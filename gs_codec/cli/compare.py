@@ -19,6 +19,7 @@ from gs_codec.cli.output import (
 )
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
+from gs_codec.runtime.wording import counted
 
 #: Options of what is drawn.
 _OF_VIEWS = ("width", "split", "background", "device")
@@ -87,7 +88,7 @@ def command(
 
 
 def _print_attributes(comparison: Comparison) -> None:
-    print_text(f"{comparison.counts[0]:,} Gaussians, matched by {comparison.matched_by}")
+    print_text(f"{counted(comparison.counts[0], 'Gaussian')}, matched by {comparison.matched_by}")
     print_table(
         ["attribute", "unit", "max error", "rms error"],
         [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],

@@ -18,7 +18,6 @@ from gs_codec.cli.output import (
     print_status,
     print_text,
     progress_bar,
-    size_text,
 )
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.config import SSOG, STREAMED, Config
@@ -26,6 +25,7 @@ from gs_codec.edit.actions import KINDS
 from gs_codec.files.suffixes import PLAIN, format_of, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
 from gs_codec.report import bits_per_gaussian
+from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
@@ -90,7 +90,7 @@ def command(
             )  # fmt: skip
         else:
             print_text(
-                f"{target}: {done.count:,} Gaussians, SH degree {done.sh_degree}, "
+                f"{target}: {counted(done.count, 'Gaussian')}, SH degree {done.sh_degree}, "
                 f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
             )
             if done.rendered is not None:
@@ -100,7 +100,7 @@ def command(
 def _say_what_changed(done: ConvertReport) -> None:
     say_what_was_done(done.actions)
     if done.dropped:
-        print_status(f"dropped {done.dropped:,} Gaussians with NaN or infinity")
+        print_status(f"dropped {counted(done.dropped, 'Gaussian')} with NaN or infinity")
     if done.turned_from:
         print_status(f"coordinates turned from {done.turned_from} to {done.coordinates}")
     else:

@@ -12,10 +12,11 @@ import typer
 
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
-from gs_codec.cli.output import print_text, progress_bar, size_text
+from gs_codec.cli.output import print_text, progress_bar
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
 from gs_codec.report import bits_per_gaussian
+from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
     from gs_codec.files.coding import DecodeReport
@@ -110,7 +111,7 @@ def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeRep
         )  # fmt: skip
         return
     print_text(
-        f"{target}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "
+        f"{target}: {counted(report.count, 'Gaussian')}, SH degree {report.sh_degree}, "
         f"{size_text(size)}, {sum(report.seconds.values()):.2f} s"
     )
     if report.bytes_read < report.file_bytes:
@@ -133,7 +134,8 @@ def _camera_of(text: str) -> Camera:
     if len(found) != 1:
         place = cameras.index(found[0]) if found else 0
         raise InvalidInput(
-            f"--view {text}: {len(found) or 'none'} of {len(cameras)} cameras, expected one by its "
+            f"--view {text}: {len(found) or 'none'} of "
+            f"{counted(len(cameras), 'camera')}, expected one by its "
             f"name or number, for example {path}:#{place} for {cameras[place].name}"
         )
     return found[0]

@@ -19,7 +19,6 @@ from gs_codec.cli.output import (
     print_status,
     print_text,
     progress_bar,
-    size_text,
     smaller,
 )
 from gs_codec.cli.streams import check_no_pipes, piped
@@ -28,6 +27,7 @@ from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian
+from gs_codec.runtime.wording import counted, size_text
 
 #: Options of coding, which `batch` has too.
 CODING = (
@@ -108,9 +108,10 @@ def _tell(source: Path, target: Path, config: Config, asked: Asked, done: Encode
 def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
     say_what_was_done(report.actions)
     if report.dropped:
-        print_status(f"dropped {report.dropped:,} Gaussians with NaN or infinity")
+        print_status(f"dropped {counted(report.dropped, 'Gaussian')} with NaN or infinity")
     if report.zero_quaternions:
-        print_status(f"replaced {report.zero_quaternions:,} zero quaternions by the identity")
+        zeros = counted(report.zero_quaternions, "zero quaternion")
+        print_status(f"replaced {zeros} by the identity")
     if lattices and report.rectified:
         print_status(f"values beyond 400, moved to 400: {report.rectified:,}")
 
@@ -118,7 +119,7 @@ def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
 def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
     sizes = smaller(report.input_bytes, report.file_bytes, report.ratio)
     print_text(
-        f"{target}: {report.count:,} Gaussians, {sizes}, "
+        f"{target}: {counted(report.count, 'Gaussian')}, {sizes}, "
         f"{8 * report.file_bytes / max(report.count, 1):.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )
@@ -136,11 +137,11 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
 
 def _print_rate(rate: RateReport) -> None:
     """What a target led to."""
-    text = f"{rate.encodings} encoding{'s' * (rate.encodings != 1)}"
+    text = counted(rate.encodings, "encoding")
     if rate.coarseness != 1:
         text = f"steps {rate.coarseness:.3f} times the profile's, after {text}"
     if rate.pruned or rate.target.allow_prune:
-        text += f"; {rate.pruned:,} Gaussians pruned"
+        text += f"; {counted(rate.pruned, 'Gaussian')} pruned"
     if rate.predicted_bytes is not None:
         text += f"; {size_text(rate.predicted_bytes)} expected"
     if rate.psnr_drop is not None:

@@ -17,11 +17,11 @@ from gs_codec.cli.output import (
     bars,
     print_table,
     print_text,
-    size_text,
 )
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian
+from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
     from gs_codec.codecs.inspection import Info
@@ -82,7 +82,7 @@ def _show_other(file: Path, path: Path, asked: Asked, histogram: bool) -> None:
         _print_document(file, found, told)
         return
     print_text(
-        f"{file}: {found.format}, {found.count:,} Gaussians, SH degree {found.sh_degree}",
+        f"{file}: {found.format}, {counted(found.count, 'Gaussian')}, SH degree {found.sh_degree}",
         f"{size_text(found.file_bytes)}, floats {size_text(found.raw_bytes)}",
         _where(found),
     )
@@ -186,8 +186,9 @@ def _where(info: Info | Overview) -> str:
 def _print_info(file: Path, info: Info) -> None:
     needs = f" with {' and '.join(info.features)}" if info.features else ""
     print_text(
-        f"{file}: version {info.version}, profile {info.profile}{needs}, {info.count:,} Gaussians, "
-        f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}",
+        f"{file}: version {info.version}, profile {info.profile}{needs}, "
+        f"{counted(info.count, 'Gaussian')}, SH degree {info.sh_degree}, "
+        f"{counted(info.blocks, 'block')} of at most {info.block_size:,}",
         f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
         f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian",
         _where(info),
@@ -235,7 +236,7 @@ def _print_channels(info: Info) -> None:
 
 def _stream_row(stream, info) -> list[str]:
     if stream.tables:
-        models = f"{stream.tables} tables"
+        models = counted(stream.tables, "table")
         return [stream.name, f"{stream.bytes:,}", f"{stream.bits_per_gaussian:.3f}", "", models]
     names = ("geometry", "sh-dc") if stream.name == "gpcc" else (stream.name,)
     members = [c for c in info.channels if c.stream in names]

@@ -22,9 +22,9 @@ from gs_codec.cli.output import (
     print_status,
     print_text,
     set_loudness,
-    size_text,
 )
 from gs_codec.errors import GsCodecError, one_line
+from gs_codec.runtime.wording import size_text
 
 #: Commands in the order of the help; each is a module of this package.
 NAMES = (

@@ -12,6 +12,7 @@ from typing import Any, TextIO
 from gs_codec.errors import printable
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.warned import log_warnings
+from gs_codec.runtime.wording import size_text
 
 #: How often progress is said where stderr is no terminal.
 SECONDS_A_LINE = 10
@@ -190,15 +191,6 @@ def progress_lines(clock: Callable[[], float]) -> Progress:
             print_status(line)
 
     return update
-
-
-def size_text(size: float) -> str:
-    """A number of bytes with its unit, decimal."""
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000 or unit == "MB":
-            break
-        size /= 1000
-    return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.2f} {unit}"
 
 
 def smaller(before: int, after: int, ratio: float) -> str:

@@ -13,6 +13,7 @@ from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
+from gs_codec.runtime.wording import counted
 
 
 @takes(
@@ -54,14 +55,14 @@ def command(
     views = find_cameras(cameras, loaded, asked["split"], asked["width"])
     if only_cameras:
         write_cameras(out, views, asked["overwrite"])
-        told, seconds = f"{len(views)} cameras", None
+        told, seconds = counted(len(views), "camera"), None
     else:
         start = time.perf_counter()
         with progress_bar() as progress:
             drawn = asked["background"], antialiased, asked["device"]
             write_views(loaded, views, out, *drawn, progress)
         seconds = time.perf_counter() - start
-        told = f"{len(views)} images, {seconds:.2f} s"
+        told = f"{counted(len(views), 'image')}, {seconds:.2f} s"
     if asked["json"]:
         print_document(
             input=str(scene), output=str(out), gaussians=loaded.count, sh_degree=loaded.sh_degree,

@@ -11,10 +11,11 @@ import typer
 
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
-from gs_codec.cli.output import SCENES_PIPED, print_text, progress_bar, size_text
+from gs_codec.cli.output import SCENES_PIPED, print_text, progress_bar
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian
+from gs_codec.runtime.wording import counted, size_text
 
 _OF_EGS = ("threads", "max_memory", "tmc3")
 
@@ -43,10 +44,11 @@ def command(
             bits_per_gaussian=bits_per_gaussian(report.file_bytes, report.count), **told,
         )  # fmt: skip
     else:
-        levels = f"{report.levels} coarser levels, " if report.levels else ""
+        levels = f"{counted(report.levels, 'coarser level')}, " if report.levels else ""
         print_text(
-            f"{source}: sound, {size_text(report.file_bytes)}, {report.sections:,} sections, "
-            f"{report.count:,} Gaussians, {report.blocks:,} blocks, {levels}SH degree "
+            f"{source}: sound, {size_text(report.file_bytes)}, "
+            f"{counted(report.sections, 'section')}, {counted(report.count, 'Gaussian')}, "
+            f"{counted(report.blocks, 'block')}, {levels}SH degree "
             f"{report.sh_degree}, profile {report.profile}, {report.seconds:.2f} s"
         )
 
@@ -69,5 +71,5 @@ def _verify_other(source: Path, file: Path, asked: Asked) -> None:
     else:
         print_text(
             f"{source}: sound, {size_text(found.file_bytes)}, {found.format}, "
-            f"{found.count:,} Gaussians, SH degree {found.sh_degree}, {seconds:.2f} s"
+            f"{counted(found.count, 'Gaussian')}, SH degree {found.sh_degree}, {seconds:.2f} s"
         )

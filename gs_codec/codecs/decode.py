@@ -31,6 +31,7 @@ from gs_codec.formats.limits import most_bytes
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import using_threads
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, Scene, join_scenes, stated_comments
 
 #: Gaussians decoded at once below a memory limit.
@@ -125,7 +126,8 @@ def choose_part(
     header, limit = file.header, most_bytes(len(data), max_bytes)
     if header.float_bytes > limit:
         raise CorruptStream(
-            f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
+            f"header: {counted(header.count, 'Gaussian')}, "
+            f"{counted(header.float_bytes, 'byte')}, the limit is {limit:,}"
         )
     _check_sections(file)
     tool = tool_for(file, tmc3)
@@ -297,7 +299,8 @@ def _check_extra(file: EgsFile, limit: int) -> None:
     size = 0 if extra is None else extra_bytes(extra, file.header.count)
     if size > limit - file.header.float_bytes:
         raise CorruptStream(
-            f"section 'extra': {size} bytes beside {file.header.float_bytes}, the limit is {limit}"
+            f"section 'extra': {counted(size, 'byte')} beside "
+            f"{file.header.float_bytes:,}, the limit is {limit:,}"
         )
 
 
@@ -330,7 +333,7 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
     found = sum(section_id in expected for section_id, _ in file.table)
     if found != len(expected) * header.block_count:
         needed = len(expected) * header.block_count
-        raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
+        raise CorruptStream(f"header: {counted(found, 'section')} of blocks, expected {needed:,}")
 
 
 def carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:

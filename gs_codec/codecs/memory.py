@@ -8,6 +8,7 @@ from gs_codec.egs.file import EgsFile
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import available_threads
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 
 #: Bytes of Python, packages and compiled kernels; of torch; of each thread. Measured, rounded up.
@@ -33,7 +34,7 @@ def check_encoding(count: int, config: Config) -> None:
     ------
     InvalidInput
     """
-    _check(least_memory(count, config), f"{count:,} Gaussians by profile {config.profile}")
+    _check(least_memory(count, config), f"{counted(count, 'Gaussian')} by profile {config.profile}")
 
 
 def slab_within(file: EgsFile, degree: int, wanted: int) -> int:
@@ -63,4 +64,6 @@ def _working(torchac: bool) -> int:
 def _check(least: int, what: str) -> None:
     limit = current().limit
     if limit is not None and limit < least:
-        raise InvalidInput(f"max-memory: {limit:,} bytes, expected at least {least:,} for {what}")
+        raise InvalidInput(
+            f"max-memory: {counted(limit, 'byte')}, expected at least {least:,} for {what}"
+        )

@@ -19,6 +19,7 @@ from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, Scene
 
 log = logging.getLogger(__name__)
@@ -63,7 +64,7 @@ def log_ends(counts: Ends, where: str | Path = "") -> None:
     """Log what `finite_ends` replaced, if anything, as one line."""
     what = {"opacity 0 or 1": counts.opacity, "a scale of 0": counts.scale}
     if any(counts):
-        found = " and ".join(f"{name} in {n:,} Gaussians" for name, n in what.items() if n)
+        found = " and ".join(f"{name} in {counted(n, 'Gaussian')}" for name, n in what.items() if n)
         where = f"{where}: " if where else ""
         log.warning("%s%s, read as finite values that look the same", where, found)
 

@@ -14,6 +14,7 @@ from gs_codec.coding.binary import bit_length, code_bit, decode_binary, encode_b
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_nearest
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.wording import counted
 
 _MAGNITUDES = 14  # bit lengths of a residual of 12-bit colours: 0..13
 _ACTIVITIES = 14
@@ -150,7 +151,7 @@ def decode_colour(
     blue = blue + green if depths[2] else blue
     for channel, depth in zip((red, green, blue), depths, strict=True):
         if channel.size and (channel.min() < 0 or channel.max() >> depth):
-            raise CorruptStream(f"{where}: a colour outside its {depth} bits")
+            raise CorruptStream(f"{where}: a colour outside its {counted(depth, 'bit')}")
     return np.stack([red, green, blue]).astype(np.uint16)
 
 

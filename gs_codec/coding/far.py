@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Maximum share of far centres; with fewer than eight centres, there are none.
@@ -251,7 +252,7 @@ def _sentence(positions: NDArray[np.float32], found: FarCentres, moved: NDArray[
     least, most = float(distances.min()), float(distances.max())
     span = f"{most:.4g}" if f"{least:.4g}" == f"{most:.4g}" else f"{least:.4g} to {most:.4g}"
     return (
-        f"{len(moved):,} of {positions.shape[1]:,} Gaussians, {span} from the middle of the scene "
-        f"(the others at most {others.max(initial=found.reach):.4g}), were moved nearer and scaled "
-        "down to look the same; --remove-floaters removes them instead"
+        f"{len(moved):,} of {counted(positions.shape[1], 'Gaussian')}, {span} from the "
+        f"middle of the scene (the others at most {others.max(initial=found.reach):.4g}), moved "
+        "nearer and scaled down to look the same; --remove-floaters removes them instead"
     )

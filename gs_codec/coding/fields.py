@@ -11,6 +11,7 @@ from gs_codec.coding.binary import code_raw
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.mapped import FileBytes
+from gs_codec.runtime.wording import counted
 
 
 class ByteReader:
@@ -35,7 +36,7 @@ class ByteReader:
         left = len(self._data) - self.position
         if size > left:
             raise TruncatedStream(
-                f"{self.where}: {left} bytes left at {self.position}, expected {size}"
+                f"{self.where}: {counted(left, 'byte')} left at {self.position}, expected {size:,}"
             )
         self.position += size
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.wording import counted
 
 LANES = 32
 LOWEST = 1 << 16
@@ -26,7 +27,9 @@ PADDING = np.zeros(LANES, np.uint16)
 def read_states(data: memoryview, lanes: int, where: str) -> NDArray[np.int64]:
     """Initial states ``(LANES,)``, the first `lanes` in use; refuses damaged ones."""
     if len(data) != 4 * lanes:
-        raise CorruptStream(f"{where}: {len(data)} bytes of states, expected {4 * lanes}")
+        raise CorruptStream(
+            f"{where}: {counted(len(data), 'byte')} of states, expected {4 * lanes:,}"
+        )
     states = np.full(LANES, LOWEST, np.int64)
     states[:lanes] = np.frombuffer(data, "<u4")
     if np.any(states < LOWEST):

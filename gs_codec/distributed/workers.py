@@ -10,6 +10,7 @@ from gs_codec.distributed.folder import Folder
 from gs_codec.errors import InvalidInput
 from gs_codec.report import Progress
 from gs_codec.runtime.lazy import from_extra
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 
 #: Gaussians of a task, about; fewer within a memory limit.
@@ -60,7 +61,7 @@ def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int
     if size < least:
         needed = _FIXED + least * each
         raise InvalidInput(
-            f"max-memory: {max_memory:,} bytes, expected at least {needed:,} for a worker"
+            f"max-memory: {counted(max_memory, 'byte')}, expected at least {needed:,} for a worker"
         )
     return min(size, _GAUSSIANS)
 

@@ -17,6 +17,7 @@ from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.guess import LOOKED_AT, looks_like
 from gs_codec.runtime.mapped import FileBytes
+from gs_codec.runtime.wording import counted
 
 Parsed = TypeVar("Parsed")
 
@@ -307,7 +308,9 @@ def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
         raise CorruptStream(f"header: size {header_size}, expected {expected}")
     needed, left = expected - reader.position, len(view) - reader.position
     if left < needed:
-        raise TruncatedStream(f"header: {left} bytes of section table, expected {needed}")
+        raise TruncatedStream(
+            f"header: {counted(left, 'byte')} of section table, expected {needed:,}"
+        )
     rest = view[reader.position : expected]
     listed, checksum = rest[:-_CHECKSUM], rest[-_CHECKSUM:]
     if int.from_bytes(checksum, "little") != crc32c(listed, crc32c(start)):
@@ -340,7 +343,7 @@ def _locate(
     expected = position + sum(_padded(entry[3]) for entry in table)
     if end != expected:
         kind = TruncatedStream if end < expected else CorruptStream
-        raise kind(f"file: {end} bytes, expected {expected}")
+        raise kind(f"file: {counted(end, 'byte')}, expected {expected:,}")
     entries: dict[tuple[int, int], Entry] = {}
     known = set(SectionId)
     for section_id, flags, block, size, checksum in table:
@@ -357,13 +360,17 @@ def _locate(
         if (section_id, block) in entries or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
         if size >= TOO_LARGE:
-            raise CorruptStream(f"{where}: {size} bytes, expected fewer than {TOO_LARGE}")
+            raise CorruptStream(
+                f"{where}: {counted(size, 'byte')}, expected fewer than {TOO_LARGE:,}"
+            )
         entries[section_id, block] = Entry(position, size, checksum)
         position += _padded(size)
     _check_order([section_id for section_id, _ in entries])
     found = [block for section_id, block in entries if section_id == SectionId.LEVEL]
     if found and len(found) != len(header.level_counts):
-        raise CorruptStream(f"header: {len(found)} levels, expected {len(header.level_counts)}")
+        raise CorruptStream(
+            f"header: {counted(len(found), 'level')}, expected {len(header.level_counts):,}"
+        )
     return entries
 
 

@@ -8,6 +8,7 @@ from enum import IntFlag
 
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
 from gs_codec.errors import CorruptStream, UnsupportedVersion
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
 MAX_BLOCK_SIZE = 1 << 16
@@ -195,7 +196,9 @@ def unpack_header(
     if coordinates and coordinates not in _SYSTEMS:
         raise CorruptStream(f"header: coordinates {coordinates} are no system")
     if count >= TOO_LARGE:
-        raise CorruptStream(f"header: {count} Gaussians, expected fewer than {TOO_LARGE}")
+        raise CorruptStream(
+            f"header: {counted(count, 'Gaussian')}, expected fewer than {TOO_LARGE:,}"
+        )
     return Header(
         count,
         degree,

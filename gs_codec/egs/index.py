@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.extent import EXTENT, centre_box
 from gs_codec.egs.file import EgsFile, Section, SectionId
 from gs_codec.errors import CorruptStream
+from gs_codec.runtime.wording import counted
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -74,7 +75,9 @@ def read_index(data: memoryview, blocks: int) -> NDArray[np.float32]:
         If their number is wrong, or a box is none or reaches less far than the centres in it.
     """
     if len(data) != 4 * EXTENT * blocks:
-        raise CorruptStream(f"{_WHERE}: {len(data)} bytes, expected {4 * EXTENT * blocks}")
+        raise CorruptStream(
+            f"{_WHERE}: {counted(len(data), 'byte')}, expected {4 * EXTENT * blocks:,}"
+        )
     extents = np.frombuffer(data, "<f4").reshape(blocks, EXTENT).astype(np.float32)
     low, high, least, most = extents.reshape(blocks, 4, 3).transpose(1, 0, 2)
     sound = np.isfinite(extents).all(axis=1)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
 from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
+from gs_codec.runtime.wording import counted
 
 _WHERE = "section 'errors'"
 
@@ -59,7 +60,7 @@ def errors_of(file: EgsFile) -> NDArray[np.float32]:
 
 def _read_errors(data: memoryview, blocks: int) -> NDArray[np.float32]:
     if len(data) != 4 * blocks:
-        raise CorruptStream(f"{_WHERE}: {len(data)} bytes, expected {4 * blocks}")
+        raise CorruptStream(f"{_WHERE}: {counted(len(data), 'byte')}, expected {4 * blocks:,}")
     errors = np.frombuffer(data, "<f4").astype(np.float32)
     if not (np.isfinite(errors) & (errors >= 0)).all():
         raise CorruptStream(f"{_WHERE}: a value is not finite, or below 0")

@@ -15,6 +15,7 @@ from gs_codec.egs.header import Header
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.report import ChannelCost, EncodeReport, StageTimes
 from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene, gather, is_extra_name, other_comments
 
 _DTYPES = tuple(np.dtype(t) for t in ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"))
@@ -69,7 +70,9 @@ def write_comments(comments: Iterable[str]) -> bytes:
     if not _is_text(text):
         raise InvalidInput("comments: control or non-ASCII characters, expected plain text")
     if len(text) > _COMMENT_BYTES:
-        raise InvalidInput(f"comments: {len(text)} bytes, at most {_COMMENT_BYTES} can be kept")
+        raise InvalidInput(
+            f"comments: {counted(len(text), 'byte')}, at most {_COMMENT_BYTES} can be kept"
+        )
     return text
 
 
@@ -153,7 +156,7 @@ def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
     except zlib.error as error:
         raise CorruptStream(f"{_EXTRA}: {error}") from None
     if filled < rows.size or surplus or not inflater.eof:
-        raise CorruptStream(f"{_EXTRA}: a property is not {rows.size} bytes")
+        raise CorruptStream(f"{_EXTRA}: a property is not {counted(rows.size, 'byte')}")
     return rows.reshape(-1).view(dtype)
 
 
@@ -170,7 +173,7 @@ def read_line(file: EgsFile, section: SectionId) -> str | None:
     text = bytes(data[: MAX_LENGTH + 1])
     if not 1 <= len(text) <= MAX_LENGTH or any(not 32 <= byte < 127 for byte in text):
         raise CorruptStream(
-            f"section '{section.label}': {len(data)} bytes, expected 1-{MAX_LENGTH} of printable "
-            "ASCII"
+            f"section '{section.label}': {counted(len(data), 'byte')}, expected "
+            f"1-{MAX_LENGTH} of printable ASCII"
         )
     return text.decode("ascii")

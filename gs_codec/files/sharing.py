@@ -31,6 +31,7 @@ from gs_codec.rendering.widest import widest_view
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -111,7 +112,7 @@ def share(
     if up is not None:
         up_axis(up)
     if len(sources) not in (1, 2):
-        raise InvalidInput(f"{len(sources)} scenes, expected one or two")
+        raise InvalidInput(f"{counted(len(sources), 'scene')}, expected one or two")
     alone = target.suffix.lower() == ".html"
     if alone:
         check_writable(target, overwrite)

@@ -30,6 +30,7 @@ from gs_codec.formats.tensors import (
 from gs_codec.formats.zip_file import Archive, only_scene, opened_zip, write_zip
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
@@ -119,7 +120,7 @@ def _numbers(archive: Archive, folder: str, tensor: StoredTensor, most: int) -> 
     entry = f"{folder}data/{tensor.key}"
     size = archive.size(entry)
     if size != tensor.length * dtype.itemsize:
-        raise InvalidInput(f"{where}: {size} bytes of {tensor.length}")
+        raise InvalidInput(f"{where}: {counted(size, 'byte')} of {tensor.length:,}")
     first, end = tensor.used
     if end > tensor.length or (end - first) * dtype.itemsize > most:
         raise InvalidInput(f"{where}: numbers {first} to {end} of {tensor.length}, too many")

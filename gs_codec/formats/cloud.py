@@ -12,6 +12,7 @@ from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import listed, say_left_out
 from gs_codec.formats.coordinates import state_system, turn_axes
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
 if TYPE_CHECKING:
@@ -129,15 +130,17 @@ def _exponential(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
 def _check_scales(linear: NDArray[np.float32], log_scale: NDArray[np.float32]) -> None:
     """Refuse planes ``(3, N)`` if only one was edited; allow for different rounding of exp."""
     if linear.shape != log_scale.shape:
-        raise InvalidInput(f"scale: {linear.shape[1]} rows, expected {log_scale.shape[1]}")
+        raise InvalidInput(
+            f"scale: {counted(linear.shape[1], 'row')}, expected {log_scale.shape[1]:,}"
+        )
     expected, tiny = _exponential(log_scale), np.finfo(np.float32).tiny
     unlike = (linear != expected).any(axis=0)
     pair = linear[:, unlike], expected[:, unlike]
     count = np.count_nonzero(~np.isclose(*pair, 2e-6, tiny, equal_nan=True).all(axis=0))
     if count:
         raise InvalidInput(
-            f"scale: not the exponential of log_scale in {count:,} Gaussians; delete the one that "
-            "was not edited, after Open3D's scale del cloud.point['log_scale']"
+            f"scale: not the exponential of log_scale in {counted(count, 'Gaussian')}; "
+            "delete the one that was not edited, after Open3D's scale del cloud.point['log_scale']"
         )
 
 

@@ -19,6 +19,7 @@ from gs_codec.formats.beyond import listed
 from gs_codec.formats.packed_values import spans
 from gs_codec.formats.ply_header import Element
 from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene, is_extra_name
 
 log = logging.getLogger(__name__)
@@ -61,7 +62,9 @@ def refuse_no_gaussians(elements: Mapping[str, Element]) -> None:
         return
     faces = elements["face"].count if "face" in elements else 0
     if faces:
-        raise InvalidInput(f"a mesh of {faces:,} faces without opacity and scales, not Gaussians")
+        raise InvalidInput(
+            f"a mesh of {counted(faces, 'face')} without opacity and scales, not Gaussians"
+        )
     raise InvalidInput("a point cloud without opacity and scales, not Gaussians")
 
 

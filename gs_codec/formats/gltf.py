@@ -27,6 +27,7 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
 
 _EXTENSION = "KHR_gaussian_splatting"
@@ -90,7 +91,9 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
         if "mesh" in node:
             found += [_Placed(each, matrix) for each in splats.of(node["mesh"])]
             if len(found) > splats.most:
-                raise InvalidInput(f"glTF: nodes show more than {splats.most} primitives")
+                raise InvalidInput(
+                    f"glTF: nodes show more than {counted(splats.most, 'primitive')}"
+                )
     if pending:
         raise InvalidInput("glTF: a node has two parents")
     if not found:

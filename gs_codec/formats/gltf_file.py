@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
 from gs_codec.runtime.json_text import parse_json
+from gs_codec.runtime.wording import counted
 
 MAGIC = b"glTF"
 
@@ -100,7 +101,7 @@ class GltfFile:
         count = self.count(accessor)
         used = offset + stride * (count - 1) + width * size if count else 0
         if used > length or first + length > len(data) or stride < width * size:
-            raise InvalidInput(f"glTF: {where}: {count} elements beyond their buffer")
+            raise InvalidInput(f"glTF: {where}: {counted(count, 'element')} beyond the buffer")
         rows = np.ndarray((count, width), code, data, first + offset, (stride, size))
         with np.errstate(invalid="ignore"):
             plain = rows.astype(np.float32)
@@ -134,7 +135,7 @@ class GltfFile:
         path = self.path.parent / name
         with refusing(f"file '{name[:60]}'"):
             if not path.is_file() or path.stat().st_size < length:
-                raise InvalidInput(f"file '{name[:60]}': no file of {length} bytes")
+                raise InvalidInput(f"file '{name[:60]}': no file of {counted(length, 'byte')}")
             with open(path, "rb") as file:
                 return file.read(length)
 
@@ -161,10 +162,10 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
     """The JSON and the buffer of a `.glb`."""
     least = _HEADER.size + _CHUNK.size
     if len(data) < least:
-        raise InvalidInput(f"glTF: {len(data)} bytes, expected a header and a chunk")
+        raise InvalidInput(f"glTF: {counted(len(data), 'byte')}, expected a header and a chunk")
     _, version, length = _HEADER.unpack_from(data)
     if version != 2 or not least <= length <= len(data):
-        told = f"version {version}, {length} bytes of {len(data)}"
+        told = f"version {version}, {counted(length, 'byte')} of {len(data):,}"
         raise InvalidInput(f"glTF: {told}, expected version 2 and {least} or more")
     parts, offset = [], _HEADER.size
     for kind in (b"JSON", b"BIN\0"):
@@ -173,7 +174,9 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
         size, found = _CHUNK.unpack_from(data, offset)
         offset += _CHUNK.size
         if found != kind or offset + size > length:
-            raise InvalidInput(f"glTF: chunk {found!a} of {size} bytes, expected {kind!a}")
+            raise InvalidInput(
+                f"glTF: chunk {found!a} of {counted(size, 'byte')}, expected {kind!a}"
+            )
         parts.append(data[offset : offset + size])
         offset += size
     return parts[0], parts[1] if len(parts) > 1 else None
@@ -189,7 +192,7 @@ def whole(value: Any, where: str) -> int:
 def numbers(value: Any, length: int, where: str) -> list[float]:
     """A list of finite numbers of a document; `InvalidInput` if it is none."""
     if not isinstance(value, list) or len(value) != length:
-        raise InvalidInput(f"glTF: {where} is not a list of {length} numbers")
+        raise InvalidInput(f"glTF: {where} is not a list of {counted(length, 'number')}")
     for each in value:
         known = isinstance(each, int | float) and not isinstance(each, bool)
         if not known or not math.isfinite(each):

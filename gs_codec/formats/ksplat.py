@@ -19,6 +19,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import opacities_of, sh_of_colours
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands
 
 _HEADER = np.dtype({
@@ -55,7 +56,7 @@ class _Section:
 
 def _headers(data: memoryview) -> tuple[np.void, NDArray]:
     if len(data) < _HEADER.itemsize:
-        raise InvalidInput(f"{len(data)} bytes, expected a header of {_HEADER.itemsize}")
+        raise InvalidInput(f"{counted(len(data), 'byte')}, expected a header of {_HEADER.itemsize}")
     header = _counted(np.frombuffer(data, _HEADER, 1))[0]
     major, minor = header["version"].tolist()
     if (major, minor) != (0, 1) or header["level"] >= len(_TYPES):
@@ -63,14 +64,14 @@ def _headers(data: memoryview) -> tuple[np.void, NDArray]:
         raise InvalidInput(f".ksplat: {found}, expected 0.1, level 0 to {len(_TYPES) - 1}")
     number = int(header["sections"])
     if _HEADER.itemsize + number * _SECTION.itemsize > len(data):
-        raise InvalidInput(f".ksplat: {number} sections, which the file has no room for")
+        raise InvalidInput(f".ksplat: {counted(number, 'section')}, which the file has no room for")
     sections = _counted(np.frombuffer(data, _SECTION, number, _HEADER.itemsize))
     total = int(sections["count"].sum(dtype=np.int64))
     if total != header["count"] or (sections["degree"] > 2).any():
         degree = sections["degree"].max(initial=0)
         raise InvalidInput(
-            f".ksplat: sections of {total} Gaussians and SH degree {degree}, "
-            f"expected {header['count']} and at most 2"
+            f".ksplat: sections of {counted(total, 'Gaussian')} and SH degree {degree}, "
+            f"expected {header['count']:,} and at most 2"
         )
     return header, sections
 
@@ -143,7 +144,8 @@ def _sections(data: memoryview, header: np.void, sections: NDArray) -> list[_Sec
         end = rows + count * row.itemsize
         if end > len(data) or section["bytes"] not in (0, 12):
             raise InvalidInput(
-                f".ksplat: section of {end - start} bytes at {start}, of a file of {len(data)}"
+                f".ksplat: section of {counted(end - start, 'byte')} at {start}, of a "
+                f"file of {len(data):,}"
             )
         in_buckets = buckets if section["bytes"] else 0
         found.append(
@@ -170,8 +172,9 @@ def _centres(section: _Section) -> NDArray[np.float32]:
     ])  # fmt: skip
     if len(lengths) != len(section.buckets) or lengths.sum() != len(rows):
         raise InvalidInput(
-            f".ksplat: {len(section.buckets)} buckets of {lengths.sum()} Gaussians, "
-            f"expected {full + len(section.lengths)} of {len(rows)}"
+            f".ksplat: {counted(len(section.buckets), 'bucket')} of "
+            f"{counted(lengths.sum(), 'Gaussian')}, "
+            f"expected {full + len(section.lengths):,} of {len(rows):,}"
         )
     middle = int(header["range"]) or _RANGE
     step = float(header["side"]) / 2 / middle

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from gs_codec.errors import InvalidInput, one_line
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 
 #: A file may decode to this many bytes, or to `EXPANSION` times its size if that is more.
@@ -45,8 +46,8 @@ def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None)
     limit = most_bytes(file_bytes, max_bytes)
     if wanted > limit:
         raise InvalidInput(
-            f"{count} Gaussians, which take {wanted} bytes; at most {limit} are read from a file "
-            f"of {file_bytes} (max-bytes)"
+            f"{counted(count, 'Gaussian')} of {counted(wanted, 'byte')}; at most "
+            f"{limit:,} are read from a file of {file_bytes:,} (max-bytes)"
         )
 
 

@@ -31,6 +31,7 @@ from gs_codec.formats.packed_values import (
 from gs_codec.formats.ply_body import Ply
 from gs_codec.formats.ply_header import PlyHeader
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, stated_comments
 
 PACKED_ELEMENTS = ("chunk", "vertex", "sh")
@@ -76,7 +77,7 @@ def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
     _check_types("chunk", chunk.types, bounds, "f4")
     chunks = -(-vertex.count // _CHUNK)
     if chunk.count != chunks:
-        raise InvalidInput(f"element 'chunk': {chunk.count} rows, expected {chunks}")
+        raise InvalidInput(f"element 'chunk': {counted(chunk.count, 'row')}, expected {chunks:,}")
     coefficients = 0 if sh is None else _check_sh(sh.types, sh.count, vertex.count)
     degree = SH_COEFFICIENTS.index(coefficients)
     check_count(vertex.count, degree, len(ply.data), max_bytes)
@@ -115,9 +116,9 @@ def _check_types(element: str, types: dict[str, str], names: Sequence[str], code
 def _check_sh(types: dict[str, str], count: int, gaussians: int) -> int:
     """Check element `sh`; return its SH-AC coefficients per colour channel."""
     if len(types) not in [3 * k for k in SH_COEFFICIENTS]:
-        raise InvalidInput(f"element 'sh': {len(types)} properties, expected 9, 24 or 45")
+        raise InvalidInput(f"element 'sh': {counted(len(types), 'property')}, expected 9, 24 or 45")
     if count != gaussians:
-        raise InvalidInput(f"element 'sh': {count} rows, expected {gaussians}")
+        raise InvalidInput(f"element 'sh': {counted(count, 'row')}, expected {gaussians:,}")
     _check_types("sh", types, [f"f_rest_{i}" for i in range(len(types))], "u1")
     return len(types) // 3
 

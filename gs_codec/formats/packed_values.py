@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import listed
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, SH_C0, Scene, other_comments
 
 log = logging.getLogger(__name__)
@@ -49,8 +50,8 @@ def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float
     if ends:
         # Only INFO: the change is less than a step of the format.
         log.info(
-            "%s: opacity of 0 or 1 in %d Gaussians, which has no logit: moved by %.2g",
-            *(path, ends, _END / 255),
+            "%s: opacity 0 or 1 has no logit, moved by %.2g in %s",
+            *(path, _END / 255, counted(ends, "Gaussian")),
         )
     share = np.clip(np.arange(256.0), _END, 255 - _END) / 255
     return np.log(share / (1 - share)).astype(np.float32)[alpha][None]
@@ -122,7 +123,7 @@ class Clipped:
     def sentences(self) -> list[str]:
         """What was clipped, in words."""
         return [
-            f"{what} of {count:,} Gaussians clipped to the format's range"
+            f"{what} of {counted(count, 'Gaussian')} clipped to the format's range"
             for what, count in self.counts.items()
             if count
         ]
@@ -140,5 +141,5 @@ def left_out(scene: Scene, flag: bool = False) -> list[str]:
     if scene.extra:
         lost.append(f"properties left out: {listed([*scene.extra])}")
     if comments := other_comments(scene.comments):
-        lost.append(f"comments left out: {len(comments)} lines")
+        lost.append(f"comments left out: {counted(len(comments), 'line')}")
     return lost

@@ -21,6 +21,7 @@ from gs_codec.formats.ply_header import Element, PlyHeader, read_header
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -153,11 +154,13 @@ class Ply:
         if end > len(self.data):
             there = max(len(self.data) - start, 0) // max(dtype.itemsize, 1)
             raise InvalidInput(
-                f"element '{element.name}': {element.count} rows, but the file ends in row {there}"
+                f"element '{element.name}': {counted(element.count, 'row')}, but the "
+                f"file ends in row {there}"
             )
         if len(before) == len(self.header.elements) - 1 and end < len(self.data):
             surplus = len(self.data) - end
-            log.warning("%s: %d bytes after the last %s not read", self.path, surplus, element.name)
+            many = counted(surplus, "byte")
+            log.warning("%s: %s after the last %s not read", self.path, many, element.name)
 
         def read(first: int, last: int) -> NDArray:
             data = np.empty((last - first) * dtype.itemsize, np.uint8)
@@ -171,8 +174,9 @@ class Ply:
         # A number takes at least a digit and a space.
         if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
             raise InvalidInput(
-                f"element '{element.name}': {element.count} rows of {len(element.types)} numbers "
-                f"after {skipped} of others, but {len(body)} bytes of text"
+                f"element '{element.name}': {counted(element.count, 'row')} of "
+                f"{counted(len(element.types), 'number')} after {skipped:,} of others, "
+                f"but {counted(len(body), 'byte')} of text"
             )
         lines = io.TextIOWrapper(io.BytesIO(body), "latin-1")
         wanted = islice((line for line in lines if line.strip()), skipped, skipped + element.count)
@@ -183,8 +187,9 @@ class Ply:
                 table = np.loadtxt(wanted, np.float64, comments=None, ndmin=2, encoding="latin-1")
         if table.shape != (element.count, len(element.types)):
             raise InvalidInput(
-                f"element '{element.name}': {len(table)} rows of {table.shape[1]} numbers, "
-                f"expected {element.count} of {len(element.types)}"
+                f"element '{element.name}': {counted(len(table), 'row')} of "
+                f"{counted(table.shape[1], 'number')}, "
+                f"expected {element.count:,} of {len(element.types)}"
             )
         rows = _typed(table, element)
         return Rows(rows.dtype, len(rows), lambda first, last: rows[first:last])

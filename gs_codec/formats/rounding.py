@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.formats.beyond import listed
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +87,7 @@ class Rounding:
 
     def _line(self, names: Sequence[str]) -> str:
         most = max(self._rounded[name] for name in names)
-        return f"{listed(names)} rounded to float32 in {most:,} Gaussians"
+        return f"{listed(names)} rounded to float32 in {counted(most, 'Gaussian')}"
 
     def _how_far(self) -> str:
         text = f", by up to {self._error:.2g} units, {self._share:.2g} times a Gaussian's size"

@@ -28,6 +28,7 @@ from gs_codec.formats.sog_files import (
     unit_of,
 )
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
@@ -97,7 +98,9 @@ def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.u
     # The sides of images are rounded up to multiples of four.
     pixels = load(name, 2 * meta.count + (1 << 16)).reshape(-1, 4)
     if len(pixels) < meta.count:
-        raise InvalidInput(f"image '{name}': {len(pixels)} pixels, expected {meta.count}")
+        raise InvalidInput(
+            f"image '{name}': {counted(len(pixels), 'pixel')}, expected {meta.count:,}"
+        )
     return np.ascontiguousarray(pixels[: meta.count].T)
 
 
@@ -140,7 +143,8 @@ def _quaternions(where: str | Path, values: NDArray[np.uint8]) -> NDArray[np.flo
         return rot
 
     if untold.any():
-        log.warning("%s: %d rotations without a value, set to the identity", where, untold.sum())
+        many = counted(int(untold.sum()), "rotation")
+        log.warning("%s: %s without a value, set to the identity", where, many)
     return planes_of(4, len(untold), restore)
 
 
@@ -157,7 +161,7 @@ def _read_palette(
     degree = widths.index(width) if width in widths else 0
     if not degree or meta.bands not in (None, degree):
         expected = widths[1:] if meta.bands is None else widths[meta.bands]
-        raise InvalidInput(f"image '{name}': {width} pixels wide, expected {expected}")
+        raise InvalidInput(f"image '{name}': {counted(width, 'pixel')} wide, expected {expected}")
     check_count(meta.count, degree, file_bytes, max_bytes)
     low, high, *_ = _values(meta, "shN", load, 1)
     rows = low | high.astype(np.uint16) << 8

@@ -21,6 +21,7 @@ from gs_codec.formats.limits import DECODED_BYTES, refusing
 from gs_codec.formats.zip_file import ZIP, Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
 
 #: Number of files of each group.
 _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
@@ -112,7 +113,9 @@ def parse_meta(data: bytes) -> Meta:
             bands = _whole(meta["shN"].get("bands"), "shN.bands")
             palette = _whole(meta["shN"].get("count"), "shN.count")
         if bands > 3 or palette > 1 << 16:
-            raise InvalidInput(f"meta.json: shN of {bands} bands and {palette} rows")
+            raise InvalidInput(
+                f"meta.json: shN of {counted(bands, 'band')} and {counted(palette, 'row')}"
+            )
         tables = {
             name: np.repeat(_table(meta[name], name)[:, None], 3, axis=1)
             for name in ("scales", "sh0", "shN")
@@ -229,7 +232,9 @@ class Files:
         path = Path(self.folder / name)
         with refusing(f"file {name!a:.60}"):
             if not path.is_file() or path.stat().st_size > limit:
-                raise InvalidInput(f"file {name!a:.60}: no file, or of more than {limit} bytes")
+                raise InvalidInput(
+                    f"file {name!a:.60}: no file, or of more than {counted(limit, 'byte')}"
+                )
             return path.read_bytes()
 
     def beside(self, name: str) -> Files:

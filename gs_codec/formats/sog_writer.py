@@ -30,6 +30,7 @@ from gs_codec.formats.sog_files import FIRST_TAG, PALETTE_COLUMNS
 from gs_codec.formats.sog_palette import fit_palette
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Most pixels along a side of an image.
@@ -76,7 +77,7 @@ def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes],
     """The files of a scene by name, `meta.json` first, in the scene's order."""
     check_finite(scene, ".sog")
     if scene.count > _LARGEST_SIDE**2:
-        raise InvalidInput(f"{scene.count:,} Gaussians, .sog holds {_LARGEST_SIDE**2:,}")
+        raise InvalidInput(f"{counted(scene.count, 'Gaussian')}, .sog holds {_LARGEST_SIDE**2:,}")
     turned, clipped = turn_axes(scene), Clipped()
     f_rest = clipped.limited("SH", turned.f_rest, -_LARGEST_SH, _LARGEST_SH)
     turned = replace(turned, f_rest=f_rest)

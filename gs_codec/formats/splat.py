@@ -23,6 +23,7 @@ from gs_codec.formats.packed_values import (
     unit_quaternions,
 )
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, Scene
 
 _ROW = np.dtype(
@@ -38,7 +39,7 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     with located(path):
         if len(data) % RECORD:
             raise InvalidInput(
-                f"{len(data)} bytes, expected a multiple of {RECORD} (.splat records)"
+                f"{counted(len(data), 'byte')}, expected a multiple of {RECORD} (.splat records)"
             )
         check_count(len(data) // RECORD, 0, len(data), max_bytes)
         rows = np.frombuffer(bytes(data), _ROW)
@@ -46,7 +47,7 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         odd = int(np.count_nonzero(~((scales >= 0) & (scales < np.inf)).all(axis=1)))
         if 2 * odd > len(rows):
             raise InvalidInput(
-                f"scales below 0 or not finite in {odd:,} of {len(rows):,} records, "
+                f"scales below 0 or not finite in {odd:,} of {counted(len(rows), 'record')}, "
                 "not a .splat scene"
             )
     colour = rows["colour"].T

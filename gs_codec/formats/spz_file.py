@@ -22,6 +22,7 @@ from gs_codec.formats.coordinates import OWN_SYSTEMS
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS
 
 log = logging.getLogger(__name__)
@@ -180,7 +181,7 @@ def _head_of(data: bytes) -> tuple[bytes, zlib._Decompress | None]:
     if not head.startswith(MAGIC) or (inflater and len(head) < _HEADER.size):
         raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
     if len(head) < _HEADER.size:
-        raise InvalidInput(f"{len(head)} bytes, expected a header of {_HEADER.size}")
+        raise InvalidInput(f"{counted(len(head), 'byte')}, expected a header of {_HEADER.size}")
     return head, inflater
 
 
@@ -203,9 +204,11 @@ def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, lis
                 inflater.decompress(inflater.unconsumed_tail, 1 << 20)
         ended = inflater.eof and not inflater.unused_data
     if len(body) < least:
-        raise InvalidInput(f"{len(body)} bytes of attributes, expected {least}")
+        raise InvalidInput(f"{counted(len(body), 'byte')} of attributes, expected {least:,}")
     if not ended or (len(body) > limit and not header.unknown):
-        raise InvalidInput(f"bytes left over, or cut off, after {least} bytes of attributes")
+        raise InvalidInput(
+            f"bytes left over, or cut off, after {counted(least, 'byte')} of attributes"
+        )
     streams: list[Bytes] = [body[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
     return header, streams, bytes(body[bounds[-1] : limit])
 
@@ -223,10 +226,11 @@ def _leaves(
     leaves = number == 0
     count = int(leaves.sum())
     if header.count and not count:
-        raise InvalidInput(f"a tree of {header.count} Gaussians without leaves")
+        raise InvalidInput(f"a tree of {counted(header.count, 'Gaussian')} without leaves")
     if (number + first.astype(np.int64) > header.count).any():
         log.warning("%s: one of several files; the others hold the rest of the scene", path)
-    log.warning("%s: levels of detail: %d leaves of %d Gaussians read", path, count, header.count)
+    of_all = f"{count:,} of {counted(header.count, 'Gaussian')}"
+    log.warning("%s: levels of detail: only the leaves were read, %s", path, of_all)
     kept = [
         np.frombuffer(stream, np.uint8).reshape(header.count, size)[leaves]
         for stream, size in zip(streams, header.sizes, strict=True)
@@ -238,7 +242,9 @@ def _leaves(
 def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
     """Header, attributes and extensions of version 4."""
     if len(data) < _ZSTD_HEADER.size:
-        raise InvalidInput(f"{len(data)} bytes, expected a header of {_ZSTD_HEADER.size}")
+        raise InvalidInput(
+            f"{counted(len(data), 'byte')}, expected a header of {_ZSTD_HEADER.size}"
+        )
     _, version, *fields, number, table = _ZSTD_HEADER.unpack_from(data)
     if version != 4:
         raise InvalidInput(f"version {version}, expected 1 to 4")
@@ -246,7 +252,7 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Byt
     sizes = [size * header.count for size in header.sizes]
     wanted = sum(size > 0 for size in sizes)
     if number < wanted or (number > wanted and not header.unknown):
-        raise InvalidInput(f"{number} streams, expected {wanted}")
+        raise InvalidInput(f"{counted(number, 'stream')}, expected {wanted:,}")
     offset = table + 16 * number
     if not _ZSTD_HEADER.size <= table <= offset <= len(data):
         raise InvalidInput(f"table of streams at byte {table}, of a file of {len(data)}")
@@ -256,14 +262,14 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Byt
         packed, stated = next(entries) if size else (0, 0)
         if stated != size or packed > len(data) - offset:
             raise InvalidInput(
-                f"stream '{name}': {packed} bytes packed, {stated} unpacked; expected at most "
-                f"{len(data) - offset} and {size}"
+                f"stream '{name}': {counted(packed, 'byte')} packed, {stated:,} unpacked; "
+                f"expected at most {len(data) - offset:,} and {size:,}"
             )
         streams.append(_decompress_stream(data[offset : offset + packed], name, size))
         offset += packed
     offset += sum(packed for packed, _ in entries)  # what flags that are not known stand for
     if offset != len(data):
-        raise InvalidInput(f"{len(data) - offset} bytes left over after the last stream")
+        raise InvalidInput(f"{counted(len(data) - offset, 'byte')} left over after the last stream")
     return header, streams, data[_ZSTD_HEADER.size : table]
 
 
@@ -279,11 +285,13 @@ def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
     with refusing(f"stream '{name}'", zstandard.ZstdError):
         stated = zstandard.frame_content_size(packed)
         if stated not in (-1, size):
-            raise InvalidInput(f"stream '{name}': a frame of {stated} bytes, expected {size}")
+            raise InvalidInput(
+                f"stream '{name}': a frame of {counted(stated, 'byte')}, expected {size:,}"
+            )
         decompressor = zstandard.ZstdDecompressor()
         unpacked = decompressor.decompress(packed, max_output_size=size, allow_extra_data=False)
     if len(unpacked) != size:
-        raise InvalidInput(f"stream '{name}': {len(unpacked)} bytes, expected {size}")
+        raise InvalidInput(f"stream '{name}': {counted(len(unpacked), 'byte')}, expected {size:,}")
     return unpacked
 
 
@@ -292,17 +300,21 @@ def _read_extensions(path: Path, data: bytes) -> str:
     system, offset = SYSTEM, 0
     while offset < len(data):
         if len(data) - offset < 8:
-            raise InvalidInput(f"{len(data) - offset} bytes left over after the extensions")
+            raise InvalidInput(
+                f"{counted(len(data) - offset, 'byte')} left over after the extensions"
+            )
         kind, size = struct.unpack_from("<II", data, offset)
         payload = data[offset + 8 : offset + 8 + size]
         if len(payload) != size:
-            raise InvalidInput(f"extension {kind:#010x}: {len(payload)} bytes, expected {size}")
+            raise InvalidInput(
+                f"extension {kind:#010x}: {counted(len(payload), 'byte')}, expected {size:,}"
+            )
         if kind == _SYSTEM_EXTENSION and size == 4:
             (value,) = struct.unpack("<I", payload)
             if value > len(_SYSTEMS):
                 raise InvalidInput(f"coordinate system {value}, expected 0 to {len(_SYSTEMS)}")
             system = _SYSTEMS[value - 1] if value else SYSTEM
         else:
-            log.warning("%s: extension %#010x of %d bytes not kept", path, kind, size)
+            log.warning("%s: extension %#010x of %s not kept", path, kind, counted(size, "byte"))
         offset += 8 + size
     return system

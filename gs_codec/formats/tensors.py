@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import say_degree_4
 from gs_codec.formats.packed_values import sh_of_colours, sigmoid
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS, Scene
 
 #: Tensors by gsplat's names, and nerfstudio's names of two of them.
@@ -58,7 +59,9 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
     coefficients = (*shapes.get("shN", (count, 0, 3)), 0, 0)[1]
     if coefficients not in (*SH_COEFFICIENTS, DEGREE_4):
         known = ", ".join(map(str, SH_COEFFICIENTS))
-        raise InvalidInput(f"tensor 'shN': {coefficients} coefficients, expected one of {known}")
+        raise InvalidInput(
+            f"tensor 'shN': {counted(coefficients, 'coefficient')}, expected one of {known}"
+        )
     expected: dict[str, list[tuple[int, ...]]] = {
         "means": [(count, 3)],
         "quats": [(count, 4)],

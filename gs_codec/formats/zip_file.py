@@ -12,6 +12,7 @@ from typing import IO, BinaryIO
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import most_bytes, refusing
+from gs_codec.runtime.wording import counted
 
 ZIP = b"PK\x03\x04"
 
@@ -45,10 +46,14 @@ class Archive:
     def __init__(self, file: zipfile.ZipFile, file_bytes: int) -> None:
         entries, self.file_bytes = file.infolist(), file_bytes
         if len(entries) > _ENTRIES:
-            raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
+            raise InvalidInput(
+                f"zip of {counted(len(entries), 'entry')}, expected at most {_ENTRIES:,}"
+            )
         unpacked, most = sum(entry.file_size for entry in entries), most_bytes(file_bytes, None)
         if unpacked > most:
-            raise InvalidInput(f"zip of {unpacked} bytes unpacked, expected at most {most}")
+            raise InvalidInput(
+                f"zip of {counted(unpacked, 'byte')} unpacked, expected at most {most:,}"
+            )
         self._file, self._entries = file, dict[str, zipfile.ZipInfo]()
         for entry in entries:
             name = entry.filename.replace("\\", "/")
@@ -78,7 +83,9 @@ class Archive:
         """
         size = self.size(name)
         if size > limit:
-            raise InvalidInput(f"{_shown(name)}: {size} bytes, expected at most {limit}")
+            raise InvalidInput(
+                f"{_shown(name)}: {counted(size, 'byte')}, expected at most {limit:,}"
+            )
         return self.read_part(name, 0, size)
 
     def size(self, name: str) -> int:
@@ -103,13 +110,15 @@ class Archive:
         shown, size = _shown(name), self.size(name)
         entry = self._entries[name]
         if entry.compress_type != zipfile.ZIP_STORED and stop - start < size:
-            raise InvalidInput(f"{shown}: {size} bytes compressed, {stop - start} of them used")
+            raise InvalidInput(
+                f"{shown}: {counted(size, 'byte')} compressed, {stop - start} of them used"
+            )
         with refusing(shown, zipfile.BadZipFile), self._file.open(entry) as file:
             before = _pass(file, start)
             data = file.read(stop - start)
             found = before + len(data) + _pass(file, size - stop + 1)
         if found != size:
-            raise InvalidInput(f"{shown}: {found} bytes of {size}")
+            raise InvalidInput(f"{shown}: {counted(found, 'byte')} of {size:,}")
         return data
 
 
@@ -131,7 +140,9 @@ def only_scene(names: Sequence[str], expected: str) -> str:
         raise InvalidInput(f"a zip without {expected}")
     if len(names) > 1:
         shown = ", ".join(f"{name!a:.60}" for name in names[:3]) + ", ..." * (len(names) > 3)
-        raise InvalidInput(f"a zip of {len(names)} scenes ({shown}), expected one: unpack it first")
+        raise InvalidInput(
+            f"a zip of {counted(len(names), 'scene')} ({shown}), expected one: unpack it first"
+        )
     return names[0]
 
 

@@ -13,6 +13,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, Progress, RateReport
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Encodes a scene by a plan.
@@ -66,7 +67,7 @@ def _most(scene: Scene, config: Config, limit: int) -> int:
     each = (all_of_them - one) / max(scene.count - 1, 1)
     count = 1 + math.floor((limit - one - _HEADER) / max(each, 1))
     if count < 1:
-        raise InvalidInput(f"target {limit:,} bytes: one Gaussian takes {one:,} already")
+        raise InvalidInput(f"target {counted(limit, 'byte')}: one Gaussian takes {one:,} already")
     return count
 
 

@@ -12,6 +12,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.metrics.images import View, mean_quality
 from gs_codec.metrics.shapes import differences, shape_errors
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 
@@ -118,7 +119,7 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """
     if first.count != second.count:
         raise InvalidInput(
-            f"{first.count} and {second.count} Gaussians cannot be matched, so no "
+            f"{first.count:,} and {counted(second.count, 'Gaussian')} cannot be matched, so no "
             "errors by attribute: compare what cameras see (--cameras auto)"
         )
     coefficients = max(len(first.f_rest), len(second.f_rest)) // 3

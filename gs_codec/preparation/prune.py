@@ -33,6 +33,7 @@ from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.renderer import render
 from gs_codec.rendering.rows import leave_out_rows
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Exponent of a Gaussian's volume in LightGaussian's score, and the quantile it is divided by.
@@ -59,7 +60,9 @@ def portion(count: int, percent: float) -> int:
     # The millionth makes up for binary rounding of percentages: 7 % of 100 is 7.
     number = int(np.floor(count * percent / 100 + 1e-6))
     if number >= count > 0:
-        raise InvalidInput(f"pruning {percent:g} % of {count} Gaussians would leave none")
+        raise InvalidInput(
+            f"pruning {percent:g} % of {counted(count, 'Gaussian')} would leave none"
+        )
     return number
 
 

@@ -23,6 +23,7 @@ from gs_codec.rendering.renderer import render
 from gs_codec.report import NOMINAL_ERROR, Progress, step_counter
 from gs_codec.runtime.mapped import other_files
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 Item = TypeVar("Item")
@@ -149,7 +150,7 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Ca
     paths = seek_images(folder, cameras)
     found = [(camera, path) for camera, path in zip(cameras, paths, strict=True) if path]
     if not found:
-        raise InvalidInput(f"{folder}: no image of the {len(cameras)} cameras")
+        raise InvalidInput(f"{folder}: no image of {counted(len(cameras), 'camera')}")
     return found
 
 

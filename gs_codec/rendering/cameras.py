@@ -24,6 +24,7 @@ from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.runtime.mapped import other_files
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -140,12 +141,15 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
     lines = ",\n".join(json.dumps(as_entry(index, camera)) for index, camera in enumerate(cameras))
     data = f"[\n{lines}\n]\n".encode()
     if len(data) > MAX_BYTES:
-        raise InvalidInput(f"{path}: {len(data)} bytes of cameras, expected at most {MAX_BYTES}")
+        raise InvalidInput(
+            f"{path}: {counted(len(data), 'byte')} of cameras, expected at most {MAX_BYTES:,}"
+        )
     with atomic_writer(path) as file:
         file.write(data)
     distorted = sum(camera.lens is not None for camera in cameras)
     if distorted:
-        log.warning("%s: without the lenses of %d cameras, for undistorted images", path, distorted)
+        many = counted(distorted, "camera")
+        log.warning("%s: without the lenses of %s, for undistorted images", path, many)
 
 
 def _entries(path: Path) -> _Entries:
@@ -191,7 +195,9 @@ def _read_json(path: Path) -> _Entries:
 def _check_name(where: str, name: str) -> None:
     """Check the name of an image; several may have one name."""
     if not 0 < len(name) <= _MAX_NAME:
-        raise InvalidInput(f"{where}: name of {len(name)} characters, expected 1 to {_MAX_NAME}")
+        raise InvalidInput(
+            f"{where}: name of {counted(len(name), 'character')}, expected 1 to {_MAX_NAME}"
+        )
     if _UNPRINTABLE.search(name):
         raise InvalidInput(f"{where}: control characters in name {reprlib.repr(name)}")
 

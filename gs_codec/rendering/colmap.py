@@ -22,6 +22,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
 from gs_codec.rendering.lens import BROWN, FISHEYE, lens_fields
 from gs_codec.runtime.mapped import FileBytes, opened
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -194,7 +195,7 @@ def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, Any]]:
             raise InvalidInput(f"{where} for the second time")
         names = _parameters(where, camera.model)
         if len(camera.parameters) != len(names):
-            found = f"{len(camera.parameters)} parameters, expected {len(names)}"
+            found = f"{counted(len(camera.parameters), 'parameter')}, expected {len(names):,}"
             raise InvalidInput(f"{where}: {found} of {camera.model}")
         if not all(map(math.isfinite, camera.parameters)):
             raise InvalidInput(f"{where}: parameters {camera.parameters}, expected finite numbers")
@@ -252,13 +253,17 @@ def _read_binary(
         try:
             (count,) = reader.unpack("Q")
             if count > (len(data) - reader.position) // smallest:
-                raise InvalidInput(f"{path}: {count} entries, too many for {len(data)} bytes")
+                raise InvalidInput(
+                    f"{path}: {counted(count, 'entry')}, too many for {counted(len(data), 'byte')}"
+                )
             entries = [parse(path, data, reader) for _ in range(count)]
         except TruncatedStream as error:
             raise InvalidInput(str(error)) from error
         if reader.position < len(data):
             surplus = len(data) - reader.position
-            raise InvalidInput(f"{path}: {surplus} bytes after the last entry, expected none")
+            raise InvalidInput(
+                f"{path}: {counted(surplus, 'byte')} after the last entry, expected none"
+            )
     return entries
 
 
@@ -275,7 +280,7 @@ def _binary_image(path: Path, data: FileBytes, reader: ByteReader) -> _Image:
     where = f"{path}: image {image_id}"
     name = bytes(data[reader.position : reader.position + _MAX_NAME + 1])
     if b"\0" not in name:
-        raise InvalidInput(f"{where}: no end of its name in {len(name)} bytes")
+        raise InvalidInput(f"{where}: no end of its name in {counted(len(name), 'byte')}")
     name = name[: name.index(b"\0")]
     reader.take(len(name) + 1)
     (points,) = reader.unpack("Q")
@@ -332,7 +337,9 @@ def _read_text(path: Path, parse: Callable[[_Lines, bytes], T]) -> list[T]:
 def _text_camera(lines: _Lines, line: bytes) -> _Intrinsics:
     fields = line.split()
     if len(fields) < 4:
-        raise InvalidInput(f"{lines.where}: {len(fields)} fields, expected at least 4 of a camera")
+        raise InvalidInput(
+            f"{lines.where}: {counted(len(fields), 'field')}, expected at least 4 of a camera"
+        )
     camera_id, width, height = (_parse(lines.where, _whole, fields[i]) for i in (0, 2, 3))
     parameters = tuple(_parse(lines.where, float, field) for field in fields[4:])
     return _Intrinsics(camera_id, fields[1].decode("latin-1"), width, height, parameters)
@@ -343,7 +350,7 @@ def _text_image(lines: _Lines, line: bytes) -> _Image:
     fields = line.split(maxsplit=9)
     where = lines.where
     if len(fields) < 10:
-        raise InvalidInput(f"{where}: {len(fields)} fields, expected 10 of an image")
+        raise InvalidInput(f"{where}: {counted(len(fields), 'field')}, expected 10 of an image")
     _parse(where, int, fields[0])
     pose = tuple(_parse(where, float, field) for field in fields[1:8])
     lines.skip_points()

@@ -22,6 +22,7 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import atomic_writer, make_folder
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -105,11 +106,8 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
     names = [name_of(stem) for stem in stems]
     shared = [name for name, stem in zip(names, stems, strict=True) if counts[stem] > 1]
     if shared:
-        log.warning(
-            "%d cameras share names: their files are numbered, for example %s",
-            len(shared),
-            shared[0],
-        )
+        many = counted(len(shared), "camera")
+        log.warning("%s of equal names: their files are numbered, for example %s", many, shared[0])
     return names
 
 

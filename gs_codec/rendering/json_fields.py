@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.wording import counted
 
 #: Largest file, bytes: some 80,000 cameras. A hostile JSON text takes 30 times that in memory.
 MAX_BYTES = 1 << 25
@@ -33,7 +34,9 @@ def load_json(path: Path) -> Any:
     """
     with opened(path) as data:
         if len(data) > MAX_BYTES:
-            raise InvalidInput(f"{path}: {len(data)} bytes, expected at most {MAX_BYTES}")
+            raise InvalidInput(
+                f"{path}: {counted(len(data), 'byte')}, expected at most {MAX_BYTES:,}"
+            )
         raw = bytes(data)
     try:
         return parse_json(raw.decode("utf-8-sig"), with_constants=True)
@@ -101,7 +104,7 @@ def as_angle(where: str, key: str, value: Any, half_turn: float) -> float:
 def as_numbers(where: str, key: str, value: Any, count: int) -> list[float]:
     """A list of `count` finite numbers."""
     if not isinstance(value, list) or len(value) != count:
-        raise InvalidInput(f"{where}: {key} {short(value)}, expected {count} numbers")
+        raise InvalidInput(f"{where}: {key} {short(value)}, expected {counted(count, 'number')}")
     return [as_number(where, key, number) for number in value]
 
 
@@ -123,10 +126,8 @@ def _rows(
     where: str, key: str, value: Any, counts: tuple[int, ...], width: int
 ) -> NDArray[np.float64]:
     if not isinstance(value, list) or len(value) not in counts:
-        rows = " or ".join(map(str, counts))
-        raise InvalidInput(
-            f"{where}: {key} {short(value)}, expected {rows} rows of {width} numbers"
-        )
+        expected = f"{' or '.join(map(str, counts))} rows of {width} numbers"
+        raise InvalidInput(f"{where}: {key} {short(value)}, expected {expected}")
     return np.array([as_numbers(where, f"{key} row", row, width) for row in value])
 
 

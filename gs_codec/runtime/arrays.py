@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from gs_codec.errors import InvalidInput, one_line
+from gs_codec.runtime.wording import counted
 
 #: Arrays below this size stay in memory, except those passed to `keep`.
 _LARGE = 1 << 20
@@ -150,7 +151,7 @@ class Disk(Memory):
                 mapped = mmap.mmap(file.fileno(), size)
         except OSError as error:
             raise InvalidInput(
-                f"{self.folder}: {one_line(error)}: no temporary file of {size:,} bytes"
+                f"{self.folder}: {one_line(error)}: no temporary file of {counted(size, 'byte')}"
                 " (TMPDIR names another folder)"
             ) from error
         self.watch(mapped)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.arrays import current
+from gs_codec.runtime.wording import counted
 
 
 class FileBytes:
@@ -58,7 +59,8 @@ class FileBytes:
                 raise self._error(str(error.strerror)) from error
             if not read:
                 raise self._error(
-                    f"truncated while it was read: {self._look()[0]} bytes, expected {len(self)}"
+                    f"truncated while it was read: {counted(self._look()[0], 'byte')}, "
+                    f"expected {len(self):,}"
                 )
             done += read
 

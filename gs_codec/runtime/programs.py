@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gs_codec.errors import ToolFailed, one_line
+from gs_codec.runtime.wording import counted
 
 # A shell sets the limits: setting them between fork and exec is unsafe with threads.
 _LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
@@ -150,5 +151,5 @@ def _read(path: Path, most: int) -> bytes:
     if not path.is_file():
         raise ToolFailed("wrote nothing")
     if path.stat().st_size > most:
-        raise ToolFailed(f"wrote {path.stat().st_size} bytes, expected at most {most}")
+        raise ToolFailed(f"wrote {counted(path.stat().st_size, 'byte')}, expected at most {most:,}")
     return path.read_bytes()

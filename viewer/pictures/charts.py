@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from gs_codec.runtime.wording import counted
 from viewer.pictures.picture import BACKGROUND, from_pillow, to_pillow
 from viewer.pictures.ticks import axis_ticks
 
@@ -101,13 +102,14 @@ class QualityChart:
         """What the chart says in words."""
         done, count = len(self.decibels), len(self.names)
         if not done:
-            return f"PSNR of {count} views, B against A: measuring ..."
+            return f"PSNR of {counted(count, 'view')}, B against A: measuring ..."
         worst = self.order[0]
         values = np.array(list(self.decibels.values()))
         said = f"worst {decibels(self.decibels[worst])} ({self.names[worst]}), "
         said += f"mean {decibels(float(values.mean()))} (line)"
         measured = "" if done == count else f" {done} of"
-        return f"PSNR of{measured} {count} views, B against A: {said}. Click a bar to go there."
+        views = f"{measured} {counted(count, 'view')}"
+        return f"PSNR of{views}, B against A: {said}. Click a bar to go there."
 
     def view_at(self, x: float, width: int) -> int | None:
         """The view whose bar is at a column."""

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import gs_codec
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.wording import counted
 from viewer.pictures.reels import check_reel, is_folder, open_reel
 from viewer.pictures.screenshot import compose, shown_of
 from viewer.scenes.flight import flythrough
@@ -99,7 +100,7 @@ def _find_path(request: Request, film: Film, scene: Opened) -> tuple[list[Pose],
         poses = [point.pose for point in points[views.first :]]
         if len(poses) < 2:
             raise gs_codec.GsCodecError("flythrough: one camera, expected at least two")
-        return flythrough(poses, film.frames), f"past {len(poses)} cameras"
+        return flythrough(poses, film.frames), f"past {counted(len(poses), 'camera')}"
     from_camera = request.view is None and not request.chosen
     first = None if from_camera else points[first_view(request, views)].pose
     return turntable(scene, views, views.up_axis(up), first, film.frames)

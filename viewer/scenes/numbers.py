@@ -6,16 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from gs_codec.runtime.wording import size_text
 from viewer.scenes.opened import Opened
-
-
-def size_text(size: float) -> str:
-    """Bytes with a unit, decimal."""
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000 or unit == "MB":
-            break
-        size /= 1000
-    return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.2f} {unit}"
 
 
 def facts(scene: Opened) -> list[tuple[str, str]]:

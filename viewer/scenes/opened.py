@@ -28,6 +28,7 @@ from gs_codec.files.scenes import (
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.preparation.report import centres_checksum
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 
 if TYPE_CHECKING:
@@ -352,7 +353,8 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
         raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason})") from error
     if labels.dtype != np.uint8 or labels.shape != (scene.file_count,):
         raise gs_codec.GsCodecError(
-            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.file_count:,}"
+            f"{folder}: labels of {counted(labels.size, 'Gaussian')}, {scene.name} has "
+            f"{scene.file_count:,}"
         )
     if centres is None:
         log.warning(

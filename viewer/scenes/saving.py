@@ -10,7 +10,7 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import check_target, write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.coordinates import CONVENTION
-from viewer.scenes.numbers import size_text
+from gs_codec.runtime.wording import counted, size_text
 from viewer.scenes.opened import Opened, Progress
 
 #: How ``gs-codec convert`` encodes by default.
@@ -53,4 +53,4 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
 
 
 def _written(path: Path, count: int, size: int) -> str:
-    return f"{path.name} is written: {count:,} Gaussians, {size_text(size)}"
+    return f"{path.name} is written: {counted(count, 'Gaussian')}, {size_text(size)}"

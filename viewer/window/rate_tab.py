@@ -9,7 +9,8 @@ from typing import Any, SupportsFloat
 from open3d.visualization import gui
 
 from gs_codec.config import PROFILE_CHOICES
-from viewer.scenes.numbers import quality_text, size_text
+from gs_codec.runtime.wording import size_text
+from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
 from viewer.scenes.tries import WISHES, Asked, Try, has_steps
 from viewer.window import dialogs

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from gs_codec.runtime.wording import counted
 from viewer.scenes.flight import flythrough, read_poses, write_poses
 from viewer.scenes.pose import Pose
 from viewer.window import dialogs
@@ -53,7 +54,7 @@ class Saved:
     def text(self) -> str:
         """How many poses are kept."""
         count = len(self.poses)
-        return f"path: {count} pose{'s' * (count != 1)}" if count else "path: no poses kept"
+        return f"path: {counted(count, 'pose')}" if count else "path: no poses kept"
 
     # The flight
 

@@ -11,6 +11,7 @@ import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.upright import BY_CAMERAS
+from gs_codec.runtime.wording import counted
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
 from viewer.window.backdrop import picture_of
 from viewer.window.pane import HIDDEN
@@ -145,7 +146,7 @@ class Visits:
     def where(self) -> str:
         """Text that describes the present viewpoint."""
         count = len(self.viewpoints) - 1
-        text = f"overview; {count} views"
+        text = f"overview; {counted(count, 'view')}"
         if self.number:
             index, count = self.number - self.views.first, len(self.views.cameras)
             name = self.viewpoints[self.number].name

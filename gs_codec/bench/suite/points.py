@@ -11,6 +11,7 @@ from gs_codec.bench.beside import GUIDED, camera_free, guided, is_ours, measure_
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import curve_of
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
+from gs_codec.runtime.wording import counted
 
 #: Names of curves: the paper's profiles, and ours without cameras and with.
 PAPER, FREE, CAMERA_GUIDED = "paper", "camera-free", "camera-guided"
@@ -71,7 +72,7 @@ def _beyond(curve: str, config: Config, step: int) -> tuple[str, Config]:
     if curve == PAPER:
         depths = PROFILES[profile]
         changed = {g: min(max(depths[g] + step, 1), MAX_DEPTH[g]) for g in DEPTH_GROUPS}
-        name = f"{profile} {'+' if step > 0 else '-'} {abs(step)} bits"
+        name = f"{profile} {'+' if step > 0 else '-'} {counted(abs(step), 'bit')}"
         return name, replace(config, profile=profile, depths=changed)
     name = f"{profile}, steps {'/' if step > 0 else 'x'} {2 ** abs(step)}"
     return name, replace(config, profile=profile, depths={}, coarseness=2.0**-step)

@@ -8,6 +8,7 @@ from gs_codec.bench.beside import BY_RENDERS, ESTIMATED, GUIDED, OURS_AS, REFINE
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.config import LOSSLESS
+from gs_codec.runtime.wording import counted
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
@@ -115,11 +116,12 @@ def views(results: Results, scene: str) -> str:
     line = results.first("scene", scene)
     if not line:
         return ""
-    photographs = ", compared with photographs" if line["photographs"] else ""
+    photographs = " against photographs" if line["photographs"] else ""
     return (
         f"PLY: {line['ply_bytes'] / 1e6:.1f} MB. Cameras: {line['cameras']}; "
-        f"{line['measured_views']} views of {line['width']} x {line['height']} are measured in"
-        f"{photographs}, {line['encoded_by_views']} others guide the encoder."
+        f"{counted(line['measured_views'], 'held-out view')} of {line['width']} x {line['height']} "
+        f"pixels measured{photographs}, {counted(line['encoded_by_views'], 'other view')} used by "
+        "the encoder."
     )
 
 

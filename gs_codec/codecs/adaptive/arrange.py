@@ -35,6 +35,7 @@ from gs_codec.coding.morton import canonical_order, in_stream_order
 from gs_codec.config import Config
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Log2 of the finest unit of fixed-point values.
@@ -96,7 +97,9 @@ def arrange_scene(
     if steps is None:
         steps = _blind_steps(scene.count, sampled, config)
     elif len(steps.shape_class) != scene.count:
-        raise ValueError(f"steps of {len(steps.shape_class)} Gaussians, expected {scene.count}")
+        raise ValueError(
+            f"steps of {counted(len(steps.shape_class), 'Gaussian')}, expected {scene.count:,}"
+        )
     if config.depths and scene.count:
         known = features(opacity, sampled)
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))

@@ -32,6 +32,7 @@ from gs_codec.config import SH_STREAMS
 from gs_codec.egs.file import EgsFile, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS
 
 _WHERE = "section 'lattice'"
@@ -113,7 +114,7 @@ def read_lattice(
     grid = PositionGrid((origin[0], origin[1], origin[2]), step, bits, has_far)
     sound = all(map(math.isfinite, origin)) and 0 < step < math.inf
     if not sound or max(bits) > MOST_AXIS_BITS or (has_far and grid.total_bits > MOST_FAR_BITS):
-        raise CorruptStream(f"{_WHERE}: grid of {bits} bits, step {step}")
+        raise CorruptStream(f"{_WHERE}: bits {bits} of the grid, step {step}")
     classes = reader.unpack("2B")
     if not all(1 <= number <= MAX_CLASSES for number in classes):
         raise CorruptStream(f"{_WHERE}: {classes} classes, expected 1-{MAX_CLASSES}")
@@ -157,7 +158,7 @@ def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
         if begins.sum() >= MAX_TABLES:
             raise CorruptStream(f"{_WHERE}: more than {MAX_TABLES} tables of '{item.name}'")
     if number != total:
-        raise CorruptStream(f"{_WHERE}: {number} tables, expected {total}")
+        raise CorruptStream(f"{_WHERE}: {counted(number, 'table')}, expected {total:,}")
     alphabets = list(reader.take(number))
     if not all(1 <= size <= ALPHABET for size in alphabets):
         raise CorruptStream(f"{_WHERE}: an alphabet out of range")
@@ -184,7 +185,8 @@ def read_far(file: EgsFile, block: int) -> NDArray[np.float32]:
     where, most = f"section 'far' of block {block}", FAR_BYTES * (stop - start)
     if len(data) % FAR_BYTES or not 0 < len(data) <= most:
         raise CorruptStream(
-            f"{where}: {len(data)} bytes, expected a multiple of {FAR_BYTES} up to {most}"
+            f"{where}: {counted(len(data), 'byte')}, expected a multiple of {FAR_BYTES} "
+            f"up to {most:,}"
         )
     found = np.frombuffer(data, "<f4").astype(np.float32).reshape(-1, 3).T
     if not np.isfinite(found).all():

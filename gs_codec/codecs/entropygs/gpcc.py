@@ -24,6 +24,7 @@ from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.ply_header import read_header
+from gs_codec.runtime.wording import counted
 
 Depths = tuple[int, int, int]
 
@@ -102,12 +103,14 @@ def _read_rows(ply: bytes, count: int) -> NDArray:
     if missing := [name for name in (*_AXES, *_COLOURS) if name not in vertex.types]:
         raise ToolFailed(f"wrote a PLY without property '{missing[0]}'")
     if vertex.count != count or vertex.lists:
-        raise ToolFailed(f"gave {vertex.count} points, expected {count} without lists")
+        raise ToolFailed(f"gave {counted(vertex.count, 'point')}, expected {count:,} without lists")
     dtype = vertex.dtype("<")
     expected = count * dtype.itemsize
     if len(ply) - header.size != expected:
         found = len(ply) - header.size
-        raise ToolFailed(f"wrote a PLY with {found} bytes of data, expected {expected}")
+        raise ToolFailed(
+            f"wrote a PLY with {counted(found, 'byte')} of data, expected {expected:,}"
+        )
     return np.frombuffer(ply, dtype, count, header.size)
 
 
@@ -116,7 +119,7 @@ def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
     column = rows[name]
     # NaN fails both comparisons.
     if not np.all((column >= 0) & (column < 1 << depth)) or np.any(column % 1):
-        raise ToolFailed(f"gave a value of {name} that is no integer of {depth} bits")
+        raise ToolFailed(f"gave a value of {name} that is no integer of {counted(depth, 'bit')}")
     return column.astype(np.uint32)
 
 
@@ -186,7 +189,8 @@ def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
     header = file.header
     if header.block_count > 1 and header.block_size < _LEAST_BLOCK:
         raise CorruptStream(
-            f"gpcc: blocks of {header.block_size} Gaussians, expected at least {_LEAST_BLOCK}"
+            f"gpcc: blocks of {counted(header.block_size, 'Gaussian')}, expected at "
+            f"least {_LEAST_BLOCK:,}"
         )
     return Tmc3.find(path)
 
@@ -207,7 +211,9 @@ def decode_gpcc(
     for name, depths in (("geometry", axes), ("sh-dc", colours)):
         if max(depths) > GPCC_DEPTHS[name]:
             most = GPCC_DEPTHS[name]
-            raise CorruptStream(f"gpcc: {name} of {max(depths)} bits, expected at most {most}")
+            raise CorruptStream(
+                f"gpcc: {name} of {counted(max(depths), 'bit')}, expected at most {most:,}"
+            )
     start, stop = file.header.block_range(block)
     data = file.section(SectionId.GPCC, block)
     where = f"gpcc of block {block}"

@@ -24,6 +24,7 @@ from gs_codec.coding.sent_tables import MAX_MANTISSA, SentModel, encode_tables
 from gs_codec.config import Models
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.wording import counted
 
 MAX_COMPONENTS = 4
 _ITERATIONS = 200
@@ -233,13 +234,13 @@ def unpack_model(reader: ByteReader, depth: int, where: str) -> Model:
     number = reader.unpack("B")[0]
     if kind == 1:
         if not 1 <= number <= MAX_COMPONENTS:
-            raise CorruptStream(f"{where}: {number} components")
+            raise CorruptStream(f"{where}: {counted(number, 'component')}")
         components = tuple(Component(*reader.unpack("HII")) for _ in range(number))
         if any(c.weight == 0 or c.sigma == 0 for c in components):
             raise CorruptStream(f"{where}: a component of weight or sigma 0")
         return MixtureModel(components, precision)
     if number > MAX_MANTISSA:
-        raise CorruptStream(f"{where}: mantissa of {number} bits")
+        raise CorruptStream(f"{where}: mantissa of {counted(number, 'bit')}")
     return SentModel(np.zeros(0, np.int64), number, precision)
 
 

@@ -19,6 +19,7 @@ from pcodec.wrapped import FileCompressor, FileDecompressor
 
 from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import CorruptStream
+from gs_codec.runtime.wording import counted
 
 _SIGN = np.uint32(1 << 31)
 
@@ -84,7 +85,9 @@ def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32
     except RuntimeError as error:
         raise CorruptStream(f"{where}: {' '.join(str(error).split())}") from None
     if progress.n_processed != count or not progress.finished or size + used != len(packed):
-        raise CorruptStream(f"{where}: {len(packed)} bytes do not hold exactly {count} values")
+        raise CorruptStream(
+            f"{where}: {counted(len(packed), 'byte')}, not exactly {counted(count, 'value')}"
+        )
     return values
 
 
@@ -184,6 +187,6 @@ def _read_parts(reader: ByteReader, counts: list[int]) -> list[Bits]:
     for size, count in zip(sizes, counts, strict=True):
         data = reader.take(size)
         if not count and size:
-            raise CorruptStream(f"{reader.where}: {size} bytes for no values")
+            raise CorruptStream(f"{reader.where}: {counted(size, 'byte')} for no values")
         parts.append(read_integers(data, count, reader.where) if count else np.empty(0, np.uint32))
     return parts

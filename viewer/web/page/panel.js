@@ -1,4 +1,6 @@
 // What stands beside the picture, and the keys.
+import { counted } from '../src/wording.js';
+
 const $ = (id) => document.getElementById(id);
 
 /** Streams of a file, by what they hold. */
@@ -159,7 +161,7 @@ export class Panel {
       const size = `${number(bytes / 1e6, 2)} MB`;
       const profile = `${entry.encoded ? 'encoded for this page, ' : ''}profile ${scene.profile}`;
       const lost = entry.psnr ? [`views: ${number(entry.psnr, 1)} dB to the original`] : [];
-      const parts = [`${number(scene.count, 0)} Gaussians`, `SH degree ${scene.degree}`, size];
+      const parts = [counted(scene.count, 'Gaussian'), `SH degree ${scene.degree}`, size];
       told.textContent = [...parts, profile, ...lost].join(', ');
       this.#list(scenes);
     });
@@ -175,7 +177,7 @@ export class Panel {
       this.rows[k].bar.value = needed > 0 ? 1 - missing / needed : 0;
       this.rows[k].bar.hidden = isComplete;
       const fetched = `${number(file.fetched / 1e6, 2)} MB fetched`;
-      this.rows[k].detail.textContent = `${fetched}, ${number(drawn, 0)} Gaussians drawn`;
+      this.rows[k].detail.textContent = `${fetched}, ${counted(drawn, 'Gaussian')} drawn`;
     });
     const missing = refined.reduce((sum, { detail }) => sum + detail.missing, 0);
     if (scenes.every(({ share }) => share === 1)) this.#title(missing ? 'Refining' : 'Scene');
@@ -183,7 +185,7 @@ export class Panel {
     $('refined').textContent =
       missing === 0
         ? ''
-        : `${missing} blocks of this view are missing: it is drawn, compared and saved coarser there.`;
+        : `${counted(missing, 'block')} of this view missing: drawn, compared and saved coarser there.`;
   }
 
   /** List bits by attribute, and the degrees that there are. */

@@ -1,4 +1,5 @@
 // Draws scenes by WebGL 2.
+import { counted } from '../src/wording.js';
 import { fraction, half, pair } from './half.js';
 import { ROW } from './limits.js';
 import { HARMONICS, PROJECTION, SCREEN, SHAPE, SPLATS } from './shaders.js';
@@ -64,7 +65,7 @@ export class Splats {
     if (this.rows > most || ROW * Math.max(SHAPE, this.texels) > most) {
       const limit = most * ROW;
       throw new DeviceError(
-        `${scene.count} Gaussians, of which this device draws ${limit} at most`,
+        `${counted(scene.count, 'Gaussian')}, this device draws at most ${limit}`,
       );
     }
     this.shapes = texture(gl, gl.RGBA32UI, ROW * SHAPE, this.rows);
@@ -79,7 +80,8 @@ export class Splats {
     this.target = targetOf(gl, ...this.projected);
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       this.dispose();
-      throw new DeviceError(`${scene.count} Gaussians: the graphics card has no memory for them`);
+      const gaussians = counted(scene.count, 'Gaussian');
+      throw new DeviceError(`${gaussians}: the graphics card has too little memory`);
     }
     this.drawn = 0;
   }

@@ -1,5 +1,6 @@
 // Section "Binary coder" of FORMAT.md.
 import { check } from './errors.js';
+import { counted } from './wording.js';
 
 /** 131072 // (2 n + 3). */
 const RATES = Int32Array.from({ length: 256 }, (_, n) => Math.floor(131072 / (2 * n + 3)));
@@ -51,6 +52,6 @@ export class BinaryCoder {
     while (size < 4 && this.high - (this.high % 2 ** (32 - 8 * size)) < this.low) size++;
     const expected = this.shifted + size;
     const found = this.data.length;
-    check(found === expected, this.where, `${found} bytes of binary coder, expected ${expected}`);
+    check(found === expected, this.where, `${counted(found, 'byte')} of binary coder, expected ${expected}`);
   }
 }

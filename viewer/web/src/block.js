@@ -6,6 +6,7 @@ import { Neighbours } from './neighbours.js';
 import { bitLength, clamp, inRange } from './numbers.js';
 import { LANES, Words, checkLastStates, firstStates } from './tables.js';
 import { addBits, axesOf, walkTree } from './tree.js';
+import { counted } from './wording.js';
 
 const ROOTS = [1 / Math.sqrt(3), 1 / Math.sqrt(2), 1 / Math.sqrt(6)];
 
@@ -85,7 +86,7 @@ function farCentres(content, count) {
   if (content === undefined) return new Float32Array(0);
   const size = content.length;
   const fits = size > 0 && size <= 12 * count && size % 12 === 0;
-  check(fits, 'far', `${size} bytes for a block of ${count} Gaussians`);
+  check(fits, 'far', `${counted(size, 'byte')} for a block of ${counted(count, 'Gaussian')}`);
   const reader = new Reader(content, 'far');
   const centres = Float32Array.from({ length: size / 4 }, () => reader.f32());
   check(centres.every(Number.isFinite), 'far', 'a centre is not finite');

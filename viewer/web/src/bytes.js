@@ -1,5 +1,6 @@
 // Bytes and bits, never read past their end; checksums.
 import { check } from './errors.js';
+import { counted } from './wording.js';
 
 /** Reads little-endian numbers. */
 export class Reader {
@@ -60,7 +61,7 @@ export class Reader {
 
   finish() {
     const left = this.data.length - this.at;
-    check(left === 0, this.where, `${left} bytes after the end`);
+    check(left === 0, this.where, `${counted(left, 'byte')} after the end`);
   }
 }
 
@@ -90,7 +91,7 @@ export class RawBits {
 
   finish() {
     const { at, data, where } = this;
-    check(data.length === (at + 7) >> 3, where, `${data.length} bytes of raw bits for ${at} bits`);
+    check(data.length === (at + 7) >> 3, where, `${counted(data.length, 'raw byte')} for ${counted(at, 'bit')}`);
     const padding = (at & 7) === 0 ? 0 : data[at >> 3] & (0xff >> (at & 7));
     check(padding === 0, where, 'padding is not 0');
   }

@@ -1,6 +1,7 @@
 // Sections "File", "Section table entry" and "Index" of FORMAT.md.
 import { Reader, crc32c } from './bytes.js';
 import { TooLargeError, UnsupportedError, check } from './errors.js';
+import { counted } from './wording.js';
 
 const MAGIC = [0x89, 0x45, 0x47, 0x53, 0x0d, 0x0a, 0x1a, 0x0a];
 const PROFILES = ['paper-l', 'paper-m', 'paper-s', 'l', 'm', 's', 'lossless'];
@@ -44,7 +45,7 @@ export function headerSize(prefix) {
   }
   reader.u16();
   const size = reader.u32();
-  check(size >= 48 && (size - 48) % 20 === 0, 'header', `${size} bytes`);
+  check(size >= 48 && (size - 48) % 20 === 0, 'header', counted(size, 'byte'));
   return size;
 }
 
@@ -76,9 +77,9 @@ export class Header {
     const reserved = reader.take(3);
     this.blockSize = reader.u32();
     const sections = reader.u32();
-    check(size === 48 + 20 * sections, 'header', `${size} bytes for ${sections} sections`);
+    check(size === 48 + 20 * sections, 'header', `${counted(size, 'byte')} for ${counted(sections, 'section')}`);
     // As many as a Set holds.
-    if (sections >= 2 ** 24) throw new TooLargeError(`${sections} sections`);
+    if (sections >= 2 ** 24) throw new TooLargeError(counted(sections, 'section'));
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
     check(reader.u32() === checksum, 'header', 'wrong checksum');
@@ -237,7 +238,7 @@ export function checked(entry, bytes) {
  * @returns {{centres: number[][], reach: number[][]}[]} lowest and highest x, y, z of each
  */
 export function readIndex(content, blocks) {
-  check(content.length === 48 * blocks, 'index', `${content.length} bytes for ${blocks} blocks`);
+  check(content.length === 48 * blocks, 'index', `${counted(content.length, 'byte')} for ${counted(blocks, 'block')}`);
   const reader = new Reader(content, 'index');
   const point = () => [reader.f32(), reader.f32(), reader.f32()];
   return Array.from({ length: blocks }, (_, block) => {
@@ -253,7 +254,7 @@ export function readIndex(content, blocks) {
 
 /** Errors of the blocks of a level, scene units. */
 export function readErrors(content, blocks) {
-  check(content.length === 4 * blocks, 'errors', `${content.length} bytes for ${blocks} blocks`);
+  check(content.length === 4 * blocks, 'errors', `${counted(content.length, 'byte')} for ${counted(blocks, 'block')}`);
   const reader = new Reader(content, 'errors');
   return Float64Array.from({ length: blocks }, (_, block) => {
     const error = reader.f32();

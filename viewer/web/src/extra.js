@@ -1,6 +1,7 @@
 // Section "extra" of FORMAT.md: checked, and left out.
 import { Reader } from './bytes.js';
 import { TooLargeError, check } from './errors.js';
+import { counted } from './wording.js';
 
 const WHERE = 'extra';
 
@@ -20,7 +21,7 @@ export async function checkExtra(content, count, most) {
   const properties = propertiesOf(content);
   const sizes = properties.map(({ kind }) => count * SIZES[kind]);
   const total = sizes.reduce((sum, size) => sum + size, 0);
-  if (total > most) throw new TooLargeError(`${total} bytes of properties, at most ${most}`, WHERE);
+  if (total > most) throw new TooLargeError(`${counted(total, 'byte')} of properties, at most ${most}`, WHERE);
   for (const [k, { packed }] of properties.entries()) await checkValues(packed, sizes[k]);
 }
 
@@ -46,7 +47,7 @@ function propertiesOf(content) {
 /** Check that a zlib stream has so many bytes and ends with `packed`, where there is an inflater. */
 async function checkValues(packed, size) {
   if (typeof DecompressionStream === 'undefined') return;
-  check((await inflatedSize(packed, size)) === size, WHERE, `a property is not ${size} bytes`);
+  check((await inflatedSize(packed, size)) === size, WHERE, `a property is not ${counted(size, 'byte')}`);
   // Some inflaters pass over bytes after the end.
   const shorter = await inflatedSize(packed.subarray(0, -1), size);
   check(shorter === undefined, WHERE, 'bytes after a property');

@@ -4,6 +4,7 @@ import { Reader } from './bytes.js';
 import { check } from './errors.js';
 import { bitLength } from './numbers.js';
 import { frequencies, sentTables } from './tables.js';
+import { counted } from './wording.js';
 
 /** 1 in fixed point. */
 export const ONE = 2 ** 20;
@@ -141,7 +142,7 @@ export class Lattice {
       return begins;
     });
     marks.finish();
-    check(total === count, 'lattice', `${count} tables, expected ${total}`);
+    check(total === count, 'lattice', `${counted(count, 'table')}, expected ${total}`);
     const alphabets = [...reader.take(count)];
     check(
       alphabets.every((n) => n >= 1 && n <= 240),

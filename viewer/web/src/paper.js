@@ -6,6 +6,7 @@ import { Neighbours } from './neighbours.js';
 import { bitLength, inRange } from './numbers.js';
 import { LANES, Words, checkLastStates, firstStates, frequencies, sentTables } from './tables.js';
 import { addBits, axesOf, walkTree } from './tree.js';
+import { counted } from './wording.js';
 
 const BANDS = [
   [0, 3],
@@ -102,12 +103,12 @@ export class Channels {
       check(kind <= 2, 'channels', `model of kind ${kind}`);
       channel.precision = reader.u8();
       const fits = channel.precision >= Math.max(8, channel.depth) && channel.precision <= 15;
-      check(fits, 'channels', `precision ${channel.precision} of ${size} symbols`);
+      check(fits, 'channels', `precision ${channel.precision} of ${counted(size, 'symbol')}`);
       if (kind === 0) channel.setTable(laplaceWeights(reader, size));
       else if (kind === 1) channel.setTable(mixtureWeights(reader, size));
       else {
         const mantissa = reader.u8();
-        check(mantissa <= 15, 'channels', `${mantissa} mantissa bits`);
+        check(mantissa <= 15, 'channels', `mantissa of ${counted(mantissa, 'bit')}`);
         sent.push({ channel, size, mantissa });
       }
     }
@@ -152,7 +153,7 @@ function laplaceWeights(reader, size) {
 
 function mixtureWeights(reader, size) {
   const count = reader.u8();
-  check(count >= 1 && count <= 4, 'channels', `${count} components`);
+  check(count >= 1 && count <= 4, 'channels', counted(count, 'component'));
   const parts = Array.from({ length: count }, () => [reader.u16(), reader.u32(), reader.u32()]);
   check(
     parts.every(([w, , sigma]) => w >= 1 && sigma >= 1),

@@ -1,5 +1,6 @@
 // A decoded scene.
 import { TooLargeError } from './errors.js';
+import { counted } from './wording.js';
 
 /** Planes of the arrays of a scene, in the order of a block's first part. */
 const ARRAYS = [
@@ -16,7 +17,7 @@ export const floatBytes = (count, degree) => 4 * count * (14 + 3 * ((degree + 1)
 /** Refuse so many Gaussians, up to an SH degree, if their floats take more than `maxBytes`. */
 export function checkFloats(count, degree, maxBytes) {
   const floats = floatBytes(count, degree);
-  if (floats > maxBytes) throw new TooLargeError(`${floats} bytes of floats, at most ${maxBytes}`);
+  if (floats > maxBytes) throw new TooLargeError(`${counted(floats, 'byte')} of floats, at most ${maxBytes}`);
 }
 
 /**
@@ -96,6 +97,6 @@ function allocated(size) {
   try {
     return new Float32Array(size);
   } catch {
-    throw new TooLargeError(`there is no memory for ${4 * size} bytes`);
+    throw new TooLargeError(`there is no memory for ${counted(4 * size, 'byte')}`);
   }
 }

@@ -92,7 +92,7 @@ def encode_distributed(
 
     Examples
     --------
-    >>> report = gs_codec.encode_distributed("scene.ply", "scene.egs")
+    >>> report = gs_codec.encode_distributed("scene.ply", "whole.egs")
     >>> report.count
     2000
     """

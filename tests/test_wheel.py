@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,7 +19,7 @@ import gs_codec
 ROOT = Path(__file__).parents[1]
 SOURCES = (
     ".ci", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "Makefile", "README.md",
-    "gs_codec", "pyproject.toml", "samples", "tests", "viewer",
+    "gs_codec", "pyproject.toml", "samples", "setup.py", "tests", "viewer",
 )  # fmt: skip
 
 
@@ -123,7 +124,24 @@ def test_wheel_says_what_it_is(wheel):
     assert "gs-viewer = viewer.__main__:main" in scripts
     metadata = archive.read(f"{folder}/METADATA").decode()
     assert "License-Expression: GPL-3.0-or-later" in metadata
+    assert "Author: gs_codec developers\n" in metadata
     assert "# gs_codec" in metadata
+    urls = dict(re.findall(r"^Project-URL: (\w+), (.*)$", metadata, re.MULTILINE))
+    assert set(urls) == {"Homepage", "Documentation", "Source", "Issues", "Changelog"}
+    assert all(url.startswith(urls["Homepage"]) for url in urls.values())
+
+
+def test_the_readme_in_metadata_shows_its_pictures_anywhere(wheel):
+    folder = f"gs_codec-{gs_codec.__version__}.dist-info"
+    shown = zipfile.ZipFile(wheel).read(f"{folder}/METADATA").decode().partition("\n\n")[2]
+    (url,) = re.findall('^URL = "(.*)"$', (ROOT / "setup.py").read_text(), re.MULTILINE)
+    links = r"\]\(([^)\s]+)\)"
+    for there, here in zip(
+        re.findall(links, shown), re.findall(links, (ROOT / "README.md").read_text()), strict=True
+    ):
+        kind = "raw" if here.endswith((".png", ".jpg")) else "blob"
+        whole = f"{url}/{kind}/v{gs_codec.__version__}/{here}"
+        assert there == (here if here.startswith("http") else whole)
 
 
 @pytest.mark.thorough

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +13,17 @@ import pytest
 from scenes import edge_scenes, random_scene
 
 from gs_codec.cli import main as cli
-from gs_codec.codecs import decode_part, encode_scene, slabs
+from gs_codec.codecs import decode_part, encode_parts, encode_scene, slabs
 from gs_codec.codecs.decode import choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.egs.file import Section, SectionId, read_file, write_file
-from gs_codec.errors import CorruptStream
+from gs_codec.errors import CorruptStream, GsCodecError
 from gs_codec.files.coding import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import write_ply
+from gs_codec.levels.encoding import add_levels
+from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
 BLOCK = 1024
@@ -159,3 +163,69 @@ def test_verify_checks_sections_that_are_passed_over(tmp_path):
     (tmp_path / "scene.egs").write_bytes(whole)
     with pytest.raises(CorruptStream, match="section 999 of block 5"):
         slabs.verify_file(tmp_path / "scene.egs")
+
+
+@pytest.fixture(scope="module")
+def in_levels(tmp_path_factory):
+    """A file of 300 kB, a quarter of it in coarser levels."""
+    path = tmp_path_factory.mktemp("levels") / "scene.egs"
+    config = Config("l", lod=True, block_size=BLOCK)
+    parts = encode_parts(random_scene(8000, 3, seed=61), config)
+    path.write_bytes(b"".join(add_levels(*parts, config)[0]))
+    return path
+
+
+SEEN = Camera("seen", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0.0, 0.0, -9.0]))
+
+
+@pytest.mark.parametrize(
+    "part", [Part(), Part(level=1), Part(view=SEEN)], ids=["whole", "level", "view"]
+)
+def test_sections_of_a_file_are_checked_and_not_held(part, in_levels):
+    with slabs.opened_slabs(in_levels, part) as opened:  # what is parsed once
+        list(opened.scenes())
+    tracemalloc.start()
+    try:
+        with slabs.opened_slabs(in_levels, part) as opened:
+            held = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert held < 0.2 * in_levels.stat().st_size
+
+
+def _write_over(path):
+    """Change a byte of the last section of a block."""
+    data = bytearray(path.read_bytes())
+    data[-5] ^= 1
+    path.write_bytes(data)
+
+
+def _write_over_unseen(path):
+    """The same, within the resolution of the file's time."""
+    status = path.stat()
+    _write_over(path)
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (_write_over, "was changed while it was read"),
+        (_write_over_unseen, "section 10 of block 5: checksum does not match"),
+        (lambda path: os.truncate(path, 500), "truncated while it was read: 500 bytes, expected"),
+    ],
+    ids=["written", "unseen", "truncated"],
+)
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_what_changes_between_two_slabs_is_one_error(profile, change, text, tmp_path):
+    path = tmp_path / "scene.egs"
+    path.write_bytes(
+        encode_scene(random_scene(5500, 3, seed=62), Config(profile, block_size=BLOCK))[0]
+    )
+    with slabs.opened_slabs(path, Part(), threads=1) as opened:
+        scenes = opened.scenes()
+        next(scenes)
+        change(path)
+        with pytest.raises(GsCodecError) as error:
+            list(scenes)
+    assert str(error.value).startswith(f"{path}: {text}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
@@ -139,15 +139,72 @@ class Entry(NamedTuple):
     checksum: int
 
 
+class Sections(Mapping[tuple[int, int], memoryview]):
+    """The sections of a file that were checked.
+
+    They are not held: each use reads a section from an open file and checks it again, in case the
+    file has changed.
+    """
+
+    def __init__(
+        self,
+        data: Readable,
+        table: dict[tuple[int, int], Entry],
+        checked: Iterable[tuple[int, int]] = (),
+    ) -> None:
+        self._data, self._table = data, table
+        self._checked = {key: table[key] for key in checked}
+
+    def __getitem__(self, key: tuple[int, int]) -> memoryview:
+        position, size, _ = self._checked[key]
+        if isinstance(self._data, FileBytes):
+            return self._read(key)
+        return self._data[position : position + size]
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter(self._checked)
+
+    def __len__(self) -> int:
+        return len(self._checked)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the sections with their padding."""
+        return sum(_padded(entry.size) for entry in self._checked.values())
+
+    def check(self, wanted: Wanted | None) -> Sections:
+        """These sections and the wanted ones, checked."""
+        known = set(SectionId)
+        new = [key for key in self._table if key not in self and (wanted is None or wanted(*key))]
+        for key in new:
+            self._read(key)
+        new = [key for key in new if key[0] in known]
+        return Sections(self._data, self._table, [*self, *new])
+
+    def _read(self, key: tuple[int, int]) -> memoryview:
+        position, size, checksum = self._table[key]
+        data = self._data[position : position + _padded(size)]
+        content, wrong = data[:size], None
+        if crc32c(content) != checksum:
+            wrong = "checksum does not match"
+        elif any(data[size:]):
+            wrong = "padding that is not 0"
+        if wrong:
+            if isinstance(self._data, FileBytes):
+                self._data.check_unchanged()
+            raise CorruptStream("section {} of block {}: {}".format(*key, wrong))
+        return content
+
+
 @dataclass(frozen=True)
 class EgsFile:
-    """A file with its checked header and those of its sections that were read and checked."""
+    """A file with its checked header and those of its sections that were checked."""
 
     header: Header
     data: Readable
     header_size: int
     table: dict[tuple[int, int], Entry]
-    sections: dict[tuple[int, int], memoryview]
+    sections: Sections
     version: int
     _parsed: dict[SectionId, Any] = field(default_factory=dict, repr=False)
 
@@ -165,7 +222,7 @@ class EgsFile:
     @property
     def bytes_read(self) -> int:
         """Size of the header and of the sections that were read, with their padding."""
-        return self.header_size + sum(_padded(len(data)) for data in self.sections.values())
+        return self.header_size + self.sections.size
 
     def section(self, section_id: SectionId, block: int = 0) -> memoryview:
         """Bytes of a section; it is an error if it is missing."""
@@ -175,22 +232,15 @@ class EgsFile:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
 
     def read(self, wanted: Wanted | None = None) -> EgsFile:
-        """The file with further sections read; see `read_file`."""
-        sections = dict(self.sections)
-        known = set(SectionId)
-        for (section_id, block), (position, size, checksum) in self.table.items():
-            key = section_id, block
-            if key in sections or not (wanted is None or wanted(*key)):
-                continue
-            content = self.data[position : position + size]
-            where = f"section {section_id} of block {block}"
-            if crc32c(content) != checksum:
-                raise CorruptStream(f"{where}: checksum does not match")
-            if any(self.data[position + size : position + _padded(size)]):
-                raise CorruptStream(f"{where}: padding that is not 0")
-            if section_id in known:
-                sections[key] = content
-        return replace(self, sections=sections)
+        """The file with further sections checked; see `read_file`."""
+        return replace(self, sections=self.sections.check(wanted))
+
+    def nested(self, section_id: SectionId, block: int) -> Readable:
+        """A section that is a file of its own, whose sections have their own checksums."""
+        position, size, _ = self.table[section_id, block]
+        if isinstance(self.data, FileBytes):
+            return self.data.window(position, size)
+        return self.data[position : position + size]
 
 
 def section_sizes(sized: Sequence[tuple[int, int]]) -> dict[str, int]:
@@ -321,7 +371,7 @@ def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
         raise CorruptStream(f"header: version {version} with features: {named}")
     located = _locate(expected, len(view), header, list(struct.iter_unpack(_ENTRY, listed)))
     _check_features(header.features, located)
-    return EgsFile(header, view, expected, located, {}, version).read(wanted)
+    return EgsFile(header, view, expected, located, Sections(view, located), version).read(wanted)
 
 
 def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> None:

@@ -41,8 +41,7 @@ def open_level(file: EgsFile, level: int) -> EgsFile:
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
     with within(level):
-        position, size, _ = file.table[SectionId.LEVEL, level]
-        data = file.data[position : position + size]
+        data = file.nested(SectionId.LEVEL, level)
         found = read_file(data, lambda section, _: section in DESCRIPTIONS)
         wanted = level_header(file.header, level)
         fewer = replace(wanted, features=wanted.features & ~Feature.FAR)

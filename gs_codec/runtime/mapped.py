@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.runtime.arrays import current
 from gs_codec.runtime.wording import counted
 
 
@@ -32,19 +32,26 @@ class FileBytes:
     def __init__(self, path: str | Path, number: int) -> None:
         self._path, self._number = path, number
         self._stamp = self._look()
+        self._first, self._size = 0, self._stamp[0]
 
     def _look(self) -> tuple[int, int]:
         status = os.fstat(self._number)
         return status.st_size, status.st_mtime_ns
 
     def __len__(self) -> int:
-        return self._stamp[0]
+        return self._size
 
     def __getitem__(self, part: slice) -> memoryview:
         start, stop, _ = part.indices(len(self))
         data = np.empty(max(stop - start, 0), np.uint8)
         self.read_into(data, start)
-        return current().keep(data).data.toreadonly()
+        return data.data.toreadonly()
+
+    def window(self, start: int, size: int) -> FileBytes:
+        """The same file, of which only `size` bytes from `start` on are seen."""
+        window = copy(self)
+        window._first, window._size = self._first + start, size
+        return window
 
     def __bytes__(self) -> bytes:
         return bytes(self[:])
@@ -54,14 +61,12 @@ class FileBytes:
         done, view = 0, data.data
         while done < len(view):
             try:
-                read = os.preadv(self._number, [view[done:]], start + done)
+                read = os.preadv(self._number, [view[done:]], self._first + start + done)
             except OSError as error:
                 raise self._error(str(error.strerror)) from error
             if not read:
-                raise self._error(
-                    f"truncated while it was read: {counted(self._look()[0], 'byte')}, "
-                    f"expected {len(self):,}"
-                )
+                size, expected = counted(self._look()[0], "byte"), self._stamp[0]
+                raise self._error(f"truncated while it was read: {size}, expected {expected:,}")
             done += read
 
     def check_unchanged(self) -> None:

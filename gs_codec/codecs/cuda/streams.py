@@ -45,14 +45,16 @@ class Streams:
 
     @classmethod
     def of(cls, file: EgsFile, streams: Sequence[str], data: NDArray[np.uint8]) -> Streams:
-        """Find the streams of a file, whose sections were read; fills ``data``, `PADDING` longer.
+        """Find the streams of a file; fills ``data``, `PADDING` longer, with its checked sections.
 
         Raises
         ------
         TruncatedStream, CorruptStream
         """
-        data[: len(file.data)] = np.frombuffer(file.data[:], np.uint8)
-        data[len(file.data) :] = 0
+        data[:] = 0
+        for key, content in file.sections.items():
+            position = file.table[key].position
+            data[position : position + len(content)] = np.frombuffer(content, np.uint8)
         places = [_places(file, SectionId.of_stream(stream)) for stream in streams]
         first, last = np.stack(places, axis=1).transpose(2, 0, 1)
         if np.any(last - first < 4):

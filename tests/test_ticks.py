@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from viewer.pictures.ticks import MARKS, axis_ticks, scale_marks
+from viewer.pictures.ticks import LEAST, MARKS, axis_ticks, scale_marks
 
 
 @pytest.mark.parametrize(
@@ -14,6 +14,10 @@ from viewer.pictures.ticks import MARKS, axis_ticks, scale_marks
         (1, 222, "log", [1, 4, 16, 64, 256]),
         (1, 4817, "log", [1, 10, 100, 1000, 10_000]),
         (0.00123, 0.21, "log", [0.001, 0.004, 0.016, 0.064, 0.256]),
+        (28, 112, "log", [20, 50, 125]),
+        (90, 130, "log", [80, 120, 180]),
+        (1, 4, "log", [1, 2, 4]),
+        (1, 1, "log", [1, 1.5, 2.25]),
         (0, 1, "linear", [0, 0.25, 0.5, 0.75, 1]),
         (12.3, 187, "linear", [0, 50, 100, 150, 200]),
         (0, 0, "linear", [0, 0.1, 0.2, 0.3, 0.4]),
@@ -28,13 +32,23 @@ def test_marks_are_evenly_spaced_and_waste_little(scale):
     rng = np.random.default_rng(26)
     for low, high in np.sort(10.0 ** rng.uniform(-6, 6, (300, 2)), axis=1):
         marks = scale_marks(low, high, scale)
-        assert len(marks) == MARKS
+        assert LEAST <= len(marks) <= MARKS
         assert marks[0] <= low * (1 + 1e-6)
         assert marks[-1] * (1 + 1e-6) >= high
         steps = np.diff(marks if scale == "linear" else np.log(marks))
         np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
         if scale == "linear":
+            assert len(marks) == MARKS
             assert marks[-1] - marks[0] < 3 * (high - low)
+        else:
+            assert marks[-1] / marks[0] < 3 * max(high / low, (high / low) ** 1.5)
+
+
+@pytest.mark.parametrize("most", [4, 5, 6, 9, 17, 100, 500, 3000])
+def test_marks_of_counts_are_whole_and_begin_at_1(most):
+    marks = scale_marks(1, most, "log")
+    assert marks[0] == 1
+    assert (marks == np.round(marks)).all()
 
 
 @pytest.mark.parametrize(

@@ -325,8 +325,9 @@ def test_centres_are_coloured_by_bits_on_the_scale_that_is_chosen(picked):
     assert found["scales"] == [[True, "linear"], [False, None]]
     linear, blocks, log = found["legends"]
     assert blocks == ["0", "1", "2"]
-    assert linear[::4] == log[::4]
-    assert linear[1:4] != log[1:4]
+    assert linear[1:-1] != log[1:-1]
+    for end in (0, -1):  # round values around the same range
+        assert 0.5 <= float(log[end]) / float(linear[end]) <= 2
     assert found["changed"] > 1000
 
 

@@ -121,7 +121,7 @@ class Octree:
         most = self._fullest(depth)
         title = f"Gaussians in a cell {self._side(depth):.2g} wide"
         counts = self._sorted[scene].counts(first)
-        marks = scale_marks(1, most, "log")
+        marks = scale_marks(1, max(most, 4), "log")
         return heat(np.log(counts), 0, np.log(marks[-1])), legend_of(title, marks)
 
     def _by_bits(

@@ -5,19 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Steps of a linear scale, and the factors between marks of a logarithmic one, times powers of ten.
+#: Steps and first marks of scales, and the factors between marks of a logarithmic one, times powers
+#: of ten.
 _STEPS = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
-_FACTORS = (2, 3, 4, 5, 6, 8, 10, 20, 50, 100, 1000)
+_FACTORS = (1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 20, 50, 100, 1000, 10.0**75)
 
 #: Digits of a logarithmic axis, from many to few.
 _DIGITS = ((1, 2, 5), (1, 3), (1,))
 
-#: Marks of a scale.
-MARKS = 5
+#: Marks of a scale; least marks of a logarithmic one, and how much of it the range should fill.
+MARKS, LEAST = 5, 3
+_FILLED = 0.7
 
 
 def scale_marks(low: float, high: float, scale: str) -> NDArray[np.float64]:
-    """`MARKS` round values, evenly spaced on a linear or logarithmic scale, around a range.
+    """Round values, evenly spaced on a linear or logarithmic scale, around a range.
+
+    There are `MARKS`; on a logarithmic scale that would be much wider than the range, fewer, but at
+    least `LEAST`.
 
     Parameters
     ----------
@@ -25,16 +30,29 @@ def scale_marks(low: float, high: float, scale: str) -> NDArray[np.float64]:
         Both above 0 if `scale` is ``log``.
     scale : {"linear", "log"}
     """
-    steps = np.arange(MARKS)
     if scale == "log":
-        power = 10.0 ** np.floor(np.log10(low))
-        first = max(digit * power for digit in (1, 2, 5) if digit * power <= low * _MORE)
-        tries = [first * float(factor) ** steps for factor in (*_FACTORS, 10.0**75)]
-    else:
-        step = 10.0 ** np.floor(np.log10((high - low or 1.0) / MARKS))
-        sizes = [k * ten * step for ten in (1, 10, 100) for k in _STEPS]
-        tries = [size * (np.floor(low / size + _LESS) + steps) for size in sizes]
+        return _log_marks(low, high)
+    step = 10.0 ** np.floor(np.log10((high - low or 1.0) / MARKS))
+    sizes = [k * ten * step for ten in (1, 10, 100) for k in _STEPS]
+    tries = [size * (np.floor(low / size + _LESS) + np.arange(MARKS)) for size in sizes]
     return next((marks for marks in tries if marks[-1] * _MORE >= high), tries[-1])
+
+
+def _log_marks(low: float, high: float) -> NDArray[np.float64]:
+    power = 10.0 ** np.floor(np.log10(low))
+    firsts = [step * power for step in reversed(_STEPS) if step * power <= low * _MORE]
+    for count in range(MARKS, LEAST - 1, -1):
+        tries = [first * float(k) ** np.arange(count) for first in firsts for k in _FACTORS]
+        around = [marks for marks in tries if marks[-1] * _MORE >= high and _is_round(marks)]
+        found = min(around, key=lambda marks: round(marks[-1] / marks[0], 6))
+        if np.log(high / low) >= _FILLED * np.log(found[-1] / found[0]):
+            break
+    return found
+
+
+def _is_round(marks: NDArray[np.float64]) -> bool:
+    """Whether three digits show all marks exactly."""
+    return np.allclose(marks, [float(f"{mark:.3g}") for mark in marks], rtol=_LESS, atol=0)
 
 
 def axis_ticks(low: float, high: float, most: int, log: bool = False) -> NDArray[np.float64]:

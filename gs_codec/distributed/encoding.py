@@ -41,7 +41,7 @@ from gs_codec.guidance.windows import find_shown
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import EncodeReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
-from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import float_bytes
 
@@ -133,7 +133,9 @@ def encode_with(
             looked = look(workers, job)
         count = sources.count - len(looked.dropped)
         if not count:
-            raise nothing_left(sources.count)
+            others = f" and {len(paths) - 1} more" if paths[1:] else ""
+            with located(f"{paths[0]}{others}"):
+                raise nothing_left(sources.count)
         quantised, chosen, loss = _quantise_all(workers, job, looked, size, times)
         coded = code_blocks(workers, quantised, times)
         beside = carried_sections(sources.head, np.empty(0, np.int64))

@@ -299,13 +299,24 @@ main()
 def test_interrupt_while_modules_are_imported_is_one_line(folder, program, module):
     package, *arguments = {
         "gs-codec": ("gs_codec", program, "encode", "scene.ply", "out.egs"),
-        "gs-viewer": ("viewer", program, "scene.ply", "--screenshot", "out.egs"),
+        "gs-viewer": ("viewer", program, "scene.ply", "--screenshot", "out.png"),
     }[program]
     code = INTERRUPTED.format(module=module, package=package, arguments=arguments)
     done = in_child("-c", code, cwd=folder)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == f"{program}: interrupted\n"
-    assert not (folder / "out.egs").exists()
+    assert not list(folder.glob("out.*"))
+
+
+@pytest.mark.parametrize("package", ["gs_codec", "viewer"])
+def test_little_is_loaded_before_interrupts_are_caught(package):
+    code = f"import sys as s; old = {{*s.modules}}; import {package}.__main__"
+    code += "; print(*{*s.modules} - old)"
+    loaded = in_child("-S", "-c", code, cwd=ROOT).stdout.split()
+    assert f"{package}.__main__" in loaded
+    quick = {"gs_codec", "viewer", "gc", "importlib", "warnings", "_warnings", "__future__"}
+    assert {name.partition(".")[0] for name in loaded} <= quick
+    assert len(loaded) < 16
 
 
 @pytest.mark.parametrize("cause", [KeyboardInterrupt, ValueError])

@@ -7,7 +7,11 @@ used, because loading Open3D takes a second. `gs_codec.viewer` is another name o
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+
+from gs_codec.runtime.lazy import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typing import Any
 
 _HOMES = {"draw": "viewer.plugin", "attach": "viewer.plugin"}
 

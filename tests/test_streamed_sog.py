@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import foreign
 import numpy as np
 import pytest
 from other_programs import PROGRAMS, check, stored_numbers
@@ -401,6 +402,30 @@ def test_units_that_share_images_are_refused(copy):
         InvalidInput, match=r"again.json: image 'means_l.webp' also belongs to another"
     ):
         read_scene(copy / STREAMED)
+
+
+@pytest.mark.parametrize("parts", [1, 70])
+def test_images_of_many_parts_are_hardly_larger_than_the_parts(parts, tmp_path):
+    """An image of one colour takes a hundred bytes, however many pixels it has."""
+    meta, images = foreign.sog_parts(8, 2, 0, seed=1)
+    names = [f"{number}/meta.json" for number in range(parts)]
+    runs = [{"lods": {"0": {"file": number, "offset": 0, "count": 8}}} for number in range(parts)]
+    described = {"version": 1, "filenames": names, "tree": {"children": runs}}
+    files = {name: foreign.webp(pixels) for name, pixels in images.items()}
+    files["meta.json"] = json.dumps(meta).encode()
+    with zipfile.ZipFile(tmp_path / "scene.ssog", "w") as archive:
+        archive.writestr(STREAMED, json.dumps(described))
+        for number in range(parts):
+            last = number == parts - 1
+            wide = {"sh0.webp": foreign.webp(np.zeros((256, 256, 4), np.uint8))} if last else {}
+            for name, data in (files | wide).items():
+                archive.writestr(f"{number}/{name}", data)
+    if parts == 1:
+        assert read_scene(tmp_path / "scene.ssog").count == 8
+    else:
+        told = "69/meta.json: image 'sh0.webp': 256x256 pixels, expected at most 59934"
+        with pytest.raises(InvalidInput, match=told):
+            read_scene(tmp_path / "scene.ssog")
 
 
 def test_a_zip_in_a_zip_in_a_zip_is_not_unpacked(copy, tmp_path):

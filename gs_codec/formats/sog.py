@@ -33,8 +33,11 @@ from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
 
-#: Loads the pixels of an image, given its name and the most pixels it may have.
-_Load = Callable[[str, int], NDArray[np.uint8]]
+#: An image may have two pixels, and a palette a row, for each Gaussian, and so many beside them.
+SPARE = 1 << 16
+
+#: Loads the pixels of an image, given its name, most rows without `SPARE`, and pixels of a row.
+_Load = Callable[..., NDArray[np.uint8]]
 
 
 @contextmanager
@@ -51,15 +54,21 @@ def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         return scene_of_unit(path, unit, file_bytes, max_bytes)
 
 
-def scene_of_unit(where: str | Path, unit: Unit, file_bytes: int, max_bytes: int | None) -> Scene:
-    """Read a scene of files of `file_bytes` in all; warnings begin with `where`."""
+def scene_of_unit(
+    where: str | Path, unit: Unit, file_bytes: int, max_bytes: int | None, spare: int = SPARE
+) -> Scene:
+    """Read a scene of files of `file_bytes` in all; warnings begin with `where`.
+
+    `spare` is as `SPARE`, and less for one of many scenes.
+    """
     meta = unit.meta
     if meta.model == "2dgs":
         raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
     if meta.model not in ("default", "antialiased"):
         log.warning("%s: model '%s' not known, not kept", where, ascii(meta.model)[1:40])
 
-    def load(name: str, most: int) -> NDArray[np.uint8]:
+    def load(name: str, rows: int, width: int = 1) -> NDArray[np.uint8]:
+        most = (rows + spare) * width
         # A pixel is four bytes; no writer makes a file twice as large as its pixels.
         return read_pixels(unit.files.read(name, 8 * most), name, most)
 
@@ -96,7 +105,7 @@ def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.u
     """Bytes ``(4, N)`` of the Gaussians: one pixel each, in order."""
     name = meta.files[group][image]
     # The sides of images are rounded up to multiples of four.
-    pixels = load(name, 2 * meta.count + (1 << 16)).reshape(-1, 4)
+    pixels = load(name, 2 * meta.count).reshape(-1, 4)
     if len(pixels) < meta.count:
         raise InvalidInput(
             f"image '{name}': {counted(len(pixels), 'pixel')}, expected {meta.count:,}"
@@ -155,7 +164,7 @@ def _read_palette(
     if "shN" not in meta.files:
         return np.empty((0, meta.count), np.float32)
     name = meta.files["shN"][0]
-    pixels = load(name, PALETTE_COLUMNS * SH_COEFFICIENTS[3] * (1 << 10))
+    pixels = load(name, meta.count, SH_COEFFICIENTS[3])
     height, width, _ = pixels.shape
     widths = [PALETTE_COLUMNS * k for k in SH_COEFFICIENTS]
     degree = widths.index(width) if width in widths else 0

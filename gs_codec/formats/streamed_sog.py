@@ -19,7 +19,7 @@ from gs_codec.config import STREAMED
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count, refusing
-from gs_codec.formats.sog import scene_of_unit
+from gs_codec.formats.sog import SPARE, scene_of_unit
 from gs_codec.formats.sog_files import Files, Unit, opened_files, opened_unit
 from gs_codec.formats.zip_file import ZIP, opened_zip
 from gs_codec.runtime.json_text import parse_json
@@ -32,6 +32,9 @@ _VERSION = 1
 
 #: Most bytes of a `lod-meta.json`, unless the file itself or its zip is larger.
 _LOD_META_BYTES = 1 << 22
+
+#: `SPARE` of all files together; of each, at least.
+_SPARE, _LEAST_SPARE = 1 << 22, 1 << 10
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,8 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         for name in names:
             with located(name), opened_unit(files, name) as unit:
                 _check_unseen(seen, files, unit)
-                scenes.append(scene_of_unit(f"{path}: {name}", unit, file_bytes, max_bytes))
+                where, spare = f"{path}: {name}", _spare(names)
+                scenes.append(scene_of_unit(where, unit, file_bytes, max_bytes, spare))
     if len({scene.antialiased for scene in scenes}) > 1:
         log.warning("%s: only some parts are antialiased, read as the first part is", path)
     return join_scenes(scenes)
@@ -145,7 +149,13 @@ def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
         for name in names:
             if name not in finest:
                 with located(name), opened_unit(files, name) as unit:
-                    scene_of_unit(f"{path}: {name}", unit, len(data) + unit.stored_bytes, max_bytes)
+                    where, size = f"{path}: {name}", len(data) + unit.stored_bytes
+                    scene_of_unit(where, unit, size, max_bytes, _spare(names))
+
+
+def _spare(names: Sequence[str]) -> int:
+    """`SPARE` of each of these files: images hardly larger than their zip could take minutes."""
+    return min(SPARE, max(_SPARE // len(names), _LEAST_SPARE))
 
 
 def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:

@@ -17,7 +17,7 @@ from test_gltf import assert_held_exactly
 from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike
 
-from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.files.scenes import read_scene, stated_bytes
 from gs_codec.formats import usd
 from gs_codec.formats.coordinates import turn_axes
@@ -378,3 +378,18 @@ def test_damaged_files_are_refused_in_one_line(suffix, seed, tmp_path):
     else:
         assert scene.count >= 1
         assert seed % 2
+
+
+def test_the_memory_that_a_small_file_may_take_is_little(tmp_path, monkeypatch):
+    """A length of 7 GB in a file of 1 kB was filled with zeros before it was refused."""
+    allowed = []
+
+    def run(command, inputs, output, limits, most):
+        allowed.append(limits.memory_bytes)
+        raise ToolFailed("did not start")
+
+    monkeypatch.setattr(usd, "run_on_files", run)
+    for size in (1_000, 10_000_000):
+        with pytest.raises(InvalidInput, match="reading it did not start"):
+            read_scene(written(tmp_path / "a.usdc", b"PXR-USDC" + bytes(size)))
+    assert allowed[0] < 4.01 * (1 << 30) < allowed[1]

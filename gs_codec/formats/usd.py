@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
-from gs_codec.formats.limits import check_count, most_bytes, refusing
+from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
@@ -98,7 +98,7 @@ def _read_apart(view: memoryview, most: int) -> dict[str, NDArray]:
     command = [sys.executable, "-c", _READ, str(package), name, "found.npz", str(most)]
     floats, size = max(most, 0), len(view)
     seconds = _SECONDS + size // _BYTES_A_SECOND
-    space = _SPACE + _TIMES_FLOATS * floats + _TIMES_FILE * size
+    space = _SPACE + _TIMES_FLOATS * min(floats, EXPANSION * size) + _TIMES_FILE * size
     # Beside floats, a matrix for each prim, whose text takes no less.
     limits = Limits(10.0 * seconds, seconds, space)
     try:

@@ -7,15 +7,13 @@ right if it differs less than the most similar of a Gaussian's neighbours does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.morton import spatial_order
-from gs_codec.runtime.threads import available_threads
+from gs_codec.coding.neighbours import Neighbours
 from gs_codec.scene import SH_C0, Scene
 
 #: Number of nearest neighbours searched for a Gaussian's partner.
@@ -101,12 +99,12 @@ class Pairing:
         self, which: NDArray[np.int64], free: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The most similar of the nearest `free` ones of the second scene, and the cost of each."""
-        query = _searcher(self._places[1][free])
+        others = Neighbours(self._places[1][free])
         best, cost = np.empty(len(which), np.int64), np.empty(len(which))
         number = min(_NEIGHBOURS, len(free))
         for start in range(0, len(which), _CHUNK):
             part = which[start : start + _CHUNK]
-            _, found = query(self._places[0][part], number)
+            _, found = others.nearest(self._places[0][part], number)
             costs = _cost(self._terms(part, free[found]), self._unit)
             least = costs.argmin(axis=1)[:, None]
             best[start : start + _CHUNK] = free[np.take_along_axis(found, least, 1)[:, 0]]
@@ -124,7 +122,7 @@ class Pairing:
         """Terms ``(n, k, 4)`` of some Gaussians of the first scene and their own neighbours."""
         places, looks, some = self._places[0], self._looks[0], self._some
         number = min(_NEIGHBOURS + 1, self.count)
-        _, found = _searcher(places)(places[some], number)
+        _, found = Neighbours(places).nearest(places[some], number)
         others = found != some[:, None]
         others[others.all(axis=1), -1] = False
         found = found[others].reshape(len(some), number - 1)
@@ -154,21 +152,6 @@ def _differences(a: NDArray, b: NDArray, others: NDArray, looks: NDArray) -> NDA
 def _cost(terms: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
     with np.errstate(over="ignore"):
         return np.minimum(terms / np.maximum(unit, _TINY), _MOST).sum(axis=-1)
-
-
-def _searcher(points: NDArray[np.float64]) -> Callable[..., Any]:
-    """Finds distances to the nearest of some points, and their indices, both ``(n, k)``."""
-    from scipy.spatial import cKDTree
-
-    # Equal points would be one leaf of the tree, searched in quadratic time.
-    apart = np.linspace(0.0, 1e-30, len(points))
-    tree = cKDTree(np.column_stack([points, apart]), balanced_tree=False, compact_nodes=False)
-
-    def query(places: NDArray[np.float64], number: int) -> tuple[NDArray, NDArray]:
-        asked = np.column_stack([places, np.zeros(len(places))])
-        return tree.query(asked, np.arange(1, number + 1), workers=available_threads())
-
-    return query
 
 
 def _places(scene: Scene) -> NDArray[np.float64]:

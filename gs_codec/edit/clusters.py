@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.neighbours import Neighbours
 from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.spacing import (
     Spacing,
@@ -13,8 +14,11 @@ from gs_codec.edit.spacing import (
     in_place_order,
     usual_distance,
 )
-from gs_codec.runtime.threads import available_threads
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import Scene
+
+#: Factor on a distance that is still to be found.
+_ABOVE = 1 + 1e-9
 
 
 def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
@@ -65,19 +69,36 @@ def keep_largest_cluster(scene: Scene) -> Scene:
     return scene if cluster.all() else scene.take(cluster)
 
 
-def _link_nearest(spacing: Spacing, limit: float) -> NDArray[np.int32]:
-    """Label ``(M,)`` of each Gaussian's cluster, by links to its nearest others."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
+def _link_nearest(spacing: Spacing, limit: float) -> NDArray[np.int64]:
+    """Label ``(M,)`` of each Gaussian's cluster, by links to its nearest others: its first."""
+    labels = np.arange(len(spacing.points))
+    _join(spacing.nearest, spacing.in_sizes() <= limit, labels)
+    return labels
 
-    linked, count = spacing.in_sizes() <= limit, len(spacing.points)
-    starts = np.concatenate([[0], np.cumsum(np.count_nonzero(linked, axis=1))])
-    links = np.ones(starts[-1], bool), spacing.nearest[linked], starts
-    return connected_components(csr_array(links, shape=(count, count)), directed=False)[1]
+
+@kernel
+def _join(nearest, linked, labels):
+    """Give linked Gaussians one label, that of the first; `labels` begin as their indices."""
+    for i in range(len(labels)):
+        for k in range(nearest.shape[1]):
+            if linked[i, k]:
+                first, second = _first_of(labels, i), _first_of(labels, nearest[i, k])
+                labels[max(first, second)] = min(first, second)
+    for i in range(len(labels)):
+        labels[i] = labels[labels[i]]
+
+
+@inlined
+def _first_of(labels, i):
+    """The Gaussian that labels lead to; the way there is halved for the next time."""
+    while labels[i] != i:
+        labels[i] = labels[labels[i]]
+        i = labels[i]
+    return i
 
 
 def _grow(
-    spacing: Spacing, limit: float, labels: NDArray[np.int32], first: int
+    spacing: Spacing, limit: float, labels: NDArray[np.int64], first: int
 ) -> NDArray[np.bool_]:
     """Which Gaussians ``(M,)`` are of cluster `first`, or of those linked to it, in any steps."""
     cluster = labels == first
@@ -94,17 +115,14 @@ def _any_linked(
     spacing: Spacing, limit: float, asking: NDArray[np.int64], others: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Which of the Gaussians `asking` are linked to any of `others`, in the order of the first."""
-    from scipy.spatial import cKDTree
-
     linked = np.zeros(len(asking), bool)
     for size, other in ((spacing.length, spacing.width), (spacing.width, spacing.length)):
         for members, reach in by_size(other, others):
-            tree = cKDTree(spacing.points[members])
+            neighbours = Neighbours(spacing.points[members])
             # Of one size on both sides, the search ends at the distance of a link.
             for group, own in by_size(size[asking], np.flatnonzero(~linked)):
                 farthest = limit * (own + reach)
                 places = spacing.points[asking[group]]
-                bound, threads = np.nextafter(farthest, np.inf), available_threads()
-                away, _ = tree.query(places, distance_upper_bound=bound, workers=threads)
-                linked[group] |= away <= farthest
+                away, _ = neighbours.nearest(places, 1, within=_ABOVE * farthest)
+                linked[group] |= away[:, 0] <= farthest
     return linked

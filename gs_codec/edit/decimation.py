@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.clean import finite_gaussians, identity_for_zero
 from gs_codec.coding.morton import spatial_order
+from gs_codec.coding.neighbours import Neighbours
 from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.pairs import Blobs, blobs_of, merge_pairs
 from gs_codec.edit.reduction import cheapest, colours_of, contrast
@@ -24,7 +25,6 @@ from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.report import Progress, step_counter
-from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import GROUPS, Scene
 
 #: Share of the remaining Gaussians that a round may remove.
@@ -138,13 +138,8 @@ def _quotas(count: int, number: int) -> Iterator[int]:
 
 def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
     """Indices ``(N, K + 1)`` of the Gaussians nearest to each, itself among them."""
-    from scipy.spatial import cKDTree
-
-    count = positions.shape[1]
-    # Equal points would be one leaf of the tree, searched in quadratic time.
-    points = np.column_stack([positions.T, np.linspace(0.0, 1e-30, count)])
-    wanted = min(_NEIGHBOURS + 1, count)
-    return cKDTree(points).query(points, wanted, workers=available_threads())[1]
+    wanted = min(_NEIGHBOURS + 1, positions.shape[1])
+    return Neighbours(positions.T).nearest(positions.T, wanted)[1]
 
 
 def _merge(

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.clean import finite_gaussians
 from gs_codec.coding.morton import spatial_order
+from gs_codec.coding.neighbours import Neighbours
 from gs_codec.runtime.arrays import empty
-from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import Scene
 
 #: A Gaussian is as far from others as from its eighth nearest.
@@ -84,15 +84,13 @@ def _rounded(log_size: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _find_nearest(points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Indices and distances ``(M, K)`` of the nearest others of each point."""
-    from scipy.spatial import cKDTree
-
     count = len(points)
     number = min(NEIGHBOURS, count - 1)
-    tree = cKDTree(points)
+    neighbours = Neighbours(points)
     nearest, distance = empty((count, number), np.int32), empty((count, number), np.float64)
     for start in range(0, count if number else 0, _CHUNK):
         part = np.arange(start, min(start + _CHUNK, count))
-        away, found = tree.query(points[part], number + 1, workers=available_threads())
+        away, found = neighbours.nearest(points[part], number + 1)
         # Of points in one place, a point is not always the first, nor among those found.
         own = found == part[:, None]
         own[~own.any(axis=1), -1] = True
@@ -127,7 +125,7 @@ def far_from_others(spacing: Spacing, which: NDArray[np.int64]) -> NDArray[np.fl
         if not len(asking):
             continue
         places = spacing.points[which[asking]]
-        away = _distances(spacing.points[members], places, number + 1)
+        away, _ = Neighbours(spacing.points[members]).nearest(places, number + 1)
         # A Gaussian finds itself among those of its own size.
         itself = spacing.width[which[asking]] == width
         away = np.where(itself[:, None], away[:, 1:], away[:, :-1])
@@ -143,13 +141,3 @@ def by_size(
     of_members = sizes[members]
     for size in np.unique(of_members)[::-1]:
         yield members[of_members == size], float(size)
-
-
-def _distances(
-    points: NDArray[np.float64], places: NDArray[np.float64], number: int
-) -> NDArray[np.float64]:
-    """Distances ``(P, number)`` from places to the nearest points; infinity if there are fewer."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(points)
-    return tree.query(places, np.arange(1, number + 1), workers=available_threads())[0]

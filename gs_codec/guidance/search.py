@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable
 from functools import cache
 
-from scipy.optimize import brentq
-
 #: Log2 of the smallest and the largest coarseness that is tried.
 FINEST, COARSEST = -6.0, 6.0
 
@@ -73,7 +71,7 @@ def search(
     try:
         bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
         if bracket is not None:
-            octaves = brentq(height, *bracket, xtol=_NARROW)
+            octaves = _root(height, *bracket)
             for shift in _BESIDE:
                 height(min(max(octaves + shift * _NARROW, FINEST), COARSEST))
             octaves = below[max(below)]
@@ -82,6 +80,39 @@ def search(
     except _Met as met:
         return float(met.args[0])
     return None
+
+
+def _root(height: Callable[[float], float], before: float, now: float) -> float:
+    """A point within `_NARROW` of where `height` changes its sign (Brent 1973, chapter 4)."""
+    last, at_last = before, height(before)
+    at_before, at_now = at_last, height(now)
+    step = step_before = now - before
+    while True:
+        if at_before * at_now < 0:
+            last, at_last = before, at_before
+            step = step_before = now - before
+        if abs(at_last) < abs(at_now):
+            before, now, last = now, last, now
+            at_before, at_now, at_last = at_now, at_last, at_now
+        least, half = _NARROW / 2, (last - now) / 2
+        if at_now == 0 or abs(half) < least:
+            return now
+        tried = math.inf
+        if abs(step_before) > least and abs(at_now) < abs(at_before):
+            slope = (at_before - at_now) / (before - now)
+            if before == last:  # a line
+                tried = -at_now / slope
+            else:  # a parabola
+                chord = (at_last - at_now) / (last - now)
+                tried = -at_now * (at_last * chord - at_before * slope)
+                tried /= chord * slope * (at_last - at_before)
+        if 2 * abs(tried) < min(abs(step_before), 3 * abs(half) - least):
+            step_before, step = step, tried
+        else:
+            step_before = step = half
+        before, at_before = now, at_now
+        now += step if abs(step) > least else math.copysign(least, half)
+        at_now = height(now)
 
 
 def _bracket(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.clean import finite_gaussians
 from gs_codec.coding.linear import combine
 from gs_codec.rendering.harmonics import sh_basis
+from gs_codec.rendering.project import quaternion_turn
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
@@ -289,12 +290,19 @@ def _vertical(
 
 def _normals(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Normals ``(N, 3)`` of Gaussians, and how flat each is, in powers of e."""
-    from scipy.spatial.transform import Rotation
-
-    flattest = np.argmin(scene.log_scale, axis=0)
-    turn = Rotation.from_quat(scene.rot.T, scalar_first=True).as_matrix()
+    normals = np.empty((scene.count, 3))
+    _fill_axes(np.ascontiguousarray(scene.rot), np.argmin(scene.log_scale, axis=0), normals)
     scales = np.sort(scene.log_scale.astype(np.float64), axis=0)
-    return turn[np.arange(scene.count), :, flattest], np.clip(scales[1] - scales[0], 0, 3)
+    return normals, np.clip(scales[1] - scales[0], 0, 3)
+
+
+@kernel
+def _fill_axes(rot, which, axes):
+    """One axis of each Gaussian, of length 1."""
+    for i in range(len(axes)):
+        _, turn = quaternion_turn(rot, i)
+        for k in range(3):
+            axes[i, k] = turn[k][which[i]]
 
 
 class _Mode(NamedTuple):

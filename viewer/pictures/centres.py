@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.neighbours import Neighbours
 from viewer.pictures.layers import (
     SELECTED,
     UNKNOWN,
@@ -177,16 +178,13 @@ def _by_block(
 
 def colour_errors(scene: Opened, reference: Opened, some: Some) -> NDArray[np.float32]:
     """Root-mean-square difference over RGB from the SH-DC colour of the nearest centre."""
-    from scipy.spatial import cKDTree
-
     colours = scene.colours[some]
     if not reference.count:
         return np.zeros(len(colours), np.float32)
     finite = np.isfinite(reference.positions).all(axis=1)
-    tree = cKDTree(reference.positions[finite])
     positions = np.nan_to_num(scene.positions[some])
-    nearest = tree.query(positions, workers=-1)[1]
-    known = reference.colours[finite][nearest]
+    _, nearest = Neighbours(reference.positions[finite]).nearest(positions, 1)
+    known = reference.colours[finite][nearest[:, 0]]
     return np.sqrt(np.mean((colours - known) ** 2, axis=1))
 
 

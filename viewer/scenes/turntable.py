@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.neighbours import Neighbours
 from viewer.scenes.opened import Opened, thinned
 from viewer.scenes.pose import Pose, distance_ahead, look_at, of_camera
 from viewer.scenes.viewpoints import Views
@@ -161,16 +162,14 @@ def _circling(capture: _Capture, first: Pose, middle: NDArray) -> Callable[[floa
 
 def _panning(scene: Opened, capture: _Capture, first: Pose) -> Callable[[float], Pose]:
     """A turn on the spot, at the camera with most room around it."""
-    from scipy.spatial import cKDTree
-
     solid = scene.positions[scene.opacities > 0.3]
     solid = solid[np.isfinite(solid).all(axis=1)]
     solid = solid[thinned(len(solid), _SAMPLES)]
     positions = np.array([pose.position for pose in capture.poses])
     place = first.position
     if len(solid):
-        nearest = cKDTree(solid).query(positions, [1 + int(_NEARER * len(solid))])[0]
-        place = positions[int(np.argmax(nearest))]
+        room, _ = Neighbours(solid).nearest(positions, 1 + int(_NEARER * len(solid)))
+        place = positions[int(np.argmax(room[:, -1]))]
     forward = np.array([pose.rotation[2] for pose in capture.poses])
     level = np.radians(_LEVEL)
     slope = np.clip(np.median(np.arcsin(np.clip(forward @ capture.up, -1, 1))), -level, level)

@@ -16,6 +16,7 @@ from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.rendering.upright import UPS
+from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
@@ -221,6 +222,7 @@ def command(
         return
     if port is not None:
         raise gs_codec.GsCodecError("port: needs --web")
+    check_installed("open3d", "all but --web")
     from viewer.scenes.request import Request, parse_layers
 
     request = Request(

@@ -11,6 +11,7 @@ import numpy as np
 import gs_codec
 from gs_codec.rendering.images import find_image, seek_images
 from gs_codec.rendering.photographs import read_photograph
+from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 from viewer.pictures.centres import centres, pruned_centres
 from viewer.pictures.layers import Points
@@ -97,6 +98,7 @@ def draw(
         up=up, scale=colour_scale,
     )  # fmt: skip
     request.check()
+    check_installed("open3d", "draw")
     device = find_device()
     from viewer.window.viewer import run
 

@@ -18,6 +18,7 @@ from gs_codec.analysis.sensitivity import SCALES, THRESHOLD, Curve, ErrorScale
 from gs_codec.files.scenes import read_scene
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_writable, write_files
+from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 
 #: Errors in the titles of columns, and what they mean.
@@ -69,6 +70,7 @@ def analyse_file(
     MissingTool
         If matplotlib, which draws the pictures, is not installed.
     """
+    check_installed("scipy", "analyze")
     if folder is not None:
         # Find out that the report cannot be written before doing the work.
         new_figure(1, 1)

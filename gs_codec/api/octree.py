@@ -10,6 +10,7 @@ from gs_codec.coding.cube import DEPTHS, EXPANSION, Cube
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.lazy import needed
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0
 
@@ -62,8 +63,7 @@ def to_octree(cloud: PointCloud, depth: int) -> Octree:
     >>> sum(counts)
     2000
     """
-    import open3d
-
+    open3d = needed("open3d", "to_octree")
     if not isinstance(depth, int) or depth not in DEPTHS:
         raise InvalidInput(f"depth {depth}: expected an integer from 1 to {DEPTHS[-1]}")
     scene = from_cloud(cloud, "drop", tell=False)

@@ -19,13 +19,12 @@ from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS
 
 if TYPE_CHECKING:
     import torch
-
-_INSTALL = "pip install 'gs-codec[cuda]'"
 
 
 @dataclass(frozen=True)
@@ -173,13 +172,15 @@ def require_device(device: str) -> None:
     try:
         import torch
     except ImportError as error:
-        raise MissingTool(f"torch: not installed, {_INSTALL}") from error
+        raise MissingTool(f"torch: not installed, {pip_install('cuda')}") from error
     if kind == "cpu" or config.ENABLE_CUDASIM:
         return
     if int(number or 0) >= torch.cuda.device_count():
         raise MissingTool(f"device '{device}': torch sees {torch.cuda.device_count()} CUDA devices")
     if find_spec("numba_cuda") is None or not _is_complete():
-        raise MissingTool(f"device '{device}': needs numba-cuda and its CUDA toolkit, {_INSTALL}")
+        raise MissingTool(
+            f"device '{device}': needs numba-cuda and its CUDA toolkit, {pip_install('cuda')}"
+        )
 
 
 def _is_complete() -> bool:

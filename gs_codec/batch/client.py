@@ -17,6 +17,7 @@ from distributed.system import MEMORY_LIMIT
 from gs_codec import __version__
 from gs_codec.batch.redaction import redacted
 from gs_codec.errors import InvalidInput, MissingTool, one_line
+from gs_codec.runtime.lazy import pip_install
 
 _HOST = "127.0.0.1"
 
@@ -52,7 +53,7 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
                 scheduler = stack.enter_context(start_cluster(jobs, folder))
             client = stack.enter_context(distributed.Client(scheduler, set_as_default=False))
         except ImportError as error:
-            text = f"{name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
+            text = f"{name}: {one_line(error)}; {pip_install('cluster')}"
             raise MissingTool(text) from error
         except (OSError, ValueError, TimeoutError) as error:
             cause = redacted(one_line(error), address)

@@ -26,6 +26,7 @@ from gs_codec.batch.local import (
 from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.runtime.atomic import leftovers, temporary_name
+from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
@@ -51,8 +52,7 @@ _FILLED = 0.9
 #: Longest error text to show: a server may have written it.
 _MOST = 1000
 
-#: The extra, and the protocols that it brings; fsspec names the packages of all others.
-_INSTALL = "pip install 'gs-codec[cluster]'"
+#: Protocols that the extra brings; fsspec names the packages of all others.
 _INSTALLED = (*_READ_ONLY, "ssh", "sftp")
 
 
@@ -83,7 +83,7 @@ class RemoteStorage:
         try:
             import fsspec
         except ImportError as error:
-            raise MissingTool(f"{self._name}: needs fsspec; {_INSTALL}") from error
+            raise MissingTool(f"{self._name}: needs fsspec; {pip_install('cluster')}") from error
         # Each protocol of a chain has its own options.
         options = {name: dict(_SSH) for name in ("ssh", "sftp") if name in self._protocols}
         try:
@@ -91,7 +91,8 @@ class RemoteStorage:
         except ImportError as error:
             text = redacted(one_line(error), self._base)
             known = any(name in _INSTALLED for name in self._protocols)
-            raise MissingTool(f"{self._name}: {text}{f'; {_INSTALL}' * known}") from error
+            hint = f"; {pip_install('cluster')}" if known else ""
+            raise MissingTool(f"{self._name}: {text}{hint}") from error
         except Exception as error:
             raise InvalidInput(f"{self._name}: {_cause(error, self._base)}") from error
 

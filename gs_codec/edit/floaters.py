@@ -26,6 +26,7 @@ from gs_codec.rendering.project import NEAR, camera_arguments, rotated
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.lazy import needed
 from gs_codec.scene import Scene
 
 #: Why a Gaussian is a floater; the index is the label. The first stays.
@@ -177,15 +178,14 @@ def _outside(
     asked: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
     """Indices of those Gaussians asked for that are far from cameras and what they see."""
-    from scipy.spatial import ConvexHull, QhullError
-
+    spatial = needed("scipy.spatial", "remove-floaters with cameras")
     asking = np.flatnonzero(asked)
     points = np.concatenate([[camera.position for camera in cameras], scene.positions.T[seen]])
     if not len(asking) or not seen.any():
         return asking[:0]
     try:
-        hull = ConvexHull(points)
-    except QhullError:  # all in a plane
+        hull = spatial.ConvexHull(points)
+    except spatial.QhullError:  # all in a plane
         return asking[:0]
     centre = points[hull.vertices].mean(axis=0)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]

@@ -12,6 +12,7 @@ from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import listed, say_left_out
 from gs_codec.formats.coordinates import state_system, turn_axes
+from gs_codec.runtime.lazy import needed
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
@@ -29,8 +30,7 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     system is converted. Attributes are those that `gs_codec.read` lists, zero ``normals (N, 3)``
     if the scene has them, and its extra properties ``(N, 1)``.
     """
-    import open3d
-
+    open3d = needed("open3d", "a scene as a point cloud")
     scene = turn_axes(scene)
     tensor = open3d.core.Tensor.from_numpy
     coefficients = SH_COEFFICIENTS[scene.sh_degree]
@@ -73,8 +73,7 @@ def from_cloud(
         If an attribute is missing, has a wrong shape, or is not float32, or if ``scale`` is not
         the exponential of ``log_scale``.
     """
-    import open3d
-
+    open3d = needed("open3d", "a scene as a point cloud")
     if not isinstance(cloud, open3d.t.geometry.PointCloud):
         given = "None" if cloud is None else type(cloud).__name__
         raise InvalidInput(f"scene: {given}, expected an open3d.t.geometry.PointCloud")

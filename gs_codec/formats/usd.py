@@ -30,6 +30,7 @@ from gs_codec.formats.packed_values import (
 from gs_codec.formats.similarity import move_scene
 from gs_codec.formats.usd_names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.formats.zip_file import ZIP, write_zip
+from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.programs import Limits, run_on_files
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
@@ -65,7 +66,7 @@ _SECONDS, _BYTES_A_SECOND = 20, 1 << 20
 def require_usd_core(suffix: str = ".usd") -> None:
     """`MissingTool` if files with this suffix need usd-core, and it is not installed."""
     if suffix in SUFFIXES and find_spec("pxr") is None:
-        raise MissingTool("usd-core is not installed: pip install 'gs-codec[usd]'")
+        raise MissingTool(f"usd-core is not installed: {pip_install('usd')}")
 
 
 def is_usdz(data: FileBytes) -> bool:
@@ -177,7 +178,7 @@ def _stage(scene: Scene, clipped: Clipped) -> Any:
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
-        raise MissingTool(WITHOUT_GAUSSIANS)
+        raise MissingTool(WITHOUT_GAUSSIANS + pip_install("usd"))
 
     def rows(planes: NDArray) -> NDArray[np.float32]:
         with np.errstate(under="ignore"):

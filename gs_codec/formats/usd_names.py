@@ -6,4 +6,4 @@ from __future__ import annotations
 LAYERS = (".usd", ".usda", ".usdc")
 
 #: Why a usd-core before 26.3 does not do.
-WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians: pip install 'gs-codec[usd]'"
+WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians: "

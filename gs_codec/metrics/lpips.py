@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, MissingTool, one_line
+from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import opened
 
 #: The environment variable that names the file for `compare`.
@@ -61,7 +62,7 @@ def load_lpips(path: str | Path) -> Lpips:
             import torch
         except (ImportError, RuntimeError) as error:  # the latter if torchvision is not torch's
             why = f"lpips cannot be imported ({one_line(error)})"
-            raise MissingTool(f"{why}: pip install 'gs-codec[lpips]'") from error
+            raise MissingTool(f"{why}: {pip_install('lpips')}") from error
         try:
             state = torch.load(path, map_location="cpu", weights_only=True)
             net = next(net for net, (_, own) in _BACKBONES.items() if own in state)

@@ -12,6 +12,7 @@ from gs_codec.errors import InvalidInput, MissingTool, one_line
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import read_image
 from gs_codec.rendering.lens import Lens
+from gs_codec.runtime.lazy import pip_install
 
 
 def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.float32]]:
@@ -83,7 +84,7 @@ def _undistorted(
     except ImportError as error:
         raise MissingTool(
             f"{path}: is distorted, and OpenCV cannot be imported ({one_line(error)}): "
-            "pip install 'gs-codec[undistort]'"
+            f"{pip_install('undistort')}"
         ) from error
     scale = image.shape[1] / lens.width, image.shape[0] / lens.height
     maps = _distorted_pixels(lens, camera, scale) if lens.r8 else _maps(cv2, lens, camera, scale)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 
 from gs_codec.errors import MissingTool
 
@@ -50,5 +51,38 @@ def from_extra(module: str, extra: str, what: str) -> ModuleType:
     try:
         return import_module(module)
     except ImportError as error:
-        text = f"{what}: needs {error.name}; pip install 'gs-codec[{extra}]'"
-        raise MissingTool(text) from error
+        raise MissingTool(f"{what}: needs {error.name}; {pip_install(extra)}") from error
+
+
+def pip_install(extra: str) -> str:
+    """The command that installs what an extra is for, beside the distribution that is there."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    name = "gs-codec-core"
+    try:
+        version(name)
+    except PackageNotFoundError:
+        name = "gs-codec"
+    return f"pip install '{name}[{extra}]'"
+
+
+def needed(module: str, what: str) -> ModuleType:
+    """A module of Open3D or scipy, which gs-codec-core goes without.
+
+    Raises
+    ------
+    MissingTool
+        If the package is not installed; `what` says who needs it.
+    """
+    check_installed(module.partition(".")[0], what)
+    return import_module(module)
+
+
+def check_installed(package: str, what: str) -> None:
+    """Refuse a call that needs a package which is not installed, as `needed` does."""
+    if find_spec(package) is None:
+        import platform
+
+        small = platform.system() == "Linux" and platform.machine() == "x86_64"
+        name = "open3d-cpu" if small and package == "open3d" else package
+        raise MissingTool(f"{what}: needs {package}; pip install {name}")

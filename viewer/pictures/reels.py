@@ -19,6 +19,7 @@ from PIL import Image
 import gs_codec
 from gs_codec.errors import one_line
 from gs_codec.runtime.atomic import check_folder, check_writable, temporary_name
+from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.programs import how_ended, plain_text
 
 #: Adds a frame; all are of one size.
@@ -85,7 +86,7 @@ def _ffmpeg(path: Path) -> str:
         missing = isinstance(error, ImportError)
         why = "imageio-ffmpeg is not installed" if missing else one_line(error)
         raise gs_codec.MissingTool(
-            f"{path}: {why}: pip install 'gs-codec[video]', or give a folder for PNG frames"
+            f"{path}: {why}: {pip_install('video')}, or give a folder for PNG frames"
         ) from error
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.rendering.inria import as_camera
+from gs_codec.runtime.lazy import needed
 from viewer.scenes.pose import Pose, of_camera
 
 
@@ -52,15 +53,14 @@ def flythrough(poses: Sequence[Pose], count: int) -> list[Pose]:
     count : int
         At least 2.
     """
-    from scipy.interpolate import CubicHermiteSpline
-    from scipy.spatial.transform import Rotation, RotationSpline
-
+    curve = needed("scipy.interpolate", "flythrough").CubicHermiteSpline
+    transform = needed("scipy.spatial.transform", "flythrough")
     positions = np.array([pose.position for pose in poses])
-    rotations = Rotation.from_matrix(np.array([pose.rotation for pose in poses]))
+    rotations = transform.Rotation.from_matrix(np.array([pose.rotation for pose in poses]))
     knots = _times(positions, (rotations[1:] * rotations[:-1].inv()).magnitude())
     times = np.linspace(0, knots[-1], count)
-    places = CubicHermiteSpline(knots, positions, _slopes(knots, positions))(times)
-    turns = RotationSpline(knots, rotations)(times).as_matrix()
+    places = curve(knots, positions, _slopes(knots, positions))(times)
+    turns = transform.RotationSpline(knots, rotations)(times).as_matrix()
     lenses = np.array([(*pose.focal, *pose.shift) for pose in poses])
     lens = np.stack([np.interp(times, knots, column) for column in lenses.T], axis=1)
     return [

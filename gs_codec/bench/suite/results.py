@@ -11,6 +11,7 @@ import numpy as np
 
 from gs_codec.bench.beside import is_ours
 from gs_codec.config import LOSSLESS, PROFILES
+from gs_codec.runtime.lazy import needed
 
 Line = dict[str, Any]
 
@@ -50,9 +51,8 @@ class Curve:
         return float(self._interpolator().integrate(low, high)) / (high - low)
 
     def _interpolator(self):
-        from scipy.interpolate import PchipInterpolator
-
-        return PchipInterpolator(self._psnr, self._log_bits)
+        interpolate = needed("scipy.interpolate", "curves over PSNR")
+        return interpolate.PchipInterpolator(self._psnr, self._log_bits)
 
 
 @dataclass(frozen=True)

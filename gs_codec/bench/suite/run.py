@@ -21,6 +21,7 @@ from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, o
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.lazy import check_installed
 
 Lines = Iterator[dict[str, Any]]
 
@@ -82,6 +83,7 @@ def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Li
     InvalidInput
         If a scene, cameras or photographs cannot be used; before anything is measured.
     """
+    check_installed("scipy", "bench suite")
     scenes = [open_beside(path, options.width) for path in options.scenes]
     return _measure(options, command, tell, scenes)
 

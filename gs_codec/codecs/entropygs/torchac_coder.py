@@ -29,6 +29,7 @@ from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, MissingTool, one_line
 from gs_codec.runtime.atomic import alone
+from gs_codec.runtime.lazy import pip_install
 
 #: Symbols coded together, times the alphabet: torchac wants a row of its CDF for each symbol.
 _VALUES = 1 << 22
@@ -49,7 +50,7 @@ def require_torchac() -> None:
 def _load():
     """The modules torch and torchac."""
     if not all(importlib.util.find_spec(name) for name in ("torch", "torchac")):
-        raise MissingTool("torchac is not installed: pip install 'gs-codec[paper]'")
+        raise MissingTool(f"torchac is not installed: {pip_install('paper')}")
     import torch
 
     try:

@@ -1,0 +1,118 @@
+"""Files are handled without Open3D, scipy and what else gs-codec-core goes without."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from test_cli import python
+
+#: Packages that other distributions of gs-codec bring, or that Open3D does.
+ABSENT = ("open3d", "plotly", "dash", "scipy", "skimage", "sklearn", "matplotlib", "pandas")
+
+WITHOUT = """
+import json
+import sys
+from importlib.abc import MetaPathFinder
+
+class Absent(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent}:
+            raise ModuleNotFoundError(f"No module named '{{name}}'", name=name.partition(".")[0])
+
+def run(main, *words):
+    sys.argv = list(words)
+    try:
+        main()
+    except SystemExit as stop:
+        return stop.code or 0
+    return 0
+
+sys.meta_path.insert(0, Absent())
+for name in {absent}:
+    sys.modules[name] = None
+"""
+
+COMMANDS = """
+from gs_codec.cli.main import main
+print(json.dumps([run(main, "gs-codec", *line.split()) for line in {lines}]), file=sys.stderr)
+"""
+
+
+def without(script: str, folder, **values) -> tuple[str, list[str]]:
+    """What a script prints where the packages are absent, and its lines on stderr."""
+    text = WITHOUT.format(absent=ABSENT) + script.format(**values)
+    status, out, err = python("-c", text, cwd=folder.path)
+    assert status == 0, err
+    return out, err.splitlines()
+
+
+def test_files_need_none_of_them(folder):
+    lines = [
+        "encode scene.ply small.egs",
+        "encode scene.ply guided.egs --cameras cameras.json --target-ratio 12",
+        "decode small.egs small.ply",
+        "convert scene.ply scene.spz --remove-floaters --keep 90% --keep-largest-cluster",
+        "compare scene.ply small.egs",
+        "compare scene.ply small.egs --cameras cameras.json --images views",
+        "inspect small.egs",
+        "inspect scene.spz",
+        "verify small.egs",
+        "render scene.ply --cameras cameras.json --out drawn",
+        "share scene.ply small.egs --out page.html",
+    ]
+    _, err = without(COMMANDS, folder, lines=lines)
+    assert json.loads(err[-1]) == [0] * len(lines), err
+    assert (folder.path / "page.html").stat().st_size > 100_000
+
+
+@pytest.mark.thorough
+def test_cameras_are_estimated_without_them(folder):
+    lines = ["compare scene.ply scene.egs --cameras auto --width 40"]
+    assert json.loads(without(COMMANDS, folder, lines=lines)[1][-1]) == [0]
+
+
+def test_what_needs_them_says_how_to_install_them(folder):
+    lines = [
+        "convert scene.ply a.spz --remove-floaters --cameras cameras.json",
+        "analyze scene.ply --out report",
+    ]
+    _, err = without(COMMANDS, folder, lines=lines)
+    assert err == [
+        "gs-codec: error: scene.ply: remove-floaters with cameras: needs scipy; pip install scipy",
+        "gs-codec: error: analyze: needs scipy; pip install scipy",
+        "[2, 2]",
+    ]
+
+
+CALLS = """
+import gs_codec
+import viewer
+import viewer.main
+
+for call in (
+    lambda: gs_codec.read("scene.ply"),
+    lambda: gs_codec.decode("scene.egs"),
+    lambda: gs_codec.to_octree(None, 3),
+    lambda: viewer.draw("scene.ply"),
+):
+    try:
+        call()
+    except gs_codec.MissingTool as error:
+        print(error)
+print(gs_codec.compare("scene.ply", "scene.egs", "cameras.json").mean.between.psnr > 20)
+print(run(viewer.main.main, "gs-viewer", "scene.ply"))
+print(run(viewer.main.main, "gs-viewer", "scene.ply", "--screenshot", "a.png", "--height", "100"))
+"""
+
+
+def test_clouds_and_windows_need_open3d(folder):
+    out, err = without(CALLS, folder)
+    assert len(err) == 2
+    for line in err:
+        assert line.startswith("gs-viewer: error: all but --web: needs open3d; pip install open3d")
+    *errors, compared, window, picture = out.splitlines()
+    assert (compared, window, picture) == ("True", "2", "2")
+    what = ["a scene as a point cloud", "a scene as a point cloud", "to_octree", "draw"]
+    for error, needing in zip(errors, what, strict=True):
+        assert error.startswith(f"{needing}: needs open3d; pip install open3d")

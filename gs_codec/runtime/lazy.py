@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.util import find_spec
 
 from gs_codec.errors import MissingTool
 
@@ -80,6 +79,8 @@ def needed(module: str, what: str) -> ModuleType:
 
 def check_installed(package: str, what: str) -> None:
     """Refuse a call that needs a package which is not installed, as `needed` does."""
+    from importlib.util import find_spec
+
     if find_spec(package) is None:
         import platform
 

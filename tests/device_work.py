@@ -1,7 +1,6 @@
 """Works on a device, for tests: `python device_work.py FOLDER`, in numba's simulator.
 
-Beside each `.egs` of the folder it writes its tensors, `.npz`, or the kind of its error, `.txt`;
-and what it makes of tensors, `.splats`, to the file `.made`.
+Beside each `.egs` of the folder it writes its tensors, `.npz`, or the kind of its error, `.txt`.
 """
 
 from __future__ import annotations
@@ -10,11 +9,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import torch
 from numba.cuda.simulator import kernel
 
-from gs_codec.api.splats import Splats, decode_tensors, encode_tensors
-from gs_codec.config import Config
+from gs_codec.api.splats import decode_tensors
 from gs_codec.errors import GsCodecError
 
 #: Types of arguments of each kernel.
@@ -42,7 +39,6 @@ def launch(self, *arguments) -> None:
 kernel.BlockManager.run = run
 launch_kernel = kernel.FakeCUDAKernel.__call__
 kernel.FakeCUDAKernel.__call__ = launch
-Config.__post_init__ = lambda self: None  # type: ignore[method-assign] # smaller blocks
 for path in sorted(Path(sys.argv[1]).glob("*.egs")):
     try:
         splats = decode_tensors(path)
@@ -50,8 +46,3 @@ for path in sorted(Path(sys.argv[1]).glob("*.egs")):
         path.with_suffix(".txt").write_text(type(error).__name__)
     else:
         np.savez(path.with_suffix(".npz"), **{name: getattr(splats, name) for name in FIELDS})
-for path in sorted(Path(sys.argv[1]).glob("*.splats")):
-    with np.load(path) as given:
-        splats = Splats(*(torch.from_numpy(given[name]) for name in FIELDS))
-        config = Config(str(given["profile"]), block_size=int(given["block_size"]))
-    path.with_suffix(".made").write_bytes(encode_tensors(splats, config))

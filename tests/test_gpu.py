@@ -1,4 +1,4 @@
-"""Files decoded and encoded on a device have the numbers, bytes and errors that the CPU gives.
+"""Files decoded on a device have the numbers and errors that the CPU gives.
 
 The device is numba's simulator, in a process of its own, where nothing else is compiled.
 """
@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from damage import FAR, sample, with_section
 from golden.make import GUIDES
-from scenes import edge_scenes, encode_by, random_scene, with_far
+from scenes import edge_scenes, encode_by, random_scene
 
 import gs_codec
 from gs_codec.codecs import decode_scene
@@ -26,7 +26,6 @@ from gs_codec.coding.frequency_table import normalise
 from gs_codec.config import Config
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
-from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.scene import Scene
 
 pytestmark = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
@@ -36,15 +35,6 @@ GOLDEN = [f"v1-{name}" for name in ("l", "s", "guided", "carried-m", "empty-m", 
 EDGES = edge_scenes()
 STRONG = random_scene(150, 3, seed=60)
 DAMAGED = [f"damaged {name} {seed}" for name in SectionId if name > 1 for seed in range(2)]
-
-
-#: What is encoded: scenes, profiles and block sizes. Of the last, sums and levels are large.
-ENCODED: dict[str, tuple[Scene, str, int]] = {
-    **{f"edge {n}": (s.take(np.arange(min(s.count, 24))), "m", 64) for n, s in EDGES.items()},
-    **{f"degree {d}": (random_scene(40 + d, d, seed=61 + d), "lsml"[d], 33) for d in range(4)},
-    "strong": (replace(STRONG, f_rest=30 * STRONG.f_rest, f_dc=40 * STRONG.f_dc), "m", 100),
-    "far": (with_far(random_scene(40, 1, seed=66), 5), "m", 16),
-}
 
 
 def damaged(name: str) -> bytes:
@@ -85,9 +75,6 @@ def folder(tmp_path_factory) -> Path:
     (folder / "strong.egs").write_bytes(encode_by(strong, Config("m")))
     for name in DAMAGED:
         (folder / f"{name}.egs").write_bytes(damaged(name))
-    for name, (scene, profile, block_size) in ENCODED.items():
-        with open(folder / f"{name}.splats", "wb") as file:
-            np.savez(file, **tensors_of(scene), profile=profile, block_size=block_size)
     simulated = {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
     paths = os.pathsep.join([str(HERE), str(HERE.parent)])
     done = subprocess.run(
@@ -144,17 +131,6 @@ def test_a_device_refuses_what_the_cpu_refuses(folder, name):
         assert (folder / f"{name}.txt").read_text() == refused
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", ENCODED)
-def test_a_device_encodes_to_the_same_bytes(folder, name, monkeypatch):
-    monkeypatch.setattr(Config, "__post_init__", lambda self: None)  # as in device_work.py
-    scene, profile, block_size = ENCODED[name]
-    config = Config(profile, block_size=block_size)
-    bare = replace(scene, comments=(), extra={}, has_normals=False)
-    expected = b"".join(encode_camera_free(bare, config)[0])
-    assert (folder / f"{name}.made").read_bytes() == expected
-
-
 @pytest.mark.parametrize("profile", ["m", "paper-s", "lossless"])
 def test_tensors_of_the_cpu_are_the_scene(tmp_path, profile):
     data = encode_by(random_scene(40, 2, seed=98), Config(profile))
@@ -164,7 +140,7 @@ def test_tensors_of_the_cpu_are_the_scene(tmp_path, profile):
         check_same(vars(splats), decode_scene(data))
         np.testing.assert_array_equal(splats.scales, splats.log_scales.exp())
         np.testing.assert_array_equal(splats.opacities, splats.logits.sigmoid())
-    assert gs_codec.encode_tensors(splats, Config("lossless"), "cpu") == encode_by(
+    assert gs_codec.encode_tensors(splats, Config("lossless")) == encode_by(
         decode_scene(data), Config("lossless")
     )
 
@@ -189,9 +165,9 @@ def test_what_tensors_are_not_encoded_to_is_refused():
     splats = gs_codec.decode_tensors(sample("m"), "cpu")
     for config, name in ((Config(lod=True), "lod"), (Config(format="spz"), "format 'spz'")):
         with pytest.raises(InvalidInput, match=f"{name}: not from tensors, expected .egs"):
-            gs_codec.encode_tensors(splats, config, "cpu")
+            gs_codec.encode_tensors(splats, config)
     with pytest.raises(InvalidInput, match="tensor 'quats': shape"):
-        gs_codec.encode_tensors(replace(splats, quats=splats.quats[:, :3]), device="cpu")
+        gs_codec.encode_tensors(replace(splats, quats=splats.quats[:, :3]))
 
 
 def test_packed_tables_have_the_token_of_every_slot():

@@ -112,13 +112,10 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
 
 
 @checked
-def encode_tensors(
-    splats: Splats, config: Config | str | None = None, device: str = "cuda"
-) -> bytes:
-    """Encode Gaussians as an `.egs` stream with the help of a CUDA device.
+def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
+    """Encode Gaussians of torch tensors as an `.egs` stream, on the CPU.
 
-    Of profiles ``l``, ``m`` and ``s``, the device rounds colours, counts tokens and codes them; the
-    CPU does the rest, and all of the other profiles. `decode_tensors` is the way back.
+    `decode_tensors` is the way back.
 
     Parameters
     ----------
@@ -126,8 +123,6 @@ def encode_tensors(
         Of torch, on any device; a trainer's are `log_scales` and `logits` before activation.
     config : Config or str, optional
         A configuration or the name of a profile, by default ``m``.
-    device : str
-        ``cuda``, ``cuda:1``..., or ``cpu``.
 
     Returns
     -------
@@ -137,15 +132,15 @@ def encode_tensors(
     Raises
     ------
     InvalidInput
-        If a tensor has another shape than `Splats` says, or there is no such kind of device; if
-        the configuration is of another format or has coarser levels; or as for `encode`.
+        If a tensor has another shape than `Splats` says; if the configuration is of another format
+        or has coarser levels; or as for `encode`.
     MissingTool, ToolFailed
-        If torch, or for ``cuda`` numba-cuda or a device, is missing; or as for `encode`.
+        As for `encode`.
 
     Examples
     --------
     >>> splats = gs_codec.decode_tensors("scene.egs", device="cpu")
-    >>> data = gs_codec.encode_tensors(splats, device="cpu")
+    >>> data = gs_codec.encode_tensors(splats)
     >>> gs_codec.inspect(data).count
     2000
     """
@@ -153,7 +148,6 @@ def encode_tensors(
     if config.format != EGS or config.lod:
         name = "lod" if config.lod else f"format '{config.format}'"
         raise InvalidInput(f"{name}: not from tensors, expected .egs without coarser levels")
-    require_device(device)
     tensors = {
         "means": splats.means, "quats": splats.quats, "scales": splats.log_scales,
         "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],
@@ -161,7 +155,7 @@ def encode_tensors(
     scene = scene_of_tensors({name: each.detach().cpu().numpy() for name, each in tensors.items()})
     if config.profile != LOSSLESS:
         scene = with_finite_ends(scene)
-    return b"".join(encode_camera_free(scene, config, device=device)[0])
+    return b"".join(encode_camera_free(scene, config)[0])
 
 
 def require_device(device: str) -> None:

@@ -66,19 +66,15 @@ def encode_parts(
     config: Config | None = None,
     progress: Progress | None = None,
     steps: StepSizes | None = None,
-    device: str = "cpu",
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene to the consecutive pieces of a file; see `encode_scene`.
-
-    A CUDA `device` has a part in profiles ``l``, ``m`` and ``s`` without step sizes.
-    """
+    """Encode a scene to the consecutive pieces of a file; see `encode_scene`."""
     config = config or Config()
     times = StageTimes()
     with using_threads(config.threads, scene.count):
         check_encoding(scene.count, config)
         with times.stage("check"):
             scene, changed = clean_scene(scene, config)
-        parts, report = encode_clean(scene, config, times, progress, steps, device)
+        parts, report = encode_clean(scene, config, times, progress, steps)
     return parts, replace(report, **changed)
 
 
@@ -88,7 +84,6 @@ def encode_clean(
     times: StageTimes,
     progress: Progress | None = None,
     steps: StepSizes | None = None,
-    device: str = "cpu",
     watched: Watched | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`; see `encode_parts`.
@@ -97,10 +92,6 @@ def encode_clean(
     """
     if config.format != EGS:
         parts, report = encode_interchange(scene, config, steps, times)
-    elif config.profile in ADAPTIVE_PROFILES and device != "cpu" and scene.count:
-        from gs_codec.codecs.cuda.encode import encode_on_device
-
-        parts, report = encode_on_device(scene, config, device, times, progress)
     elif config.profile in ADAPTIVE_PROFILES:
         parts, report = encode_adaptive(scene, config, steps, times, progress, watched)
     elif config.profile == LOSSLESS:

@@ -249,11 +249,9 @@ def _camera_free(
 
 
 def encode_camera_free(
-    scene: Scene, config: Config, progress: Progress | None = None, device: str = "cpu"
+    scene: Scene, config: Config, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to the consecutive pieces of a file, as coarsely as it needs.
-
-    A CUDA `device` may have a part in it.
 
     Raises
     ------
@@ -281,9 +279,9 @@ def encode_camera_free(
             check = Check.of(clean, windows.checking)
 
         def encode(config: Config, watched: Watched | None) -> Encoded:
-            return encode_clean(clean, config, times, progress, device=device, watched=watched)
+            return encode_clean(clean, config, times, progress, watched=watched)
 
-        keeps = config.profile in ADAPTIVE_PROFILES and config.format == EGS and device == "cpu"
+        keeps = config.profile in ADAPTIVE_PROFILES and config.format == EGS
         attempt = measuring(encode, config, check, times, keeps)
         found = encode_checked(attempt, config, chosen, check)
         assert found is not None

@@ -34,8 +34,8 @@ _POSITIONS = (
 _GROWTH = "The largest scene, tiled; every measurement is a process of its own, its start included."
 
 _DEVICE = (
-    "Profile `m`, medians: floats to stream, and stream to tensors on the device, all that the CPU "
-    "does included; and refinement with gsplat. The largest scene, and it tiled."
+    "Profile `m`, medians: a stream decoded to tensors by the device, all that the CPU does "
+    "included, and by the CPU; and refinement with gsplat. The largest scene, and it tiled."
 )
 
 

@@ -87,15 +87,13 @@ def geometry_table(results: Results) -> tuple[list[str], list[list[str]]]:
 
 def device_table(results: Results) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of what a CUDA device did, and whether its results are the CPU's."""
-    columns = ["device", "Gaussians", "block", "encode", "decode", "as the CPU", "iterations / s"]
+    columns = ["device", "Gaussians", "block", "decode", "CPU", "as the CPU", "iterations / s"]
     rows = []
     for line in results.of("device"):
         cells = [escaped(line["device"]), f"{line['gaussians']:,}", str(line.get("block_size", ""))]
-        for way in ("encode", "decode"):
-            seconds = line.get(f"{way}_seconds")
-            cells.append("" if seconds is None else _seconds(seconds))
-        same = line.get("same_bytes", True) and line.get("same_tensors", True)
-        cells.append("" if "same_bytes" not in line else "yes" if same else "no")
+        for key in ("seconds", "cpu_seconds"):
+            cells.append(_seconds(line[key]) if key in line else "")
+        cells.append({True: "yes", False: "no", None: ""}[line.get("same")])
         rows.append([*cells, _number(line.get("iterations_per_second"), ".0f")])
     return columns, rows
 

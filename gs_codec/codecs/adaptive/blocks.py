@@ -96,10 +96,6 @@ class ShapedBlock:
             turned_quaternions(to_float(self.shape.turns), self.shape.poles),
         )
 
-    def extent(self, grid: PositionGrid) -> NDArray[np.float32]:
-        """Where its decoded Gaussians are."""
-        return block_extent(*self.decoded(grid))
-
     def coded_places(self) -> tuple[bytes, bytes, bytes]:
         """Coded positions: the tree, low bits, and centres of far Gaussians."""
         return self.tree, self.low_bits, write_far(self.far)

@@ -205,26 +205,11 @@ def _code(
             enumerate(blocks),
             advance=advance,
         )
-    extents, rectified = [block.extent for block in blocks], sum(block.clamped for block in blocks)
-    return assemble(header, arranged, extents, models, costs, coded, rectified, times, beside)
-
-
-def assemble(
-    header: Header,
-    arranged: Arranged,
-    extents: Sequence[NDArray[np.float32]],
-    models: PassModels,
-    costs: Sequence[ChannelCost],
-    coded: Sequence[Sequence[Section]],
-    rectified: int,
-    times: StageTimes,
-    beside: Sequence[Section] = (),
-) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """The file of coded blocks, with sections beside them."""
-    sections = [*index_section(extents), *beside]
+    sections = [*index_section([block.extent for block in blocks]), *beside]
     sections.append(Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models)))
     sections += [section for block in coded for section in block]
-    return pack_scene(arranged.source, header, sections, arranged.order, times, costs, rectified)
+    clamped = sum(block.clamped for block in blocks)
+    return pack_scene(arranged.source, header, sections, arranged.order, times, costs, clamped)
 
 
 def count_tokens(listed: list[Pass], blocks: list[Block]) -> list[NDArray[np.int64]]:
@@ -288,19 +273,13 @@ def block_sections(
         for item, own, data in zip(listed, rows, block.passes, strict=True)
     ]
     states, streams = encode_passes(coded, tables)
-    sections = leading_sections(number, states, block.tree, block.low_bits, block.far)
+    sections = [
+        Section(SectionId.GEOMETRY, number, block.tree),
+        Section(SectionId.STATES, number, states),
+        Section(SectionId.LOW_BITS, number, block.low_bits),
+    ]
+    if block.far:
+        sections.append(Section(SectionId.FAR, number, block.far))
     for stream, data in streams.items():
         sections.append(Section.kept(SectionId.of_stream(stream), number, data))
     return sections
-
-
-def leading_sections(
-    number: int, states: bytes, tree: bytes, low_bits: bytes, far: bytes
-) -> list[Section]:
-    """Sections of a block beside its streams: positions, and initial states of the coder."""
-    sections = [
-        Section(SectionId.GEOMETRY, number, tree),
-        Section(SectionId.STATES, number, states),
-        Section(SectionId.LOW_BITS, number, low_bits),
-    ]
-    return [*sections, Section(SectionId.FAR, number, far)] if far else sections

@@ -65,8 +65,6 @@ if SIMULATED:
         """A product that is rounded before it is added to anything."""
         return first * second
 
-    rounded_single = rounded
-
 else:
     from numba.cuda import libdevice
     from numba.cuda.dispatcher import CUDACache
@@ -124,11 +122,6 @@ else:
     def rounded(first, second):
         """A product that is rounded before it is added to anything: never a fused operation."""
         return libdevice.dmul_rn(first, second)
-
-    @device
-    def rounded_single(first, second):
-        """The same of float32."""
-        return libdevice.fmul_rn(first, second)
 
 
 @device

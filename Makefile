@@ -10,7 +10,7 @@ NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test test-all test-ci lint check docs web boundscheck scaling suite fuzz peers clean
+.PHONY: demo test test-all test-ci lint check docs web boundscheck scaling suite fuzz peers dist release clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -39,7 +39,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-r
 
 # Tests of what is not installed are skipped, and say what they miss; `make test-all` installs it.
 test: $(VENV)/installed-test
-	$(PYTEST)
+	$(PYTEST) $(CHOSEN)
 
 # `test-ci` is without tests that take seconds each, to show more of what others show: on more processes, windows,
 # browsers and real scenes, for every bit, or for all cases of large tables. They are marked `thorough`, or `one_in`.
@@ -120,6 +120,21 @@ boundscheck: $(VENV)/installed-test
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/boundscheck \
 	    $(PYTEST) --ignore tests/test_viewer_window.py --ignore tests/test_viewer_more.py $(TESTS)
 
+# What is published, built from a clone of the last commit: a source distribution, and from it a wheel.
+dist:
+	rm -rf build/release dist
+	git clone --quiet . build/release/gs_codec
+	$(PYTHON) -m venv --upgrade-deps build/release/venv
+	build/release/venv/bin/python -m pip --quiet install build twine
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) build/release/venv/bin/python -m build --outdir dist build/release/gs_codec
+	build/release/venv/bin/twine check --strict dist/*
+
+# All of it installed and used, each in a new environment; recipes for conda and Homebrew, and checksums, beside it.
+release: dist
+	for file in dist/*; do $(PYTHON) .ci/try_install.py $$file || exit 1; done
+	$(PYTHON) .ci/recipes.py dist
+	cat dist/SHA256SUMS
+
 $(VENV)/installed: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec into $(VENV): a gigabyte, the most of it Open3D, scipy and numba; minutes the first time"
 	.ci/system-packages
@@ -145,4 +160,4 @@ $(VENV)/installed-all: pyproject.toml .ci/system-packages
 	@touch $(VENV)/installed $(VENV)/installed-test $@
 
 clean:
-	rm -rf $(VENV) demo build fuzz *.egg-info $(WEB)/node_modules tests/web/node_modules
+	rm -rf $(VENV) demo build dist fuzz *.egg-info $(WEB)/node_modules tests/web/node_modules

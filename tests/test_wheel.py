@@ -18,8 +18,8 @@ import gs_codec
 
 ROOT = Path(__file__).parents[1]
 SOURCES = (
-    ".ci", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "Makefile", "README.md",
-    "gs_codec", "pyproject.toml", "samples", "setup.py", "tests", "viewer",
+    ".ci", ".github", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "Makefile",
+    "README.md", "gs_codec", "pyproject.toml", "samples", "setup.py", "tests", "viewer",
 )  # fmt: skip
 
 

@@ -119,7 +119,7 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """
     if first.count != second.count:
         raise InvalidInput(
-            f"{first.count:,} and {counted(second.count, 'Gaussian')} cannot be matched, so no "
+            f"{counted(first.count, 'Gaussian')} against {second.count:,}: no match, so no "
             "errors by attribute: compare what cameras see (--cameras auto)"
         )
     coefficients = max(len(first.f_rest), len(second.f_rest)) // 3

@@ -196,7 +196,7 @@ def test_what_was_changed_and_warned_of_is_reported(folder):
     status, _, err = folder.run("batch", "in/a.ply", "out")
     assert status == 0
     assert records()[0]["changed"] == {"zero_quaternions": 1}
-    assert "4 bytes after the last vertex not read" in records()[0]["warnings"][0]
+    assert "left out: 4 bytes after the last vertex" in records()[0]["warnings"][0]
     assert "warning: " in err
 
 
@@ -782,7 +782,7 @@ def test_dask_that_is_not_installed_is_named_with_the_line_that_installs_it(fold
         folder.monkeypatch.setitem(sys.modules, name, None)
     status, out, err = folder.run("batch", "in", "out", "--dask", "local")
     assert (status, out) == (2, "")
-    assert err == "gs-codec: error: --dask: needs distributed; pip install 'gs-codec[cluster]'\n"
+    assert err == "gs-codec: error: dask: needs distributed; pip install 'gs-codec[cluster]'\n"
 
 
 def test_store_without_folders_is_storage_too(folder):
@@ -829,7 +829,7 @@ def test_warnings_name_the_scene_and_not_its_copy(folder):
     store.pipe_file("/scenes/a.ply", Path("in/a.ply").read_bytes() + b"more")
     assert folder.run("batch", "memory://scenes/a.ply", "out").status == 0
     (warning,) = records()[0]["warnings"]
-    assert warning.startswith("memory://scenes/a.ply: 4 bytes after the last vertex")
+    assert warning.startswith("memory://scenes/a.ply: left out: 4 bytes after the last vertex")
 
 
 def test_download_needs_free_space(folder):

@@ -28,6 +28,7 @@ from gs_codec.cli.output import progress_lines
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.egs.sections import write_extra
+from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import write_scene
 from gs_codec.formats.ply import read_ply, write_ply
@@ -322,6 +323,15 @@ def test_zero_quaternions_are_reported(folder):
     assert (status, err) == (0, "replaced 2 zero quaternions by the identity\n")
     out = folder.run("encode", "zero.ply", "again.egs", "--json").out
     assert strict_json(out)["zero_quaternions"] == 2
+
+
+def test_an_existing_file_is_refused_in_the_words_of_its_caller(folder):
+    (folder.path / "b.egs").touch()
+    with pytest.raises(InvalidInput, match=r"b\.egs: exists, .* or overwrite=True$"):
+        encode_file("scene.ply", "b.egs")
+    assert folder.refuse("encode", "scene.ply", "b.egs").endswith(" or --overwrite\n")
+    refused = folder.refuse("convert", "scene.ply", "c.egs", "--filter", "x>1e9")
+    assert refused.startswith("gs-codec: error: scene.ply: --filter x>1e9: no Gaussian is left")
 
 
 def test_an_existing_file_is_replaced(folder, trio):
@@ -797,7 +807,7 @@ def test_warnings_are_lines_on_stderr(folder):
         "-m", "gs_codec", "encode", "scene.ply", "o.egs", "--json", cwd=folder.path
     )
     assert (status, strict_json(out)["gaussians"]) == (0, 1500)
-    assert err == "gs-codec: warning: scene.ply: 4 bytes after the last vertex not read\n"
+    assert err == "gs-codec: warning: scene.ply: left out: 4 bytes after the last vertex\n"
 
 
 def test_progress_on_a_terminal_ends_in_a_clean_line(folder):

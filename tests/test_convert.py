@@ -114,7 +114,7 @@ def test_a_table_has_every_float_exactly(count, tmp_path):
     scene = replace(scene, extra=kept, has_normals=True, comments=("one",))
     scene.opacity[:, :2] = [np.nan, -np.inf] if count > 1 else 0.25
     lost, _ = write_scene(tmp_path / "a.csv", scene, Config())
-    assert lost == ("comments left out: 1 line",)
+    assert lost == ("left out: comments (1)",)
     with open(tmp_path / "a.csv", newline="") as file:
         names, *rows = csv.reader(file)
     expected = vertex_rows(replace(scene, has_normals=False))
@@ -130,9 +130,9 @@ def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
     report = json.loads(out)
     assert report["gaussians"] == 60
     assert report["output_bytes"] == 60 * 32 == (tmp_path / "a.splat").stat().st_size
-    for line in ("SH of degrees 1 to 2 left out", "properties left out: label, Weight_2"):
-        assert line in report["lost"]
-        assert f"{tmp_path / 'a.splat'}: {line}" in caplog.messages
+    line = "left out: SH of degrees 1 to 2; comments (2); properties label, Weight_2"
+    assert line in report["lost"]
+    assert f"{tmp_path / 'a.splat'}: {line}" in caplog.messages
     assert "coordinates RDF, as they were" in err
 
 

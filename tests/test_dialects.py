@@ -62,7 +62,7 @@ def test_properties_in_an_egs_follow_the_same_rule(tmp_path, caplog):
     convert_file(tmp_path / "a.egs", tmp_path / "c.egs", Config("s"))
     extras = [list(read_scene(tmp_path / f"{name}.egs").extra) for name in "abc"]
     assert extras == [["label"], [], ["label"]]
-    with pytest.raises(InvalidInput, match=r"properties label .*--extra keep or --extra drop"):
+    with pytest.raises(InvalidInput, match=r'properties label .*extra="keep" or extra="drop"'):
         encode_file(tmp_path / "a.egs", tmp_path / "d.egs", Config(extra="error"))
 
 

@@ -406,7 +406,7 @@ def test_dask_that_is_not_installed_is_named(folder):
         folder.monkeypatch.setitem(sys.modules, name, None)
     status, _, err = folder.run("encode", "scene.ply", "b.egs", "--dask", "local")
     assert status == 2
-    assert err == "gs-codec: error: --dask: needs distributed; pip install 'gs-codec[cluster]'\n"
+    assert err == "gs-codec: error: dask: needs distributed; pip install 'gs-codec[cluster]'\n"
 
 
 @pytest.mark.thorough

@@ -151,7 +151,7 @@ def test_the_antialias_flag_is_kept_and_other_properties_are_not(tmp_path):
     data, lost = pack_sog(scene)
     assert unpacked(data)[0]["model"] == "antialiased"
     assert decoded(data, tmp_path).antialiased
-    assert lost[1:] == ("properties left out: seen", "comments left out: 1 line")
+    assert lost[1:] == ("left out: comments (1); properties seen",)
 
 
 @pytest.mark.thorough

@@ -124,7 +124,7 @@ def test_files_of_a_usdz_are_stored_at_multiples_of_64_bytes():
 def test_what_usd_cannot_hold_is_said_or_refused():
     scene = random_scene(4, 0)
     lost = pack_usd(replace(scene, comments=(ANTIALIASED, "one")), ".usd")[1]
-    assert lost[1:] == ("antialias flag left out", "comments left out: 1 line")
+    assert lost[1:] == ("left out: antialias flag; comments (1)",)
     large = replace(scene, log_scale=np.full((3, 4), 89, np.float32))
     with pytest.raises(InvalidInput, match=r"log-scale 89\.0, USD holds up to 88"):
         pack_usd(large, ".usd")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gs_codec.runtime.wording import counted, size_text
+from gs_codec.runtime.wording import as_typed, counted, size_text
 
 ROOT = Path(__file__).parents[1]
 
@@ -76,5 +76,45 @@ def test_numbers_agree_with_their_nouns() -> None:
         for package in ("gs_codec", "viewer")
         for path in sorted((ROOT / package).rglob("*.py"))
         for line in uncounted(path)
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a.egs: exists, expected overwrite=True", "a.egs: exists, expected --overwrite"),
+        (
+            '3 in opacity; nonfinite="drop" removes them',
+            "3 in opacity; --nonfinite drop removes them",
+        ),
+        ('choose extra="keep" or extra="drop"', "choose --extra keep or --extra drop"),
+        ('Action("filter", "x>2"): no', "--filter x>2: no"),
+        ('first Action("translate", "-1,0,0")', "first --translate=-1,0,0"),
+        ('Action("remove-nan") before', "--remove-nan before"),
+        ('no_overwrite=True, size="drop"', 'no_overwrite=True, size="drop"'),
+    ],
+)
+def test_commands_name_options_where_python_names_arguments(text: str, expected: str) -> None:
+    assert as_typed(text) == expected
+
+
+def options_in_messages(path: Path) -> Iterator[str]:
+    """Errors and log messages of a module that name an option of the commands."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        is_log = isinstance(node, ast.Call) and ast.unparse(node.func).startswith("log.")
+        if isinstance(node, ast.Raise) or is_log:
+            for text in ast.walk(node):
+                if isinstance(text, ast.Constant) and re.search(r"--[a-z]", str(text.value)):
+                    yield f"{path.name}:{node.lineno}: {text.value}"
+
+
+def test_the_library_names_no_options() -> None:
+    of_commands = ("cli", "batch", "bench", "__main__.py")
+    found = [
+        line
+        for path in sorted((ROOT / "gs_codec").rglob("*.py"))
+        if path.relative_to(ROOT).parts[1] not in of_commands
+        for line in options_in_messages(path)
     ]
     assert found == []

@@ -94,7 +94,7 @@ class Analysis:
                 f"and is given as 0: {', '.join(constant)}."
             )
         if self.sensitivity is None:
-            notes.append("No cameras were given (--cameras), so sensitivities were not measured.")
+            notes.append("No cameras were given, so sensitivities were not measured.")
         return notes
 
     def means(self, kind: Bins) -> dict[str, dict[str, float | None]]:

@@ -25,7 +25,7 @@ from gs_codec.runtime.wording import counted
 _ERRORS: dict[ErrorScale, str] = {"deviation": "std.", "mean": "MSE/mean"}
 _SCALE_TEXTS: dict[ErrorScale, str] = {
     "deviation": "Errors are root mean squares, in standard deviations of the channel, so that "
-    "attributes of any unit compare. --error-scale mean gives them as the paper does.",
+    "attributes of any unit compare. The error scale `mean` gives them as the paper does.",
     "mean": "Errors are the mean square over the attribute's mean, as in the paper, Section 3.3. "
     "Positions and SH-AC have means of about zero, so the mean of the magnitudes of all stored "
     "values (logits, log-scales) is used; this is our reading. The quotient has the attribute's "

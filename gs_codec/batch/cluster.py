@@ -46,7 +46,7 @@ class Cluster:
         self, address: str, jobs: int, folder: str, options: Options, watcher: Watcher
     ) -> None:
         self._address, self._jobs, self._folder = address, jobs, folder
-        self._name = f"--dask {without_secrets(address)}"
+        self._name = f"dask {without_secrets(address)}"
         self._options, self._watcher = options, watcher
         self._futures: dict[Any, Task] = {}
         self._client: Any = None

@@ -30,6 +30,7 @@ from gs_codec.formats.usd import require_usd_core
 from gs_codec.report import Progress
 from gs_codec.runtime.lazy import from_extra
 from gs_codec.runtime.threads import available_threads
+from gs_codec.runtime.wording import as_typed
 
 if TYPE_CHECKING:
     from gs_codec.batch.cluster import Cluster
@@ -184,10 +185,10 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
     """The record with options and versions filled in, and with secrets removed from its texts."""
     record = replace(record, options=digest, versions=record.versions or versions())
     urls = [url for file in (task.source, task.target) for url in (file.base, file.path)]
-    record = replace(record, warnings=[redacted(text, *urls) for text in record.warnings])
+    record = replace(record, warnings=[redacted(as_typed(text), *urls) for text in record.warnings])
     if record.error is None:
         return record
-    error = {name: redacted(text, *urls) for name, text in record.error.items()}
+    error = {name: redacted(as_typed(text), *urls) for name, text in record.error.items()}
     record = replace(record, error=error)
     size = None if task.stamp.size < 0 else task.stamp.size
     return replace(record, input_bytes=size, input_modified=task.stamp.modified)
@@ -212,7 +213,7 @@ def _runner(
     if batch.dask is None:
         work = partial(_encode_in, options.with_share(jobs), scratch)
         return Pool(work, jobs, available_bytes(), watcher)
-    cluster = from_extra("gs_codec.batch.cluster", "cluster", "--dask")
+    cluster = from_extra("gs_codec.batch.cluster", "cluster", "dask")
     return cluster.Cluster(batch.dask, jobs, scratch, options, watcher)
 
 

@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 from gs_codec.errors import printable
 from gs_codec.report import SCHEMA, finite
+from gs_codec.runtime.wording import as_typed
 
 #: Keys that every document has, in this order; null where there is nothing.
 KEYS = (
@@ -37,7 +38,7 @@ class _Run(logging.Handler):
         self.file: TextIO | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.warnings.append(printable(record.getMessage()))
+        self.warnings.append(printable(as_typed(record.getMessage())))
 
 
 _run = _Run()
@@ -60,6 +61,8 @@ def print_document(**told: Any) -> None:
     `stages` are seconds by stage, `seconds` by default their sum.
     """
     values = _renamed(told)
+    if "lost" in values:
+        values["lost"] = list(map(as_typed, values["lost"]))
     whole = {"schema": SCHEMA, "command": _run.command, "warnings": _run.warnings} | values
     if whole.get("seconds") is None:
         stages = whole.get("stages")

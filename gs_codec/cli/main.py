@@ -24,7 +24,7 @@ from gs_codec.cli.output import (
     set_loudness,
 )
 from gs_codec.errors import GsCodecError, one_line
-from gs_codec.runtime.wording import size_text
+from gs_codec.runtime.wording import as_typed, size_text
 
 #: Commands in the order of the help; each is a module of this package.
 NAMES = (
@@ -160,4 +160,5 @@ def describe_error(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return one_line(error) or "not enough memory"
     named = isinstance(error, OSError) and error.strerror and error.filename
-    return f"{error.filename}: {one_line(error)}" if named else one_line(error)  # type: ignore[attr-defined]
+    text = as_typed(one_line(error))
+    return f"{error.filename}: {text}" if named else text  # type: ignore[attr-defined]

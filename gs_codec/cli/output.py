@@ -12,7 +12,7 @@ from typing import Any, TextIO
 from gs_codec.errors import printable
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.warned import log_warnings
-from gs_codec.runtime.wording import size_text
+from gs_codec.runtime.wording import as_typed, size_text
 
 #: How often progress is said where stderr is no terminal.
 SECONDS_A_LINE = 10
@@ -70,7 +70,7 @@ class _Lines(logging.Formatter):
     """Messages of a line each."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
-        return printable(super().formatMessage(record))
+        return printable(as_typed(super().formatMessage(record)))
 
 
 def log_to_stderr(program: str) -> None:

@@ -42,7 +42,7 @@ _FAR = "far"
 #: How Gaussians are matched if no order matches them.
 NEAREST = "nearest centre"
 
-_INSTEAD = "compare what cameras see (--cameras auto)"
+_INSTEAD = 'compare what cameras see (cameras="auto")'
 _UNRELATED = f"no match of the scenes' Gaussians, so no errors by attribute: {_INSTEAD}"
 
 #: Share of right pairs at which no other match is tried; below which there is none. Versions of a

@@ -111,7 +111,7 @@ def drop_nonfinite(scene: Scene, config: Config, whole: bool = True) -> tuple[Sc
         return scene, 0
     if config.nonfinite == "error":
         listed = ", ".join(f"{n} in {group}" for group, n in bad.items() if n)
-        raise InvalidInput(f"values that are not finite: {listed}; --nonfinite drop removes them")
+        raise InvalidInput(f'values that are not finite: {listed}; nonfinite="drop" removes them')
     keep = sound_gaussians(scene)
     if whole and not keep.any():
         raise nothing_left(scene.count)

@@ -254,5 +254,5 @@ def _sentence(positions: NDArray[np.float32], found: FarCentres, moved: NDArray[
     return (
         f"{len(moved):,} of {counted(positions.shape[1], 'Gaussian')}, {span} from the "
         f"middle of the scene (the others at most {others.max(initial=found.reach):.4g}), moved "
-        "nearer and scaled down to look the same; --remove-floaters removes them instead"
+        'nearer and scaled down to look the same; Action("remove-floaters") removes them instead'
     )

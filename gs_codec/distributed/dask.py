@@ -55,8 +55,8 @@ class DaskWorkers:
             raise error
         if isinstance(error, distributed.KilledWorker):
             raise InvalidInput(
-                f"{self._name}: {stage}: workers were lost again and again, expected less memory:"
-                " --max-memory"
+                f"{self._name}: {stage}: workers were lost again and again, expected a smaller "
+                "max-memory"
             )
         raise InvalidInput(f"{self._name}: {stage}: {one_line(error) or type(error).__name__}")
 
@@ -76,7 +76,7 @@ def dask_workers(address: str, progress: Progress | None = None) -> Iterator[Das
     InvalidInput, MissingTool
         As `connected`; or if there are no workers.
     """
-    name = f"--dask {without_secrets(address)}"
+    name = f"dask {without_secrets(address)}"
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch,
         connected(address, available_threads(), scratch, name) as client,

@@ -115,7 +115,7 @@ def _check(config: Config) -> None:
     if config.depths:
         raise InvalidInput("dask: not with depths, which need the whole scene")
     if config.extra == "keep":
-        raise InvalidInput("dask: extra properties are not kept, expected --extra drop")
+        raise InvalidInput('dask: extra properties are not kept, expected extra="drop"')
 
 
 def encode_with(

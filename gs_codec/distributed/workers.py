@@ -68,5 +68,5 @@ def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int
 
 def workers_at(address: str, progress: Progress | None) -> AbstractContextManager[Workers]:
     """The workers of the Dask scheduler at an address, or local ones; see `dask_workers`."""
-    module = from_extra("gs_codec.distributed.dask", "cluster", "--dask")
+    module = from_extra("gs_codec.distributed.dask", "cluster", "dask")
     return module.dask_workers(address, progress)

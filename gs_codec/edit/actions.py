@@ -226,10 +226,15 @@ class Action:
         try:
             object.__setattr__(self, "arguments", KINDS[self.name].read(self.text))
         except InvalidInput as error:
-            raise InvalidInput(f"--{self}: {error}") from error
+            raise InvalidInput(f"{self.typed}: {error}") from error
 
     def __str__(self) -> str:
         return f"{self.name} {self.text}".rstrip()
+
+    @property
+    def typed(self) -> str:
+        """The action as Python has it: ``Action("rotate", "90,0,0")``."""
+        return f'Action("{self.name}", "{self.text}")' if self.text else f'Action("{self.name}")'
 
 
 def check_actions(
@@ -243,9 +248,13 @@ def check_actions(
     for action in actions:
         kind = KINDS[action.name]
         if not kind.local and limited:
-            raise InvalidInput(f"--{action}: needs the whole scene in memory, not --max-memory")
+            raise InvalidInput(
+                f"{action.typed}: needs the whole scene in memory, without max-memory"
+            )
         if kind.guided and given and moved is not None:
-            raise InvalidInput(f"--{action}: cameras are of the scene before --{moved}")
+            raise InvalidInput(f"{action.typed}: cameras are of the scene before {moved.typed}")
         moved = action if kind.does == "move" else moved
     if coded and given and moved is not None:
-        raise InvalidInput(f"--{moved}: cameras are of the scene before it, expected none or auto")
+        raise InvalidInput(
+            f"{moved.typed}: cameras are of the scene before it, expected none or auto"
+        )

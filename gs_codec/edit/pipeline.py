@@ -57,7 +57,7 @@ def edit_scenes(
                 found = box_text(centre_box(before.positions).reshape(2, 3))
                 raise InvalidInput(f"no Gaussian is left of {before.count:,}, {found}")
         except InvalidInput as error:
-            raise InvalidInput(f"--{action}: {error}") from error
+            raise InvalidInput(f"{action.typed}: {error}") from error
         seconds = time.perf_counter() - start
         done = ActionReport(str(action), before.count, scene.count, context.details, seconds)
         reports.append(done)

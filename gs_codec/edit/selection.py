@@ -238,7 +238,7 @@ def sort_morton(scene: Scene) -> Scene:
     >>> cloud = gs_codec.edit.sort_morton(gs_codec.read("scene.ply"))
     """
     if not np.isfinite(scene.positions).all():
-        raise InvalidInput("centres that are not finite, expected --remove-nan before")
+        raise InvalidInput('centres that are not finite, expected Action("remove-nan") before')
     return without_order(scene.take(spatial_order(scene.positions, scene.log_scale)))
 
 

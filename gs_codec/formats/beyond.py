@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
-from gs_codec.scene import NORMALS, Scene
+from gs_codec.scene import NORMALS, Scene, other_comments
 
 log = logging.getLogger(__name__)
 
@@ -24,35 +24,53 @@ def listed(names: Sequence[str], most: int = 8) -> str:
     return ", ".join([*shown, f"{more} more"] if more else shown)
 
 
-def say_left_out(
-    where: str | Path,
-    properties: Sequence[str],
+def left_out(
+    properties: Sequence[str] = (),
     elements: Sequence[str] = (),
     lines: Mapping[str, int] | None = None,
-) -> None:
-    """Log what is left out of a file, if anything, in one line; `lines` counts those of a kind."""
-    said = [f"{kind} ({count})" for kind, count in (lines or {}).items() if count]
+    others: Sequence[str] = (),
+) -> list[str]:
+    """What is left out, if anything, as one line; `lines` counts those of a kind."""
+    said = [*others, *(f"{kind} ({count:,})" for kind, count in (lines or {}).items() if count)]
     kinds = (("elements", elements), ("properties", properties))
     said += [f"{kind} {listed(names)}" for kind, names in kinds if names]
-    if said:
-        log.warning("%s: left out: %s", where, "; ".join(said))
+    return [f"left out: {'; '.join(said)}"] if said else []
+
+
+def say_left_out(
+    where: str | Path,
+    properties: Sequence[str] = (),
+    elements: Sequence[str] = (),
+    lines: Mapping[str, int] | None = None,
+    others: Sequence[str] = (),
+) -> None:
+    """Log what is left out of a file, if anything, in one line."""
+    for line in left_out(properties, elements, lines, others):
+        log.warning("%s: %s", where, line)
+
+
+def left_out_of(scene: Scene, flag: bool = False, others: Sequence[str] = ()) -> list[str]:
+    """What a format without properties, comments, and perhaps the antialias flag leaves out."""
+    flags = ["antialias flag"] if flag and scene.antialiased else []
+    lines = {"comments": len(other_comments(scene.comments))}
+    return left_out([*scene.extra], lines=lines, others=[*others, *flags])
 
 
 def say_degree_4(where: str | Path) -> None:
     """Log that SH of degree 4 is left out."""
-    log.warning("%s: SH of degree 4 left out, degrees 0 to 3 are read", where)
+    say_left_out(where, others=["SH of degree 4"])
 
 
 def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> None:
     """Refuse what is beyond the layout, if anything."""
     if elements:
         raise InvalidInput(
-            f"element '{elements[0][:_LENGTH]}' beside 'vertex'; choose --extra drop"
+            f"element '{elements[0][:_LENGTH]}' beside 'vertex'; choose extra=\"drop\""
         )
     if properties:
         why = "normals are not all zero" if set(properties) <= {*NORMALS} else "beyond the layout"
         raise InvalidInput(
-            f"properties {listed(properties, 4)} ({why}); choose --extra keep or --extra drop"
+            f'properties {listed(properties, 4)} ({why}); choose extra="keep" or extra="drop"'
         )
 
 

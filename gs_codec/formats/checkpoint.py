@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.limits import check_count, most_bytes, refusing
-from gs_codec.formats.packed_values import left_out
 from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
 from gs_codec.formats.tensors import (
     NAMES,
@@ -161,7 +161,7 @@ def write_checkpoint(path: str | Path, scene: Scene) -> tuple[str, ...]:
     }
     with atomic_writer(path) as file:
         write_zip(file, head | entries, _MULTIPLE)
-    return tuple(left_out(scene, flag=True))
+    return tuple(left_out_of(scene, flag=True))
 
 
 def _splatfacto(arrays: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:

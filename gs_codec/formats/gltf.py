@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.gltf_file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
-    left_out,
     sigmoid,
     unit_quaternions,
 )
@@ -258,4 +258,4 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
     }
     lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
     data = pack_document(document, arrays, as_text)
-    return data, (lost, *clipped.sentences(), *left_out(scene, flag=True))
+    return data, (lost, *clipped.sentences(), *left_out_of(scene, flag=True))

@@ -16,13 +16,13 @@ from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import ShGrid
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
     largest_omitted,
     largest_restored,
-    left_out,
     opacities_of,
     sh_of_colours,
     sigmoid,
@@ -186,7 +186,7 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     sh = _packed_sh(scene, clipped)
     data = b"".join([_header_of(scene).encode(), ranges.tobytes(), vertex.tobytes(), sh.tobytes()])
     lost = "centres and scales rounded to 10 or 11 bits of a chunk's range, other values to 8 or 10"
-    return data, (lost, *moved, *clipped.sentences(), *left_out(scene))
+    return data, (lost, *moved, *clipped.sentences(), *left_out_of(scene))
 
 
 def _header_of(scene: Scene) -> str:

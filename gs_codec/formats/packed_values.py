@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.beyond import listed
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import GROUPS, SH_C0, Scene, other_comments
+from gs_codec.scene import GROUPS, SH_C0, Scene
 
 log = logging.getLogger(__name__)
 
@@ -133,13 +132,3 @@ def check_finite(scene: Scene, suffix: str) -> None:
     """Refuse values that are not finite."""
     if not all(np.isfinite(getattr(scene, group)).all() for group in GROUPS):
         raise InvalidInput(f"values that are not finite, which {suffix} cannot hold")
-
-
-def left_out(scene: Scene, flag: bool = False) -> list[str]:
-    """Extra properties, comments, and perhaps the antialias flag that a format lacks, in words."""
-    lost = ["antialias flag left out"] if flag and scene.antialiased else []
-    if scene.extra:
-        lost.append(f"properties left out: {listed([*scene.extra])}")
-    if comments := other_comments(scene.comments):
-        lost.append(f"comments left out: {counted(len(comments), 'line')}")
-    return lost

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import re
 import warnings
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import say_left_out
 from gs_codec.formats.dialects import layout_names
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.ply_header import Element, PlyHeader, read_header
@@ -22,8 +22,6 @@ from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
-
-log = logging.getLogger(__name__)
 
 #: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
 _TILE = 4096
@@ -158,9 +156,8 @@ class Ply:
                 f"file ends in row {there}"
             )
         if len(before) == len(self.header.elements) - 1 and end < len(self.data):
-            surplus = len(self.data) - end
-            many = counted(surplus, "byte")
-            log.warning("%s: %s after the last %s not read", self.path, many, element.name)
+            surplus = counted(len(self.data) - end, "byte")
+            say_left_out(self.path, others=[f"{surplus} after the last {element.name}"])
 
         def read(first: int, last: int) -> NDArray:
             data = np.empty((last - first) * dtype.itemsize, np.uint8)

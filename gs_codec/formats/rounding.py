@@ -95,4 +95,4 @@ class Rounding:
             return text
         middle = np.rint((self._low + self._high) / 2)
         by = ",".join(f"{-x:.0f}" for x in middle)
-        return f"{text}; shift them first: --translate={by} as the first action"
+        return f'{text}; shift them first: Action("translate", "{by}")'

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.beyond import say_left_out
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.formats.sog_files import (
@@ -65,7 +66,7 @@ def scene_of_unit(
     if meta.model == "2dgs":
         raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
     if meta.model not in ("default", "antialiased"):
-        log.warning("%s: model '%s' not known, not kept", where, ascii(meta.model)[1:40])
+        say_left_out(where, others=[f"unknown model '{ascii(meta.model)[1:40]}'"])
 
     def load(name: str, rows: int, width: int = 1) -> NDArray[np.uint8]:
         most = (rows + spare) * width

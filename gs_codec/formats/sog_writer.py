@@ -16,6 +16,7 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.codebook import choose_colours, choose_levels, make_table
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.images import write_webp
@@ -23,7 +24,6 @@ from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
     largest_omitted,
-    left_out,
     sigmoid,
 )
 from gs_codec.formats.sog_files import FIRST_TAG, PALETTE_COLUMNS
@@ -95,7 +95,7 @@ def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes],
     written = run_all(write_webp, images.values())
     files = {UNBUNDLED: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
     lost = "centres rounded to 16 bits, other values to 8, SH to rows of a palette"
-    return files, (lost, *clipped.sentences(), *left_out(scene))
+    return files, (lost, *clipped.sentences(), *left_out_of(scene))
 
 
 def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:

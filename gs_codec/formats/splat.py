@@ -12,11 +12,11 @@ import numpy as np
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.activated import linear_scales, log_scales_of
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
-    left_out,
     opacities_of,
     sh_of_colours,
     sigmoid,
@@ -83,6 +83,5 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     # A byte holds -128 but not 128; the negative quaternion is the same rotation.
     rows["rot"] = 128 + np.where((rot > 127).any(axis=0), -rot, rot).T
     lost = ["opacity, colour and rotation rounded to 8 bits", *clipped.sentences()]
-    if scene.sh_degree:
-        lost.append(f"SH of degrees 1 to {scene.sh_degree} left out")
-    return rows.tobytes(), (*lost, *left_out(scene, flag=True))
+    harmonics = [f"SH of degrees 1 to {scene.sh_degree}"] if scene.sh_degree else []
+    return rows.tobytes(), (*lost, *left_out_of(scene, flag=True, others=harmonics))

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from gs_codec.coding.far import Box, draw_nearer, find_far
 from gs_codec.coding.morton import spatial_order
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
     largest_omitted,
     largest_restored,
-    left_out,
     opacities_of,
     planes_of,
     sigmoid,
@@ -150,7 +150,7 @@ def pack_spz(
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
     lost = "opacity, colours, scales and SH rounded to 8 bits, rotations to 10"
-    return pack_streams(header, streams), (lost, *moved, *clipped.sentences(), *left_out(scene))
+    return pack_streams(header, streams), (lost, *moved, *clipped.sentences(), *left_out_of(scene))
 
 
 def _fraction_bits(farthest: float) -> int:

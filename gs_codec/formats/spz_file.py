@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.beyond import say_degree_4
+from gs_codec.formats.beyond import say_degree_4, say_left_out
 from gs_codec.formats.coordinates import OWN_SYSTEMS
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.runtime.mapped import located
@@ -118,7 +118,7 @@ def read_streams(
     else:
         raise InvalidInput(f"begins with {data[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
     if header.unknown:
-        log.warning("%s: flags %#x not known, not kept", path, header.unknown)
+        say_left_out(path, others=[f"unknown flags {header.unknown:#x}"])
     if header.sh_degree == len(SH_COEFFICIENTS):
         say_degree_4(path)
     if header.has_tree:
@@ -315,6 +315,6 @@ def _read_extensions(path: Path, data: bytes) -> str:
                 raise InvalidInput(f"coordinate system {value}, expected 0 to {len(_SYSTEMS)}")
             system = _SYSTEMS[value - 1] if value else SYSTEM
         else:
-            log.warning("%s: extension %#010x of %s not kept", path, kind, counted(size, "byte"))
+            say_left_out(path, others=[f"extension {kind:#010x} of {counted(size, 'byte')}"])
         offset += 8 + size
     return system

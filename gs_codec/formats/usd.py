@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
+from gs_codec.formats.beyond import left_out_of
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
-    left_out,
     sigmoid,
     unit_quaternions,
 )
@@ -170,7 +170,7 @@ def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
         write_zip(zipped, {name: data}, _MULTIPLE)
         data = zipped.getvalue()
     lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
-    return data, (lost, *clipped.sentences(), *left_out(scene, flag=True))
+    return data, (lost, *clipped.sentences(), *left_out_of(scene, flag=True))
 
 
 def _stage(scene: Scene, clipped: Clipped) -> Any:

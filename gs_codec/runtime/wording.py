@@ -1,8 +1,13 @@
-"""Numbers in messages, with their nouns and units."""
+"""Words of messages: numbers with nouns and units, arguments of Python or of a shell."""
 
 from __future__ import annotations
 
+import re
 from typing import SupportsIndex
+
+#: Arguments that messages of the library name, in Python: `overwrite=True`, `extra="drop"`.
+_ARGUMENT = re.compile(r'\b(overwrite|nonfinite|extra|cameras)=(?:True|"(\w+)")')
+_ACTION = re.compile(r'\bAction\("([a-z-]+)"(?:, "([^"]*)")?\)')
 
 
 def counted(number: SupportsIndex, noun: str) -> str:
@@ -22,3 +27,13 @@ def size_text(size: float) -> str:
         return counted(round(size), "byte")
     kilobytes = size / 1000
     return f"{kilobytes:.2f} kB" if kilobytes < 999.995 else f"{kilobytes / 1000:.2f} MB"
+
+
+def as_typed(text: str) -> str:
+    """A message of the library with Python's arguments as options of the commands."""
+    return _ACTION.sub(_option, _ARGUMENT.sub(_option, text))
+
+
+def _option(found: re.Match[str]) -> str:
+    name, value = found.groups()
+    return f"--{name}{'=' if value.startswith('-') else ' '}{value}" if value else f"--{name}"

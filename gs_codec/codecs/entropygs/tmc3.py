@@ -19,7 +19,7 @@ VARIABLE = "GS_CODEC_TMC3"
 
 _MISSING = (
     "tmc3 is MPEG's reference software for G-PCC, https://github.com/MPEGGroup/mpeg-pcc-tmc13, "
-    f"found by --tmc3, {VARIABLE} or PATH; geometry 'octree' needs no program"
+    f"found by tmc3, {VARIABLE} or PATH; geometry 'octree' needs no program"
 )
 
 

@@ -7,15 +7,11 @@ import numpy as np
 from gs_codec.rendering.project import FACTOR_YY, TILE
 from gs_codec.rendering.rows import (
     BEHIND,
-    BLUE_PLANE,
-    GREEN_PLANE,
     LEAST_LEFT,
     MOST_ALPHA,
     PIXELS,
-    RED_PLANE,
     alpha_at,
     draw_tile,
-    lift,
     open_tile,
     put_tile,
     row_of,
@@ -23,6 +19,7 @@ from gs_codec.rendering.rows import (
     splat_of,
     total_of,
     turn_back,
+    uncover,
 )
 from gs_codec.rendering.trace import tile_bounds
 from gs_codec.runtime.kernels import inlined, kernel
@@ -67,13 +64,7 @@ def _add_tile(fields, splats, start, end, x0, y0, height, light, ends, columns, 
             for x in range(TILE):
                 alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
                 alpha = alpha if drawn & (done[x] > number) else _ZERO
-                weight, uncovered = lift(row, x, alpha)
-                by_red = row[x + RED_PLANE] * uncovered - weight * red
-                by_green = row[x + GREEN_PLANE] * uncovered - weight * green
-                by_blue = row[x + BLUE_PLANE] * uncovered - weight * blue
-                row[x + RED_PLANE] += weight * red
-                row[x + GREEN_PLANE] += weight * green
-                row[x + BLUE_PLANE] += weight * blue
+                weight, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
                 g = by_red * by_red + by_green * by_green + by_blue * by_blue
                 # An alpha at its limit does not change.
                 g = g if alpha < MOST_ALPHA else _ZERO

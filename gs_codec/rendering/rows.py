@@ -107,11 +107,42 @@ def row_of(field, u, v, y):
 
 
 @inlined
+def cover(row, x, alpha, drawn, least):
+    """Put a splat on pixel `x`; return its weight, and whether the pixel is done before it.
+
+    That is where its transmittance would fall below `least`.
+    """
+    left = row[x]
+    after = left * (_ONE - alpha)
+    drawn &= left > _ZERO
+    last = drawn & (after < least)
+    drawn &= after >= least
+    row[x] = -left if last else (after if drawn else left)
+    return alpha * left if drawn else _ZERO, last
+
+
+@inlined
 def lift(row, x, alpha):
     """Take a splat off pixel `x`; return its weight, and what share of it shows what is behind."""
     over = _ONE / (_ONE - alpha)
     row[x] *= over
     return alpha * row[x], alpha * over
+
+
+@inlined
+def uncover(row, x, alpha, red, green, blue):
+    """Take a splat off pixel `x`, and add it to the light behind the next.
+
+    Returns its weight, and how much redder, greener and bluer the pixel would be without it.
+    """
+    weight, uncovered = lift(row, x, alpha)
+    by_red = row[x + RED_PLANE] * uncovered - weight * red
+    by_green = row[x + GREEN_PLANE] * uncovered - weight * green
+    by_blue = row[x + BLUE_PLANE] * uncovered - weight * blue
+    row[x + RED_PLANE] += weight * red
+    row[x + GREEN_PLANE] += weight * green
+    row[x + BLUE_PLANE] += weight * blue
+    return weight, by_red, by_green, by_blue
 
 
 @kernel
@@ -132,13 +163,7 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
             done = ends[y * TILE : y * TILE + TILE]
             for x in range(TILE):
                 alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                left = row[x]
-                after = left * (_ONE - alpha)
-                drawn &= left > _ZERO
-                last = drawn & (after < least)
-                drawn &= after >= least
-                weight = alpha * left if drawn else _ZERO
-                row[x] = -left if last else (after if drawn else left)
+                weight, last = cover(row, x, alpha, drawn, least)
                 row[x + RED_PLANE] += weight * red
                 row[x + GREEN_PLANE] += weight * green
                 row[x + BLUE_PLANE] += weight * blue
@@ -324,12 +349,6 @@ def _leave_out(fields, splats, start, end, x0, y0, height, light, ends, columns,
             for x in range(TILE):
                 alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
                 alpha = alpha if drawn & (done[x] > number) else _ZERO
-                weight, uncovered = lift(row, x, alpha)
-                by_red = row[x + RED_PLANE] * uncovered - weight * red
-                by_green = row[x + GREEN_PLANE] * uncovered - weight * green
-                by_blue = row[x + BLUE_PLANE] * uncovered - weight * blue
-                row[x + RED_PLANE] += weight * red
-                row[x + GREEN_PLANE] += weight * green
-                row[x + BLUE_PLANE] += weight * blue
+                _, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
                 columns[x] += by_red * by_red + by_green * by_green + by_blue * by_blue
         errors[pair, 0] = total_of(columns, 0)

@@ -14,6 +14,7 @@ from gs_codec.rendering.rows import (
     LEAST_LEFT,
     PIXELS,
     alpha_at,
+    cover,
     row_of,
     rows_of,
     splat_of,
@@ -185,13 +186,7 @@ def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends,
                     first_column, last_column, largest = _WIDTH, np.int32(-1), np.int32(0)
                     for x in range(TILE):
                         alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                        left = row[x]
-                        after = left * (_ONE - alpha)
-                        drawn &= left > _ZERO
-                        last = drawn & (after < LEAST_LEFT)
-                        drawn &= after >= LEAST_LEFT
-                        weight = alpha * left if drawn else _ZERO
-                        row[x] = -left if last else (after if drawn else left)
+                        weight, _ = cover(row, x, alpha, drawn, LEAST_LEFT)
                         units, column = np.int32(weight * _MOST + _HALF), np.int32(x)
                         row_weights[x] = units
                         first_column = min(first_column, column if units > 0 else _WIDTH)

@@ -292,7 +292,9 @@ def test_degree_4_of_tensors_is_left_out(caplog):
     tensors = tensors_of(random_scene(5, 3, seed=1))
     whole = np.pad(tensors["shN"], ((0, 0), (0, 9), (0, 0)), constant_values=1.0)
     assert_same_floats(scene_of_tensors(tensors | {"shN": whole}), scene_of_tensors(tensors))
-    assert caplog.messages == ["tensor 'shN': left out: SH of degree 4"]
+    scene_of_tensors(tensors | {"shN": whole}, "a.pt")
+    told = "left out: SH of degree 4"
+    assert caplog.messages == [f"tensor 'shN': {told}", f"a.pt: {told}"]
 
 
 def test_a_zip_of_two_checkpoints_is_refused(tmp_path):

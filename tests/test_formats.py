@@ -255,6 +255,20 @@ def test_spz_that_is_not_zipped_is_read(version, tmp_path):
         assert file.stated_bytes() == scenes[0].float_bytes
 
 
+@pytest.mark.parametrize("count", [0, 20])
+def test_degree_4_of_packed_ply_is_left_out(count, tmp_path, caplog):
+    elements = foreign.packed_rows(count, 5, 3)
+    sh = elements["sh"]
+    whole = np.zeros(count, [(f"f_rest_{i}", "u1") for i in range(72)])
+    for colour, number in np.ndindex(3, 15):
+        whole[f"f_rest_{24 * colour + number}"] = sh[f"f_rest_{15 * colour + number}"]
+    path = written(tmp_path / "a.ply", foreign.ply_file([*(elements | {"sh": whole}).items()]))
+    expected = written(tmp_path / "b.ply", foreign.ply_file([*elements.items()]))
+    assert_same_floats(read_scene(path), read_scene(expected))
+    assert caplog.messages[0] == f"{path}: left out: SH of degree 4"
+    assert overview_of(path).sh_degree == 3
+
+
 @pytest.mark.parametrize("version", [2, 3, 4])
 def test_degree_4_of_spz_is_left_out(version, tmp_path, caplog):
     streams = foreign.spz_streams(20, version, 4, seed=1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import assert_same_floats, random_scene
 from test_similarity import assert_seen_alike
 
 from gs_codec.errors import InvalidInput
@@ -383,6 +383,16 @@ def test_nodes_may_show_a_mesh_often_but_not_each_of_many_primitives(tmp_path):
         read(tmp_path, document, binary)
     document["nodes"] = [{"mesh": 0}]
     assert read(tmp_path, document, binary).count == 300 * 6
+
+
+def test_degree_4_is_left_out(tmp_path, caplog):
+    document, binary = made(degree=3)
+    expected = read(tmp_path, document, binary)
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    attributes[f"{KHR}:SH_DEGREE_4_COEF_0"] = attributes[f"{KHR}:SH_DEGREE_3_COEF_0"]
+    assert_same_floats(read(tmp_path, document, binary), expected)
+    path = tmp_path / "a.glb"
+    assert caplog.messages == [f"{path}: left out: SH of degree 4"]
 
 
 def test_primitives_of_several_degrees_are_refused(tmp_path):

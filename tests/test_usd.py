@@ -214,6 +214,25 @@ def test_longer_attributes_are_cut_off(tmp_path):
     assert_same_bits(read(tmp_path, HEAD + longer), read(tmp_path, HEAD + SPLATS))
 
 
+def test_degree_4_is_left_out(tmp_path, caplog):
+    def splats(degree: int, kept: int) -> str:
+        rows = [(k, k / 2, -k) for g in range(2) for k in range(100 * g, 100 * g + kept)]
+        return f"""def ParticleField3DGaussianSplat "A"
+{{
+    point3f[] positions = [(1, 2, 3), (4, 5, 6)]
+    uniform int {SH}Degree = {degree}
+    float3[] {SH}Coefficients = {rows}
+}}"""
+
+    whole, expected = read(tmp_path, HEAD + splats(4, 25)), read(tmp_path, HEAD + splats(3, 16))
+    assert_same_bits(whole, expected)
+    assert whole.sh_degree == 3
+    path = tmp_path / "a.usda"
+    assert caplog.messages[:1] == [f"{path}: left out: SH of degree 4"]
+
+
+SH = "radiance:sphericalHarmonics"
+
 PLACED = """
 def Xform "Above"
 {{
@@ -332,8 +351,8 @@ BAD = {
     ),
     "short": (edited("[0.5, 0.25]", "[0.5]"), "USD: opacities of 1, expected 2"),
     "SH short": (edited("Degree = 1", "Degree = 2"), "Coefficients of 8, expected 18"),
-    "degree 4": (edited("Degree = 1", "Degree = 4"), "SH degree 4, expected 0 to 3"),
-    "degree -1": (edited("Degree = 1", "Degree = -1"), "SH degree -1, expected 0 to 3"),
+    "degree 5": (edited("Degree = 1", "Degree = 5"), "SH degree 5, expected 0 to 4"),
+    "degree -1": (edited("Degree = 1", "Degree = -1"), "SH degree -1, expected 0 to 4"),
     "several degrees": (
         HEAD + SPLATS + 'def ParticleField3DGaussianSplat "B"\n{\npoint3f[] positions = []\n}\n',
         "several SH degrees, expected one",

@@ -104,7 +104,8 @@ def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
     with _opened(path) as (archive, folder, tensors):
         check_count(*check_shapes(tensors), len(data), max_bytes)
         most = most_bytes(len(data), max_bytes)
-        scene = scene_of_tensors({n: _numbers(archive, folder, tensors[n], most) for n in tensors})
+        arrays = {n: _numbers(archive, folder, tensors[n], most) for n in tensors}
+        scene = scene_of_tensors(arrays, path)
     rank = re.compile(r"_rank(\d+)\.")
     other = path.with_name(rank.sub(lambda m: f"_rank{int(m[1] == '0')}.", path.name))
     if other != path and other.exists():

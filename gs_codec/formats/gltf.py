@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
-from gs_codec.formats.beyond import left_out_of
+from gs_codec.formats.beyond import left_out_of, say_degree_4
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.gltf_file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
@@ -48,6 +48,8 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
         # Buffers may lie in files beside it.
         stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
         check_count(count, degree, max(len(view), stored), max_bytes)
+        if any(_sh_name(4, 0) in each.primitive["attributes"] for each in placed):
+            say_degree_4(path)
         return join_scenes([_scene_of(file, each, degree) for each in placed])
 
 

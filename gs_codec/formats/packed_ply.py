@@ -16,7 +16,7 @@ from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import ShGrid
-from gs_codec.formats.beyond import left_out_of
+from gs_codec.formats.beyond import left_out_of, say_degree_4
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
@@ -32,7 +32,7 @@ from gs_codec.formats.ply_body import Ply
 from gs_codec.formats.ply_header import PlyHeader
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, stated_comments
+from gs_codec.scene import DEGREE_4, SH_C0, SH_COEFFICIENTS, Scene, stated_comments
 
 PACKED_ELEMENTS = ("chunk", "vertex", "sh")
 
@@ -79,7 +79,9 @@ def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
     if chunk.count != chunks:
         raise InvalidInput(f"element 'chunk': {counted(chunk.count, 'row')}, expected {chunks:,}")
     coefficients = 0 if sh is None else _check_sh(sh.types, sh.count, vertex.count)
-    degree = SH_COEFFICIENTS.index(coefficients)
+    if coefficients == DEGREE_4:
+        say_degree_4(ply.path)
+    degree = SH_COEFFICIENTS.index(min(coefficients, SH_COEFFICIENTS[-1]))
     check_count(vertex.count, degree, len(ply.data), max_bytes)
     rows, limits = ply.rows("vertex").all(), ply.rows("chunk").all()
     position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in _PACKED)
@@ -115,8 +117,10 @@ def _check_types(element: str, types: dict[str, str], names: Sequence[str], code
 
 def _check_sh(types: dict[str, str], count: int, gaussians: int) -> int:
     """Check element `sh`; return its SH-AC coefficients per colour channel."""
-    if len(types) not in [3 * k for k in SH_COEFFICIENTS]:
-        raise InvalidInput(f"element 'sh': {counted(len(types), 'property')}, expected 9, 24 or 45")
+    if len(types) not in [3 * k for k in (*SH_COEFFICIENTS, DEGREE_4)]:
+        raise InvalidInput(
+            f"element 'sh': {counted(len(types), 'property')}, expected 9, 24, 45 or 72"
+        )
     if count != gaussians:
         raise InvalidInput(f"element 'sh': {counted(count, 'row')}, expected {gaussians:,}")
     _check_types("sh", types, [f"f_rest_{i}" for i in range(len(types))], "u1")
@@ -146,16 +150,16 @@ def _quaternions(packed: NDArray[np.uint32]) -> NDArray[np.float32]:
 
 def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
     """SH-AC: a byte is the middle of one of 256 equal bins of -4 to 4; 0 and 255 are the ends."""
-    planes = np.empty((3 * coefficients, count), np.float32)
-    if not coefficients:
-        return planes
-    share = (np.arange(256) + 0.5) / 256
-    share[[0, 255]] = 0, 1
-    values = ((share - 0.5) * 8).astype(np.float32)
-    rows = ply.rows("sh").all()
-    for i, plane in enumerate(planes):
-        plane[:] = values[rows[f"f_rest_{i}"]]
-    return planes
+    kept = min(coefficients, SH_COEFFICIENTS[-1])
+    planes = np.empty((3, kept, count), np.float32)
+    if kept:
+        share = (np.arange(256) + 0.5) / 256
+        share[[0, 255]] = 0, 1
+        values = ((share - 0.5) * 8).astype(np.float32)
+        rows = ply.rows("sh").all()
+        for colour, k in np.ndindex(3, kept):
+            planes[colour, k] = values[rows[f"f_rest_{colour * coefficients + k}"]]
+    return planes.reshape(3 * kept, count)
 
 
 def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:

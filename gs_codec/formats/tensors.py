@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,8 +77,11 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
     return count, SH_COEFFICIENTS.index(min(coefficients, SH_COEFFICIENTS[-1]))
 
 
-def scene_of_tensors(tensors: Mapping[str, NDArray]) -> Scene:
-    """The scene of arrays by gsplat's or nerfstudio's names; raises as `check_shapes` does."""
+def scene_of_tensors(tensors: Mapping[str, NDArray], where: str | Path = "tensor 'shN'") -> Scene:
+    """The scene of arrays by gsplat's or nerfstudio's names; raises as `check_shapes` does.
+
+    `where` begins a warning.
+    """
     count, degree = check_shapes(tensors)
     named = _by_our_names(tensors)
     for name, array in named.items():
@@ -97,7 +101,7 @@ def scene_of_tensors(tensors: Mapping[str, NDArray]) -> Scene:
     if coefficients:
         f_rest[:] = named["shN"][:, :coefficients].transpose(2, 1, 0)
         if named["shN"].shape[1] == DEGREE_4:
-            say_degree_4("tensor 'shN'")
+            say_degree_4(where)
     return Scene(
         planes("means", 3),
         f_dc,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
-from gs_codec.formats.beyond import left_out_of
+from gs_codec.formats.beyond import left_out_of, say_degree_4
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import (
@@ -80,6 +80,8 @@ def read_usd(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
     with located(path):
         found = _read_apart(view, most_bytes(len(view), max_bytes))
         check_count(*_total(found), len(view), max_bytes)
+        if found["has_degree_4"]:
+            say_degree_4(path)
         with refusing("USD"):
             return join_scenes(_scenes(found))
 

@@ -74,23 +74,24 @@ def _arrays(source: str, most: int) -> dict[str, NDArray]:
     if not prims:
         raise InvalidInput("no ParticleField3DGaussianSplat, not a scene of Gaussians")
     positions, sizes, total = [], [], 0
-    for prim in prims:
+    degrees = [_degree(prim) for prim in prims]
+    for prim, degree in zip(prims, degrees, strict=True):
         rows = _rows(prim, "positions", 3)
         if rows is None:
             raise InvalidInput("no positions, expected those of all Gaussians")
-        sizes.append((len(rows), _degree(prim)))
+        sizes.append((len(rows), min(degree, 3)))
         total += float_bytes(*sizes[-1])
         if total <= most:
             positions.append(rows)
     found = {"sizes": np.array(sizes), "z_up": UsdGeom.GetStageUpAxis(stage) == "Z"}
+    found["has_degree_4"] = np.array(4 in degrees)
     if total > most or len({degree for _, degree in sizes}) > 1:
         return found
     found["positions"] = np.concatenate(positions)
     for name, missing in _MISSING.items():
-        each = 1 + SH_COEFFICIENTS[sizes[0][1]] if name == _COEFFICIENTS else 1
         found[name] = np.concatenate([
-            _first_rows(prim, name, missing, each * count)
-            for prim, (count, _) in zip(prims, sizes, strict=True)
+            _first_rows(prim, name, missing, count, degree if name == _COEFFICIENTS else 0)
+            for prim, (count, _), degree in zip(prims, sizes, degrees, strict=True)
         ])  # fmt: skip
     found["matrices"] = np.array([_placed(prim) for prim in prims])
     return found
@@ -153,20 +154,28 @@ def _rows(prim: Any, name: str, width: int) -> NDArray[np.float32] | None:
     return None
 
 
-def _first_rows(prim: Any, name: str, missing: Sequence[float], count: int) -> NDArray[np.float32]:
-    """The first rows of an attribute, or so many of what is there without it."""
+def _first_rows(
+    prim: Any, name: str, missing: Sequence[float], count: int, degree: int
+) -> NDArray[np.float32]:
+    """The first rows of an attribute for so many Gaussians, or of what is there without it.
+
+    Those of a Gaussian are up to SH degree 3, of an attribute of `degree`.
+    """
+    each = (degree + 1) ** 2
     rows = _rows(prim, name, len(missing))
     if rows is None:
-        return np.full((count, len(missing)), missing, np.float32)
-    if len(rows) < count:
-        raise InvalidInput(f"{name} of {len(rows)}, expected {count}")
-    return rows[:count]
+        rows = np.full((each * count, len(missing)), missing, np.float32)
+    if len(rows) < each * count:
+        raise InvalidInput(f"{name} of {len(rows)}, expected {each * count}")
+    kept = min(each, 1 + SH_COEFFICIENTS[-1])
+    rows = rows[: each * count].reshape(count, each, len(missing))[:, :kept]
+    return rows.reshape(kept * count, len(missing))
 
 
 def _degree(prim: Any) -> int:
     degree = prim.GetAttribute(_DEGREE).Get(_TIME)
-    if not isinstance(degree, int) or not 0 <= degree < len(SH_COEFFICIENTS):
-        raise InvalidInput(f"SH degree {degree!a:.20}, expected 0 to {len(SH_COEFFICIENTS) - 1}")
+    if not isinstance(degree, int) or not 0 <= degree <= 4:
+        raise InvalidInput(f"SH degree {degree!a:.20}, expected 0 to 4")
     return degree
 
 

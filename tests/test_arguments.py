@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 from dataclasses import is_dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from scenes import random_scene
 
 import gs_codec
 import gs_codec.edit
+import viewer
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.formats.ply import write_ply
@@ -66,6 +68,31 @@ def test_wrong_types_are_one_line(name):
             except GsCodecError as error:
                 refused += "\n" not in str(error)
     assert refused >= 4 * len(parameters)
+
+
+DRAWN = inspect.signature(viewer.draw).parameters.keys() - {"scenes", "pruned", "up", "cameras"}
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (viewer.draw, "draw: 0 scenes, expected one or two"),
+        (lambda: viewer.draw(5), "scene: int, expected an open3d.t.geometry.PointCloud"),
+        (lambda: viewer.draw("a.ply", None), "scene: None, expected an open3d"),
+        (lambda: viewer.draw("a.ply", layers="splats"), "layers: str 'splats', expected Sequence"),
+        (lambda: viewer.draw("a.ply", pruned=5), "pruned: int 5, expected str or Path"),
+        (lambda: viewer.draw("a.ply", up=5), "up: int 5, expected str"),
+        (lambda: viewer.draw("a.ply", cameras=5), "cameras: int 5, expected str or Path or "),
+        *((partial(viewer.draw, "a.ply", **{n: object()}), f"{n}: object ") for n in sorted(DRAWN)),
+        (lambda: viewer.attach(5), "visualizer: int, expected an open3d.visualization.O3DVis"),
+    ],
+)
+def test_the_viewer_checks_types_before_it_opens_a_window(call, text, monkeypatch):
+    monkeypatch.setattr("viewer.plugin.find_device", lambda: pytest.fail("looks for a display"))
+    with pytest.raises(GsCodecError) as error:
+        call()
+    assert str(error.value).startswith(text)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(

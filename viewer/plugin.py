@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gs_codec
+from gs_codec.formats.cloud import check_cloud
 from gs_codec.rendering.images import find_image, seek_images
 from gs_codec.rendering.photographs import read_photograph
+from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 from viewer.pictures.centres import centres, pruned_centres
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 _GROUP = "gs_codec"
 
 
+@checked
 def draw(
     *scenes: PointCloud | str | Path,
     cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, Any]] | None = None,
@@ -89,10 +92,13 @@ def draw(
     """
     if not 1 <= len(scenes) <= 2:
         raise gs_codec.GsCodecError(f"draw: {counted(len(scenes), 'scene')}, expected one or two")
+    for scene in scenes:
+        if not isinstance(scene, str | Path):
+            check_cloud(scene)
     a, b = (*scenes, None)[:2]
     folder = Path(pruned) if pruned is not None else None
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)
-    octree, size = OctreeChoice(octree_depth, octree_colour), (width, height)
+    octree, size = OctreeChoice(int(octree_depth), octree_colour), (int(width), int(height))
     request = Request(
         a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree,
         up=up, scale=colour_scale,
@@ -139,6 +145,12 @@ def attach(visualizer: O3DVisualizer) -> Actions:
     >>> actions.compare("scene.egs")
     >>> actions.detach()
     """
+    import open3d
+
+    if not isinstance(visualizer, open3d.visualization.O3DVisualizer):
+        given = type(visualizer).__name__
+        expected = "expected an open3d.visualization.O3DVisualizer"
+        raise gs_codec.GsCodecError(f"visualizer: {given}, {expected}")
     actions = Actions(visualizer)
     for title, ask in (
         ("Open a scene ...", actions.ask_open),
@@ -174,6 +186,7 @@ class Actions:
         self.cameras: list[gs_codec.Camera] = []
         visualizer.set_on_close(self._closing)
 
+    @checked
     def open(self, path: str | Path, up: str | None = None) -> None:
         """Show a scene, replacing the previous one, from its overview; `up` is as for `draw`."""
         request = Request(up=up)
@@ -190,6 +203,7 @@ class Actions:
         angle = float(np.degrees(2 * np.arctan(0.5 / pose.focal[1])))
         self._visualizer.setup_camera(angle, centre, pose.position, -down)
 
+    @checked
     def pruned(self, folder: str | Path) -> None:
         """Show the Gaussians that preparation removed, coloured by reason, and the others."""
         scene = self._needed()
@@ -199,6 +213,7 @@ class Actions:
         self._show(scene, {"kept": kept, "pruned": pruned_centres(scene, pruned)})
         self._note(f"{scene.name}: pruned", pruned=pruned)
 
+    @checked
     def compare(self, path: str | Path) -> None:
         """Show only another version, its centres coloured by their error against the scene."""
         scene, other = self._needed(), open_scene(path)
@@ -207,6 +222,7 @@ class Actions:
         legends = [points.legend] if points.legend is not None else []
         self._note(f"{other.name} against {scene.name}", legends=legends)
 
+    @checked
     def photographs(self, cameras: str | Path, images: str | Path) -> None:
         """Show where the cameras of a file are; `nearest` shows their images in a folder."""
         self._check()

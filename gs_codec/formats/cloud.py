@@ -54,6 +54,14 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     return cloud
 
 
+def check_cloud(cloud: Any) -> None:
+    """`InvalidInput` for what is no point cloud of Open3D."""
+    open3d = needed("open3d", "a scene as a point cloud")
+    if not isinstance(cloud, open3d.t.geometry.PointCloud):
+        given = "None" if cloud is None else type(cloud).__name__
+        raise InvalidInput(f"scene: {given}, expected an open3d.t.geometry.PointCloud")
+
+
 def from_cloud(
     cloud: open3d.t.geometry.PointCloud,
     extra: Extra = "error",
@@ -73,10 +81,7 @@ def from_cloud(
         If an attribute is missing, has a wrong shape, or is not float32, or if ``scale`` is not
         the exponential of ``log_scale``.
     """
-    open3d = needed("open3d", "a scene as a point cloud")
-    if not isinstance(cloud, open3d.t.geometry.PointCloud):
-        given = "None" if cloud is None else type(cloud).__name__
-        raise InvalidInput(f"scene: {given}, expected an open3d.t.geometry.PointCloud")
+    check_cloud(cloud)
     arrays = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
     if "scale" in arrays:
         linear = _plane(arrays, "scale", (3,))

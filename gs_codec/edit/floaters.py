@@ -32,15 +32,23 @@ from gs_codec.scene import Scene
 #: Why a Gaussian is a floater; the index is the label. The first stays.
 FLOATERS = ("", "isolated", "hardly seen", "outside")
 
-#: Isolated: more than so many times the usual distance from others; before a camera, so many.
-_FAR, _FAR_BEFORE = 1.75, 1.25
+#: Isolated: at least this many times the usual distance from other Gaussians.
+_FAR = 1.75
 
-#: Before a camera: nearer than this part of what it looks at, which is nearly all (this share) of
-#: the pixels that are more than half opaque.
-_BEFORE, _LOOKED_AT = 0.7, 0.95
+#: The same in front of a camera.
+_FAR_BEFORE = 1.25
 
-#: Hardly seen: below this part of the mean blending weight, by at least so many cameras.
-_FAINT, _VIEWS = 1e-3, 10
+#: In front of a camera: nearer than this share of the depth of its subject.
+_BEFORE = 0.7
+
+#: The subject of a camera: this share of the pixels that are more than half opaque.
+_LOOKED_AT = 0.95
+
+#: Hardly seen: below this share of the mean blending weight.
+_FAINT = 1e-3
+
+#: Minimum number of cameras for that.
+_VIEWS = 10
 
 #: Views are drawn at most this wide, pixels.
 _WIDTH = 640

@@ -18,9 +18,11 @@ _LARGEST = 80.0
 #: Least variance and opacity: logarithms are finite.
 _TINY = 1e-300
 
-#: Rotations of all pairs of axes, at most; entries off the diagonal that are this share of the
-#: geometric mean of those on it are 0.
-_SWEEPS, _NOTHING = 12, 1e-17
+#: Maximum number of sweeps over all pairs of axes.
+_SWEEPS = 12
+
+#: Off-diagonal entries below this share of the geometric mean of their diagonal entries are 0.
+_NOTHING = 1e-17
 
 
 def covariances_of(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -25,8 +25,11 @@ from gs_codec.scene import Scene
 #: A Gaussian is as far from others as from its eighth nearest.
 NEIGHBOURS = 8
 
-#: The usual distance is the largest of this share of so many Gaussians, evenly taken.
-_SHARE, _SAMPLE = 0.9, 4096
+#: The usual distance is this quantile of the distances.
+_SHARE = 0.9
+
+#: It is estimated from this many Gaussians, evenly spaced in the scene.
+_SAMPLE = 4096
 
 #: Powers of two of sizes are within those of float32.
 _OCTAVES = 126

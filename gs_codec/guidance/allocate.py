@@ -31,15 +31,23 @@ _SIZE_TOLERANCE = 0.02
 #: A loss may be smaller than asked for by at most this, dB.
 _DROP_TOLERANCE = 0.02
 
-#: Approximate change of log2 of the size, and of the loss, when the steps double.
-_SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
+#: Approximate change of log2 of the size when the steps double.
+_SIZE_SLOPE = -0.45
 
-#: For the first guess: about how many times smaller SH compaction makes a file, and then how many
-#: times larger the refit of colours makes it.
-_COMPACTION_SAVES, _REFIT_ADDS = 1.08, 1.01
+#: Approximate change of log2 of the loss when the steps double.
+_DROP_SLOPE = 1.7
 
-#: Share of the Gaussians that a round of pruning removes, and the largest number of rounds.
-_PART, _MOST_PARTS = 0.2, 10
+#: About how many times smaller SH compaction makes a file, for the first guess.
+_COMPACTION_SAVES = 1.08
+
+#: About how many times larger the refit of colours then makes it.
+_REFIT_ADDS = 1.01
+
+#: Share of the Gaussians that a round of pruning removes.
+_PART = 0.2
+
+#: Maximum number of these rounds.
+_MOST_PARTS = 10
 
 
 def encode_to_target(

@@ -54,11 +54,17 @@ ABOVE_MEAN = 1.4 / 1.16
 #: The error grows about with this power of the step sizes.
 POWER = 1.76
 
-#: Measure at most twice, and again only if the steps changed by more octaves than `_NEAR`.
-_ROUNDS, _NEAR = 2, 0.25
+#: Maximum number of measurements.
+_ROUNDS = 2
 
-#: The result is a multiple of `_OCTAVE`, at most `_FARTHEST` octaves from the profile.
-_OCTAVE, _FARTHEST = 1 / 16, 2.0
+#: Measure again only if the steps changed by more than this, octaves.
+_NEAR = 0.25
+
+#: The result is a multiple of this, octaves.
+_OCTAVE = 1 / 16
+
+#: Maximum distance from the profile, octaves.
+_FARTHEST = 2.0
 
 #: Gaussians quantised at once.
 _AT_ONCE = 1 << 13

@@ -35,8 +35,11 @@ from gs_codec.runtime.arrays import release_freed
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, channel_count
 
-#: Conjugate-gradient iterations of the refit, and where pruning took something: more can be won.
-_REFIT, _REFIT_PRUNED = 6, 10
+#: Conjugate-gradient iterations of the refit of colours.
+_REFIT = 6
+
+#: The same for a pruned scene, which gains more from them.
+_REFIT_PRUNED = 10
 
 #: Cross-validation over views that decides whether compaction pays: a fold is every fourth view,
 #: and every other fold is left out once.

@@ -30,8 +30,11 @@ _ELSEWHERE = 2.0
 #: A bit is worth this much of the squared error that it takes away in a finer step.
 _WORTH = 0.5
 
-#: Bits of a level beside 0, about: of 1, and of each octave above.
-_FIRST_BITS, _OCTAVE_BITS = 4.0, 1.5
+#: About how many bits a level of 1 takes.
+_FIRST_BITS = 4.0
+
+#: About how many more bits each octave above takes.
+_OCTAVE_BITS = 1.5
 
 #: Most times that every coefficient is moved.
 _SWEEPS = 3

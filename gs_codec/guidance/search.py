@@ -6,8 +6,11 @@ import math
 from collections.abc import Callable
 from functools import cache
 
-#: Log2 of the smallest and the largest coarseness that is tried.
-FINEST, COARSEST = -6.0, 6.0
+#: Log2 of the smallest coarseness that is tried.
+FINEST = -6.0
+
+#: Log2 of the largest coarseness that is tried.
+COARSEST = 6.0
 
 #: Point of the interval that the search aims at, 0 to 1.
 _AIM = 0.7
@@ -15,8 +18,11 @@ _AIM = 0.7
 #: Largest change of log2 of the coarseness that `_expected` gives.
 _FARTHEST = 2.0
 
-#: Factor on the distance to where the secant is 0, to overshoot it; and the smallest distance.
-_BEYOND, _LEAST_STEP = 1.25, 0.02
+#: Factor on the distance to the root of the secant, to overshoot it.
+_BEYOND = 1.25
+
+#: Minimum distance, log2.
+_LEAST_STEP = 0.02
 
 #: Resolution of the search, log2; and further points, in units of it, that are tried where the
 #: measure is rough.

@@ -35,12 +35,20 @@ _AT_SUBJECT = 0.5
 #: Smaller scenes keep the steps of their profile: calibration would take longer than encoding.
 _LEAST = 5000
 
-#: Number of windows that choose step sizes; that measure the result from likely places; and from
-#: given cameras.
-_CHOOSING, _CHECKING, _CHECKING_GIVEN = 96, 64, 128
+#: Number of windows that choose step sizes.
+_CHOOSING = 96
 
-#: Side of a window in pixels, and about how many Gaussians it shows.
-_SIDE, _SHOWN = 32, 500
+#: Number of windows that measure the result from likely camera places.
+_CHECKING = 64
+
+#: Number of windows that measure the result from given cameras.
+_CHECKING_GIVEN = 128
+
+#: Side of a window, pixels.
+_SIDE = 32
+
+#: About how many Gaussians a window shows.
+_SHOWN = 500
 
 #: Skip windows that show more Gaussians: they take too long.
 MOST_SHOWN = 5000

@@ -22,11 +22,13 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.scene import Scene
 
-#: Mean squared error of covered pixels that a block may have: 35 dB. Of scenes that are not
-#: antialiased, views of which are further from the scene the larger pixels are, 32.5 dB: at a pixel
-#: they have finer blocks, too. Chosen on bonsai, flowers and the showroom (RESULTS.md, "Levels of
-#: detail").
-_ALIKE, _MIXED = 10.0**-3.5, 10.0**-3.25
+#: Maximum mean squared error of covered pixels of a block: 35 dB. Chosen on bonsai, flowers and the
+#: showroom (RESULTS.md, "Levels of detail").
+_ALIKE = 10.0**-3.5
+
+#: The same for scenes that are not antialiased: 32.5 dB. Their views differ more from the scene the
+#: larger pixels are.
+_MIXED = 10.0**-3.25
 
 #: Pixels that opacities are made for, and clusters up to `_TOGETHER`, as a share of the error of
 #: their block: what rasterisers widen splats by makes many small ones hide more than one of their
@@ -37,11 +39,20 @@ FOOTPRINT = 0.7
 #: far apart would be one, and from near a fog before all else.
 _TOGETHER = 2.0
 
-#: Runs of a group that are looked at, at most, Gaussians of each, and the side of pictures.
-_RUNS, _RUN, _SIDE = 4, 1024, 128
+#: Maximum number of runs of a group that are measured.
+_RUNS = 4
 
-#: Octaves from the distance of neighbours down and up to which pixels are tried.
-_LEAST, _MOST = -5, 8
+#: Gaussians in a run.
+_RUN = 1024
+
+#: Side of the pictures, pixels.
+_SIDE = 128
+
+#: Smallest pixel that is tried, in octaves of the distance between neighbours.
+_LEAST = -5
+
+#: Largest pixel that is tried.
+_MOST = 8
 
 #: Least error, as a share of the wanted one: its logarithm is finite.
 _NONE = 1e-9

@@ -21,9 +21,11 @@ from gs_codec.scene import Scene
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.3
 
-#: Gaussians of a Morton curve that are looked at after each, and how many of them, the nearest, it
-#: may merge with.
-_WINDOW, _NEAREST = 24, 6
+#: Number of following Gaussians on a Morton curve among which a Gaussian finds its neighbours.
+_WINDOW = 24
+
+#: A Gaussian may merge with one of this many nearest neighbours.
+_NEAREST = 6
 
 #: Where the curve of each round begins, as a share of the extent: pairs that one curve separates
 #: are near on another.

@@ -25,8 +25,11 @@ from gs_codec.levels.encoding import config_of_levels
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import ANTIALIASED, Scene, join_scenes
 
-#: Most Gaussians of a leaf, and of a file unless a leaf alone has more.
-LEAF, FILE = 1 << 14, 1 << 18
+#: Maximum number of Gaussians in a leaf.
+LEAF = 1 << 14
+
+#: Maximum number of Gaussians in a file, unless a single leaf has more.
+FILE = 1 << 18
 
 #: The boxes of leaves hold ellipsoids of one standard deviation, as those of other writers do:
 #: distances to larger ones would be 0 in too many places. `block_extent` takes three.

@@ -23,10 +23,12 @@ StepError = Callable[[float, float], float]
 #: The same by the views that guide preparation.
 StepsOf = Callable[[ViewSplit], StepError]
 
-#: Share of the squared error of pruning that 500 iterations of refinement leave: with photographs,
-#: and without, when it has nothing to win but what pruning took; and the power of their number by
-#: which it falls (bench/RESULTS.md).
-_LEFT, _FALL = {True: 0.07, False: 0.13}, -0.4
+#: Share of the squared error of pruning that 500 iterations of refinement leave, with photographs
+#: and without (bench/RESULTS.md).
+_LEFT = {True: 0.07, False: 0.13}
+
+#: This share falls with this power of the number of iterations.
+_FALL = -0.4
 
 #: Share of the error that a profile may add which its steps do add, colours refitted.
 ADDED = 0.25

@@ -33,8 +33,11 @@ _ROUNDS = 12
 #: If nothing moves by this share of `smallest`, only the last two rounds follow.
 _STILL = 0.02
 
-#: From this round on, SH-AC below this share of `smallest` become 0: that leaves little to solve.
-_TINY_FROM, _TINY = 2, 0.1
+#: SH-AC below this share of `smallest` become 0, which leaves little to solve.
+_TINY = 0.1
+
+#: The first round in which they do.
+_TINY_FROM = 2
 
 #: Weight that holds a solution to the one before it, as a share of the weight of all views.
 _INERTIA = 1e-9

@@ -47,9 +47,12 @@ from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
 
-#: How many times more views refinement fits than other steps work by, as its time does not depend
-#: on their number; and about the most bytes that images may take for it to be more.
-_TARGETS, _TARGET_BYTES = 4, 1 << 30
+#: Refinement fits this many times as many views as other steps use: its time does not depend on
+#: their number.
+_TARGETS = 4
+
+#: About the most bytes that the images of these further views may take.
+_TARGET_BYTES = 1 << 30
 
 #: Most views between cameras for each that is missing.
 _BETWEEN = 4

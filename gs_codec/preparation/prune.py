@@ -36,8 +36,11 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
-#: Exponent of a Gaussian's volume in LightGaussian's score, and the quantile it is divided by.
-_VOLUME_POWER, _VOLUME_QUANTILE = 0.1, 0.9
+#: Exponent of a Gaussian's volume in LightGaussian's score.
+_VOLUME_POWER = 0.1
+
+#: Volumes are divided by this quantile of theirs.
+_VOLUME_QUANTILE = 0.9
 
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2

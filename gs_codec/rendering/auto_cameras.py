@@ -25,36 +25,64 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Number of cameras, unless another is asked for.
+#: Default number of cameras.
 COUNT = 24
 
-#: Size of the images, pixels; the field of view is 51 degrees wide.
-WIDTH, HEIGHT = 420, 280
+#: Size of the images, pixels.
+WIDTH = 420
+HEIGHT = 280
+
+#: Focal length, pixels: a horizontal field of view of 51 degrees.
 _FOCAL = 1.04 * WIDTH
 
-#: Places tried for an overview, and how many times as far from the subject views are.
-_OVERVIEWS, _BACK = 48, (1.0, 1.6, 2.5)
+#: Number of places tried for an overview.
+_OVERVIEWS = 48
 
-#: Views are judged by about so many Gaussians, and of overviews the best in full.
-_ROUGH, _FINALISTS = 10_000, 16
+#: Overviews are also tried from farther away: this many times the distance of each place.
+_BACK = (1.0, 1.6, 2.5)
 
-#: Space around a subject, and how much farther than for 0.9 of it a camera has to be for 0.99 where
-#: nothing surrounds it: things, people and plants have 1.2 to 1.3, things in a room above 2.
-_MARGIN, _COMPACT = 1.2, 1.5
+#: About how many Gaussians are drawn to compare views.
+_ROUGH = 10_000
 
-#: Views that are tried for each that is asked for, their least number, and how many are good.
-_TRIED, _LEAST_TRIED, _GOOD = 3, 96, 2.7
+#: Number of the best overviews that are compared again with all Gaussians.
+_FINALISTS = 16
 
-#: Share of views that look at the subject, and that of the places after which they are likely to be
-#: tried only 1/e as often.
-_AT_SUBJECT, _LIKELY = 0.5, 0.5
+#: Distance of an overview, in units of that at which 0.99 of the subject fits into the image.
+_MARGIN = 1.2
 
-#: Views are judged at this size.
+#: Nothing surrounds a scene if the distance from which a camera sees 0.99 of it is less than this
+#: many times that for 0.9. Objects, people and plants have 1.2 to 1.3, objects in a room above 2.
+_COMPACT = 1.5
+
+#: Number of views tried for each one requested.
+_TRIED = 3
+
+#: Minimum number of views tried.
+_LEAST_TRIED = 96
+
+#: Views are chosen among this many times the requested number: the best of those tried.
+_GOOD = 2.7
+
+#: Share of the views that look at the subject; the others look at random Gaussians.
+_AT_SUBJECT = 0.5
+
+#: Places are drawn by rank: 1/e as often after this share of them.
+_LIKELY = 0.5
+
+#: Size at which views are compared, pixels.
 _THUMB = (96, 64)
 
-#: Views to work by are this many times as many, of this width: half the size. They are up to so
-#: many times as wide, and so fewer, if there are fewer pixels than this for a Gaussian they show.
-_MANY, SMALL, _LARGER, _PIXELS = 4, WIDTH // 2, math.sqrt(2), 3.0
+#: Views for guidance and refinement: this many times the requested number.
+_MANY = 4
+
+#: Width of these views, pixels.
+SMALL = WIDTH // 2
+
+#: They are up to this many times as wide, and fewer, in scenes of many small Gaussians.
+_LARGER = math.sqrt(2)
+
+#: Those are scenes of which a view has fewer pixels than this for each Gaussian that it shows.
+_PIXELS = 3.0
 
 
 class Estimate(NamedTuple):

@@ -29,8 +29,12 @@ from gs_codec.rendering.json_fields import (
     short,
 )
 
-#: SuperSplat's poses have no size and, in old files, no field of view: pixels, degrees.
-WIDTH, HEIGHT, FIELD_OF_VIEW = 1280, 720, 60.0
+#: Image size of SuperSplat's poses, pixels: the files have none.
+WIDTH = 1280
+HEIGHT = 720
+
+#: Field of view where an old file has none, degrees.
+FIELD_OF_VIEW = 60.0
 
 #: From SuperSplat's world to that of the scene, and back.
 _TURN = np.array([-1.0, -1.0, 1.0])

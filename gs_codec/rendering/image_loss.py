@@ -13,8 +13,11 @@ from gs_codec.runtime.threads import run_all
 if TYPE_CHECKING:
     import torch
 
-#: Weights of the mean absolute error and of 1 - SSIM in the loss.
-_ABSOLUTE, _SSIM = 0.8, 0.2
+#: Weight of the mean absolute error in the loss, as in 3DGS.
+_ABSOLUTE = 0.8
+
+#: Weight of 1 - SSIM in the loss.
+_SSIM = 0.2
 
 #: Half the window of SSIM, pixels.
 _HALF = 5

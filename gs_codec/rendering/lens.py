@@ -28,8 +28,14 @@ _EDGE = 4096
 #: Largest growth of an image's sides, as in COLMAP; wide fisheye images would grow without end.
 _MAX_GROWTH = 2.0
 
-#: Newton's method, as in COLMAP: steps are at most 0.1, or 0.1 of the distance from the middle.
-_ITERATIONS, _STEP, _DONE = 100, 0.1, 1e-10
+#: Maximum number of iterations of Newton's method, as in COLMAP.
+_ITERATIONS = 100
+
+#: Maximum length of its steps: absolute, or as a share of the distance from the centre.
+_STEP = 0.1
+
+#: It stops at steps shorter than this.
+_DONE = 1e-10
 
 #: Of a complex step, whose derivative is exact.
 _TINY = 1e-20

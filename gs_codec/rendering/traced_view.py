@@ -27,21 +27,35 @@ from gs_codec.scene import Scene
 #: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
 SQUARED = 3
 
-#: Weights are kept in 16 bits: to 1/500 of what an image of 8 bits shows.
+#: A weight of 1 in 16 bits; a unit is 1/257 of a step of an 8-bit image.
 _UNITS = 65535.0
-_UNIT, _MOST, _HALF = np.float32(1 / _UNITS), np.float32(_UNITS), np.float32(0.5)
-_ZERO, _ONE, _WIDTH = np.float32(0), np.float32(1), np.int32(TILE)
 
-#: A row whose weights are all below this is faint, in units.
+#: The same numbers, typed for the kernels.
+_UNIT = np.float32(1 / _UNITS)
+_MOST = np.float32(_UNITS)
+_HALF = np.float32(0.5)
+_ZERO = np.float32(0)
+_ONE = np.float32(1)
+_WIDTH = np.int32(TILE)
+
+#: A row is faint if all its weights are below this, in units.
 _FAINT = np.int32(_UNITS / 512)
 
-#: Planes of a tile, and sums by column. Indices are unsigned, so that numba does not test each for
-#: being negative.
-_GREEN, _BLUE = np.uint64(PIXELS), np.uint64(2 * PIXELS)
-_BY_GREEN, _BY_BLUE, _BY_SQUARE = np.uint64(TILE), np.uint64(2 * TILE), np.uint64(3 * TILE)
+#: Offsets of the planes of a tile, after red. They are unsigned: numba tests whether signed indices
+#: are negative.
+_GREEN = np.uint64(PIXELS)
+_BLUE = np.uint64(2 * PIXELS)
 
-#: Initial size of the buffers; at least what one splat in a tile takes.
-_FIRST_ROWS, _FIRST_WEIGHTS = 1 << 14, 1 << 16
+#: Offsets of the sums by column, after red.
+_BY_GREEN = np.uint64(TILE)
+_BY_BLUE = np.uint64(2 * TILE)
+_BY_SQUARE = np.uint64(3 * TILE)
+
+#: Initial length of the buffer of rows; one splat in a tile needs 16.
+_FIRST_ROWS = 1 << 14
+
+#: Initial length of the buffer of weights; one splat in a tile needs 272.
+_FIRST_WEIGHTS = 1 << 16
 
 
 class TracedView(NamedTuple):

@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
-#: Least opacity, as a logit, of the centres that are counted (0.3), and most of them.
-_SOLID, _SAMPLES = -0.85, 20_000
+#: Minimum opacity of the centres that count, as a logit: 0.3.
+_SOLID = -0.85
+
+#: Maximum number of these centres.
+_SAMPLES = 20_000
 
 
 def widest_view(scene: Scene, cameras: Sequence[Camera]) -> int:

@@ -120,13 +120,15 @@ boundscheck: $(VENV)/installed-test
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/boundscheck \
 	    $(PYTEST) --ignore tests/test_viewer_window.py --ignore tests/test_viewer_more.py $(TESTS)
 
-# What is published, built from a clone of the last commit: a source distribution, and from it a wheel.
+# What is published, built from a clone of the last commit: source distributions, and from these wheels.
 dist:
 	rm -rf build/release dist
 	git clone --quiet . build/release/gs_codec
 	$(PYTHON) -m venv --upgrade-deps build/release/venv
 	build/release/venv/bin/python -m pip --quiet install build twine
-	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) build/release/venv/bin/python -m build --outdir dist build/release/gs_codec
+	build/release/gs_codec/.ci/core build/release/gs_codec_core
+	for each in gs_codec gs_codec_core; do SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) \
+	    build/release/venv/bin/python -m build --outdir dist build/release/$$each || exit 1; done
 	build/release/venv/bin/twine check --strict dist/*
 
 # All of it installed and used, each in a new environment; recipes for conda and Homebrew, and checksums, beside it.

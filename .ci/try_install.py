@@ -14,8 +14,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
+#: How a scene is made: the sample needs Open3D.
+SAMPLE = (
+    "python {root}/samples/generate.py scene.ply --gaussians 5000 --sh-degree 3"
+    " --cameras cameras.json"
+)
+CORE_SAMPLE = "gs-codec convert {root}/tests/golden/other.spz scene.ply"
+
 COMMANDS = """
-python {root}/samples/generate.py scene.ply --gaussians 5000 --sh-degree 3 --cameras cameras.json
 gs-codec --version
 gs-codec encode scene.ply scene.egs
 gs-codec inspect scene.egs
@@ -44,7 +50,10 @@ def main(distribution: str) -> None:
             subprocess.run(command, cwd=folder, env=environment, check=True)
 
         run("python", "-m", "pip", "install", "--quiet", str(Path(distribution).resolve()))
-        for line in COMMANDS.strip().splitlines():
+        lines = f"{SAMPLE}{COMMANDS}"
+        if Path(distribution).name.startswith("gs_codec_core"):
+            lines = f"{CORE_SAMPLE}{COMMANDS}".replace("cameras.json", "auto")
+        for line in lines.strip().splitlines():
             program, *arguments = line.split()
             run(program, *(word.format(root=ROOT) for word in arguments))
         if IN_PAGE not in (folder / "page.html").read_text(encoding="utf-8"):

@@ -62,7 +62,7 @@ def test_files_need_none_of_them(folder):
         "share scene.ply small.egs --out page.html",
     ]
     _, err = without(COMMANDS, folder, lines=lines)
-    assert json.loads(err[-1]) == [0] * len(lines), err
+    assert json.loads(err[-1]) == [0] * len(lines), "\n".join(err)
     assert (folder.path / "page.html").stat().st_size > 100_000
 
 

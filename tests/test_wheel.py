@@ -144,6 +144,53 @@ def test_the_readme_in_metadata_shows_its_pictures_anywhere(wheel):
         assert there == (here if here.startswith("http") else whole)
 
 
+def test_core_is_the_same_code_with_fewer_dependencies(wheel, sources, tmp_path):
+    run(sources / ".ci/core", tmp_path / "core", cwd=tmp_path)
+    code = f"from setuptools import build_meta; build_meta.build_wheel({str(tmp_path)!r})"
+    run("-W", "ignore", "-c", code, cwd=tmp_path / "core")
+    (core,) = tmp_path.glob("*.whl")
+    assert core.name.startswith(f"gs_codec_core-{gs_codec.__version__}-")
+    contents, needs = [], []
+    for each in (wheel, core):
+        archive = zipfile.ZipFile(each)
+        (metadata,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
+        files = {i.filename: i.CRC for i in archive.infolist() if ".dist-info" not in i.filename}
+        contents.append(files)
+        needs.append(
+            re.findall("^Requires-Dist: (.*)$", archive.read(metadata).decode(), re.MULTILINE)
+        )
+    assert contents[0] == contents[1]
+    same = [need.replace("gs-codec-core[", "gs-codec[") for need in needs[1]]
+    gone = {re.split("[=><]", need)[0] for need in needs[0] if need not in same}
+    assert gone == {"open3d", "open3d-cpu", "scipy"}
+    assert "gs-codec-core[docs]" in " ".join(needs[1])
+
+
+def test_open3d_is_asked_for_where_it_has_wheels(wheel):
+    """Where it has none, as for a later Python, pip installs the rest."""
+    packaging = pytest.importorskip("packaging.requirements")
+    archive = zipfile.ZipFile(wheel)
+    metadata = archive.read(f"gs_codec-{gs_codec.__version__}.dist-info/METADATA").decode()
+    wanted = [
+        packaging.Requirement(need)
+        for need in re.findall("^Requires-Dist: (open3d.*)$", metadata, re.MULTILINE)
+    ]
+    for system, machine, newest in (
+        ("linux", "x86_64", 14), ("linux", "aarch64", 14), ("win32", "AMD64", 14),
+        ("darwin", "arm64", 14), ("darwin", "x86_64", 12), ("linux", "riscv64", 0),
+    ):  # fmt: skip
+        for minor in range(10, 17):
+            here = {
+                "sys_platform": system,
+                "platform_machine": machine,
+                "python_version": f"3.{minor}",
+                "extra": "",
+            }
+            asked = [each.name for each in wanted if each.marker.evaluate(here)]
+            name = "open3d-cpu" if (system, machine) == ("linux", "x86_64") else "open3d"
+            assert asked == [name] * (minor <= newest)
+
+
 @pytest.mark.thorough
 def test_unpacked_wheel_runs_elsewhere(unpacked, tmp_path):
     code = "import gs_codec, viewer; print(gs_codec.__file__, viewer.__file__, sep='\\n')"

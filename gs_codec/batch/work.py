@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gs_codec.report import EncodeReport
 
 #: Packages whose versions may change the output bytes.
-_COMPUTING = ("numpy", "numba", "llvmlite", "scipy", "pcodec")
+_COMPUTING = ("numpy", "numba", "llvmlite", "pcodec")
 
 
 def encode_one(task: Task, options: Options, scratch: str, progress: Progress) -> Record:

@@ -21,7 +21,9 @@ def command(
     out: Annotated[
         Path,
         typer.Option(
-            metavar="OUT", help="A .html file with all in it, or a folder for a web server."
+            "--out",
+            metavar="OUT",
+            help="A .html file with all in it, or a folder for a web server.",
         ),
     ],
     asked: Asked,

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from gs_codec.coding.neighbours import Neighbours
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import SH_C0, Scene
 from samples.captures.photograph import Hits
@@ -63,7 +63,7 @@ def surface_points(
     says how well distances are known.
     """
     positions, distances = candidates[:, :3], candidates[:, 9]
-    apart, near = cKDTree(positions).query(positions, k=min(9, len(positions)))
+    apart, near = Neighbours(positions).nearest(positions, min(9, len(positions)))
     nearest = distances[near].min(axis=1)
     contrast = candidates[near, 3:6].std(axis=1).mean(axis=1)
     spacing = apart[:, -1] / nearest + 1e-3
@@ -75,7 +75,7 @@ def surface_points(
     shift = 1 / np.maximum(1 / distance + error, 0.3 / distance) - distance
     ray = (found[:, :3] - found[:, 10:]) / distance[:, None]
     at = found[:, :3] + shift[:, None] * ray
-    apart, _ = cKDTree(at).query(at, k=4)
+    apart, _ = Neighbours(at).nearest(at, 4)
     sizes = 0.6 * np.sqrt((apart[:, 1:] ** 2).mean(axis=1))
     at += 0.1 * sizes[:, None] * rng.standard_normal(at.shape)
     opacity = rng.normal(-2.0, 1.3, len(chosen))

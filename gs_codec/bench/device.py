@@ -24,8 +24,14 @@ from gs_codec.scene import Scene
 #: Gaussians of blocks: the usual number, and one for more blocks than processors.
 BLOCK_SIZES = (16384, 4096)
 
-#: Views that are refined to, their width in pixels, and the iterations.
-VIEWS, WIDTH, ITERATIONS = 32, 800, 500
+#: Number of views that are refined to.
+VIEWS = 32
+
+#: Their width, pixels.
+WIDTH = 800
+
+#: Iterations of the refinement.
+ITERATIONS = 500
 
 Lines = Iterator[dict[str, Any]]
 

@@ -31,11 +31,17 @@ from gs_codec.scene import Scene
 #: Mean squared error that a scene has against its photographs already: 30 dB.
 _OWN_ERROR = 1e-3
 
-#: Loss of `m` without cameras, dB, and how far off it may be.
-WANTED, WITHIN = 0.05, 0.015
+#: Target loss of `m` without cameras, dB.
+WANTED = 0.05
 
-#: Most that estimated cameras may lose, dB, and may lose more than none at equal size.
-MOST, WORSE = 0.1, 0.02
+#: Tolerance of this loss, dB.
+WITHIN = 0.015
+
+#: Maximum loss with estimated cameras, dB.
+MOST = 0.1
+
+#: Maximum by which they may lose more than no cameras at equal size, dB.
+WORSE = 0.02
 
 #: Ways to encode: without cameras, with estimated ones, with those of the file.
 FREE, ESTIMATED, GIVEN = "free", "estimated", "given"

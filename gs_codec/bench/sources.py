@@ -22,8 +22,11 @@ from gs_codec.scene import GROUPS, Scene
 
 _JITTER = 1e-3
 
-#: How many `auto` views are measured in, and how many others the encoder sees.
-_MEASURED, _ENCODED_BY = 24, 64
+#: Number of `auto` views that results are measured in.
+_MEASURED = 24
+
+#: Number of other `auto` views that the encoder gets.
+_ENCODED_BY = 64
 
 #: If a file does not mark held-out cameras, every third is held out.
 _HELD_OUT = 3

@@ -45,16 +45,21 @@ NEAREST = "nearest centre"
 _INSTEAD = 'compare what cameras see (cameras="auto")'
 _UNRELATED = f"no match of the scenes' Gaussians, so no errors by attribute: {_INSTEAD}"
 
-#: Share of right pairs at which no other match is tried; below which there is none. Versions of a
-#: scene have 0.75 and more (coarse profiles), halves of one scene 0.5 by the nearest.
-_SURELY, _MOSTLY = 0.95, 0.7
+#: With this share of right pairs, no other match is tried.
+_SURELY = 0.95
+
+#: With a smaller share, there is no match. Versions of a scene have 0.75 and more (coarse
+#: profiles), halves of one scene 0.5 by the nearest.
+_MOSTLY = 0.7
 
 #: The same of the mean of the three shares, for the nearest: versions have 0.68, halves 0.36.
 _MOSTLY_NEAREST = 0.6
 
-#: A match is taken only if this many more pairs are right, the three shares added, than in those
-#: tried before; of few Gaussians, all are tried.
-_BETTER, _FEW = 0.06, 100
+#: A match replaces one tried before only if the sum of its three shares is larger by this.
+_BETTER = 0.06
+
+#: Scenes of up to this many Gaussians are matched in all ways.
+_FEW = 100
 
 #: Share of Gaussians that rounding to float32 may have moved out of their cells.
 _MOVED = 0.01

@@ -11,11 +11,20 @@ from gs_codec.runtime.threads import available_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 
-#: Bytes of Python, packages and compiled kernels; of torch; of each thread. Measured, rounded up.
-_FIXED, _TORCH, _THREAD = 280_000_000, 300_000_000, 45_000_000
+#: Bytes of Python, packages and compiled kernels. Measured and rounded up, as the next two.
+_FIXED = 280_000_000
 
-#: Bytes for each Gaussian to sort a scene: profiles `l`, `m` and `s`; the others.
-_ADAPTIVE, _OTHERS = 40, 55
+#: Bytes of torch.
+_TORCH = 300_000_000
+
+#: Bytes of each thread.
+_THREAD = 45_000_000
+
+#: Bytes for each Gaussian to sort a scene: profiles `l`, `m` and `s`.
+_ADAPTIVE = 40
+
+#: The same for the other profiles.
+_OTHERS = 55
 
 
 def least_memory(count: int, config: Config) -> int:

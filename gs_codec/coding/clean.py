@@ -27,10 +27,12 @@ log = logging.getLogger(__name__)
 #: Logit that stands for an opacity of 1, and its negative for 0: within 2^-25 of them.
 _OPAQUE = 17.328679
 
-#: Logarithm of the scale that stands for 0, as a share of the longest axis of the Gaussian: 1e-5,
-#: less than a pixel. Least logarithm of an axis it is a share of. Much smaller scales would take
-#: many bits of centres.
-_FLAT, _LEAST_AXIS = -11.5, -20.0
+#: Log of the scale that stands for 0, as a share of the longest axis of the Gaussian: 1e-5, less
+#: than a pixel. Much smaller scales would take many bits of centres.
+_FLAT = -11.5
+
+#: Minimum log-scale of the axis it is a share of.
+_LEAST_AXIS = -20.0
 
 
 class Ends(NamedTuple):

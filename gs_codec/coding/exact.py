@@ -12,8 +12,11 @@ import numpy as np
 
 from gs_codec.runtime.kernels import inlined
 
-#: ln 2 in two parts: whole multiples of the first are exact.
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+#: ln 2 in two parts. Whole multiples of this one are exact.
+_LN2_HIGH = 6.93147180369123816490e-01
+
+#: The rest of ln 2.
+_LN2_LOW = 1.90821492927058770002e-10
 
 _INVERSE_LN2 = 1.4426950408889634
 
@@ -25,10 +28,20 @@ for _power in (4, 2, 1):
 for _power in range(1, 16):
     _ROOTS[_power] = _ROOTS[_power & -_power] * _ROOTS[_power & (_power - 1)]
 
-#: Beyond these, exponentials are 0 and infinite.
-_LOWEST, _HIGHEST = -708.0, 709.0
+#: Exponentials of smaller numbers are 0.
+_LOWEST = -708.0
 
-_ONE, _FRACTION, _WIDTH = 1023, (1 << 52) - 1, 52
+#: Exponentials of larger numbers are infinite.
+_HIGHEST = 709.0
+
+#: Exponent field of 1.0 in a float64.
+_ONE = 1023
+
+#: Bits of the fraction field.
+_WIDTH = 52
+
+#: Mask of the fraction field.
+_FRACTION = (1 << _WIDTH) - 1
 
 _ROOT_2 = 1.4142135623730951
 

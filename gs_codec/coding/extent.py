@@ -21,8 +21,11 @@ _SIGMAS = 3.0
 #: Eighths of an octave in a unit of the natural logarithm: 8 / ln(2).
 _EIGHTHS = 11.541560327111707
 
-#: Eighths of octaves beyond these differ no more once boxes are float32.
-_LEAST, _MOST = -1600, 4000
+#: Smallest log-scale, in eighths of an octave, that still matters once boxes are float32.
+_LEAST = -1600
+
+#: The largest.
+_MOST = 4000
 
 #: 2**(i / 8), i = 0..7, rounded up.
 _POWERS = np.array(
@@ -37,8 +40,11 @@ _SCALES = np.ldexp(
     _POWERS[np.arange(_LEAST, _MOST + 1) & 7], np.arange(_LEAST, _MOST + 1, dtype=np.int32) >> 3
 )
 
-#: More than the rounding errors of eighths; of the entries of a rotation matrix.
-_SLACK, _TURN_SLACK = 2.0**-20, 2.0**-40
+#: More than the rounding errors of eighths of octaves.
+_SLACK = 2.0**-20
+
+#: More than the rounding errors of the entries of a rotation matrix.
+_TURN_SLACK = 2.0**-40
 
 _LARGEST = float(np.finfo(np.float32).max)
 

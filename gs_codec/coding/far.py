@@ -24,8 +24,11 @@ _MOST = 1 / 8
 _BITS = 100.0
 
 #: It also costs this many bits times the sum of (size / distance)^2 over the centres outside, so
-#: that a background of a few large Gaussians is kept; at most `_MOST_BITS_SEEN`.
-_BITS_SEEN, _MOST_BITS_SEEN = 200.0, 6.0
+#: that a background of a few large Gaussians is kept.
+_BITS_SEEN = 200.0
+
+#: Maximum of these bits.
+_MOST_BITS_SEEN = 6.0
 
 #: Centres beyond the best cut times this are far; those just beyond the cut are not.
 _OUTSKIRTS = 4.0
@@ -39,14 +42,23 @@ _FINEST = 1e-5
 
 #: Renderers draw a Gaussian smaller than a pixel as a dot of one pixel. Far dots would appear in
 #: the wrong places, so their opacity is reduced as Mip-Splatting does, with a low-pass of this
-#: variance and pixels of this angle (radians), but not below what 8 bits round to zero (logit).
-_LOW_PASS, _PIXEL, _FAINTEST = 0.3, 5e-4, -6.93
+#: variance, square pixels.
+_LOW_PASS = 0.3
+
+#: Angle of a pixel, radians.
+_PIXEL = 5e-4
+
+#: Opacity is not reduced below this logit, which 8 bits round to zero.
+_FAINTEST = -6.93
 
 #: Maximum log of an angle in pixels: wider ones do not fade either.
 _WIDEST = 100.0
 
-#: Number of centres that quantiles are estimated from; number processed at once.
-_SAMPLE, _AT_ONCE = 1 << 14, 1 << 18
+#: Number of centres that quantiles are estimated from.
+_SAMPLE = 1 << 14
+
+#: Number of centres processed at once.
+_AT_ONCE = 1 << 18
 
 
 @dataclass(frozen=True)

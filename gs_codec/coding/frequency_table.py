@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from gs_codec.coding.linear import dot
 from gs_codec.runtime.kernels import inlined, kernel
 
-#: Base-2 logarithm of a table's sum. With states of 16 to 32 bits, 16 would cost rANS 0.1 %.
-MIN_PRECISION, MAX_PRECISION = 8, 15
+#: Minimum base-2 logarithm of a table's sum.
+MIN_PRECISION = 8
+
+#: Maximum: with states of 16 to 32 bits, 16 would cost rANS 0.1 %.
+MAX_PRECISION = 15
 
 
 @dataclass(frozen=True)

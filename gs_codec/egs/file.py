@@ -26,8 +26,11 @@ MAGIC = b"\x89EGS\r\n\x1a\n"
 #: The highest version that is read; `Header.version` says which one a file has.
 VERSION = 2
 
-#: Minor version of files without levels, and of those of version 1 with them.
-MINOR, MINOR_LEVELS = 0, 1
+#: Minor version of files without levels.
+MINOR = 0
+
+#: Minor version of files of version 1 with levels.
+MINOR_LEVELS = 1
 
 _START = "<8sHHI"
 _ENTRY = "<HHIQI"

@@ -33,11 +33,17 @@ _SEGMENT = 1 << 26
 
 _ALIGNMENT = 64
 
-#: Pages are released above this share of the limit; seconds between two checks.
-_HIGH, _PERIOD = 0.7, 0.004
+#: Pages are released above this share of the limit.
+_HIGH = 0.7
 
-#: glibc's option for the size above which memory is the system's own; its size before it adapts.
-_M_MMAP_THRESHOLD, _MAPPED = -3, 1 << 17
+#: Seconds between two checks.
+_PERIOD = 0.004
+
+#: glibc's option for the size from which memory is mapped, and so returned when it is freed.
+_M_MMAP_THRESHOLD = -3
+
+#: This size, bytes: glibc's initial value, before it adapts.
+_MAPPED = 1 << 17
 
 
 def release_freed() -> None:

@@ -26,21 +26,30 @@ SHIFT_CONTEXTS = 32
 #: Buckets of the values of the two Gaussians before.
 BEFORE = 8
 
-#: Contexts of SH-DC: by colour, then shift, then how much the neighbours disagree.
-COLOUR_SHIFTS, ACTIVITIES = 16, 6
+#: Number of shifts in a context of SH-DC, which is a colour, a shift and an activity.
+COLOUR_SHIFTS = 16
+
+#: Number of activities: how much the neighbours' colours differ.
+ACTIVITIES = 6
 
 #: Buckets of a sum of magnitudes.
 SUMS = 16
 
-#: Contexts of an SH-AC level: by what is left of its band's sum, then its neighbours' signs, then
-#: the coefficient's place in its band.
-SIGNS, MEMBERS = 3, 8
+#: Number of sign sums in a context of an SH-AC level, which is what is left of its band's sum, the
+#: absolute sum of the signs of two neighbours, and the place of the coefficient in its band.
+SIGNS = 3
+
+#: Number of places in a band, rounded up to a power of two.
+MEMBERS = 8
 
 #: Most tables of a list of contexts.
 MAX_TABLES = 64
 
-#: Approximate bits that a sent table costs, and each symbol in use in it.
-_TABLE_BITS, _SYMBOL_BITS = 100.0, 7.0
+#: Approximate bits of a table in the file.
+_TABLE_BITS = 100.0
+
+#: Approximate bits of each symbol in use in a table.
+_SYMBOL_BITS = 7.0
 
 
 class ContextList(NamedTuple):

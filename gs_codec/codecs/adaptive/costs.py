@@ -22,7 +22,8 @@ from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 
-_LOW_BITS, _FAR = "low-bits", "far"
+_LOW_BITS = "low-bits"
+_FAR = "far"
 
 
 @dataclass(frozen=True)

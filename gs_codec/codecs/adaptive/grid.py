@@ -25,8 +25,11 @@ from gs_codec.codecs.adaptive.step_sizes import finest_step
 #: Lowest and highest x, y, z of all centres, each ``(3,)``.
 Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 
-#: Log2 of the smallest and largest side of a cell.
-_FINEST, _COARSEST = -120, 127
+#: Log2 of the smallest side of a cell.
+_FINEST = -120
+
+#: Log2 of the largest side of a cell.
+_COARSEST = 127
 
 #: Bits of a far centre beyond those of a centre on the grid.
 _FAR_BITS = 70.0
@@ -43,8 +46,11 @@ _LEAST_SAVED = 0.5
 #: Compare grids by a sample of this many Gaussians, at most twice as many.
 _SAMPLE = 10_000
 
-#: Bits of a float32's mantissa; the least coordinate, so that logarithms are finite.
-_MANTISSA, _TINY = 24, np.float32(1e-44)
+#: Bits of a float32's mantissa.
+_MANTISSA = 24
+
+#: Smallest coordinate, so that logarithms are finite.
+_TINY = np.float32(1e-44)
 
 _LARGEST = float(np.finfo(np.float32).max)
 

@@ -33,9 +33,11 @@ RULE_FRACTION_BITS = 16
 #: A step size is at most its unit times 2 to this power.
 MAX_SHIFT = 31
 
-#: Most bits of a cell's number on an axis; of a Morton code if there are far Gaussians, whose keys
-#: have one more.
-MOST_AXIS_BITS, MOST_FAR_BITS = 21, 62
+#: Maximum bits of a cell's number on an axis.
+MOST_AXIS_BITS = 21
+
+#: Maximum bits of a Morton code if there are far Gaussians, whose keys have one more.
+MOST_FAR_BITS = 62
 
 
 def to_fixed(values: NDArray[np.floating], limit: float) -> tuple[NDArray[np.int64], int]:

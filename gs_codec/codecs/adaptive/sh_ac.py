@@ -20,9 +20,14 @@ from gs_codec.coding.rans import LANES
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import sh_bands
 
-#: First contexts of a pass: of the sum of all bands, if it is in it, and of the band's share, if it
-#: is not the last.
-_OF_SUM, _OF_SHARE, _OF_COLOUR = COLOUR_SHIFTS * SUMS, SUMS, SUMS * SIGNS * MEMBERS
+#: Number of contexts of the sum of all bands, which come first in the first pass.
+_OF_SUM = COLOUR_SHIFTS * SUMS
+
+#: Number of contexts of the band's share, which come next unless the band is the last.
+_OF_SHARE = SUMS
+
+#: Number of contexts of the levels of a colour.
+_OF_COLOUR = SUMS * SIGNS * MEMBERS
 
 
 def two_nearest(nearest: Nearest) -> NDArray[np.uint8]:

@@ -38,8 +38,11 @@ _CLASSES = 9
 #: Log2 of the coarsest step sizes: of logits, log-scales, sines of half angles, colours.
 COARSEST = {"opacity": 1, "scaling": 1, "rotation": 1, "colour": 2}
 
-#: Share of Gaussians more sensitive than the finest class; share whose sensitivity is raised.
-_FINEST, _LEAST_SEEN = 1e-4, 0.02
+#: Share of Gaussians that are more sensitive than the finest class.
+_FINEST = 1e-4
+
+#: Sensitivities below this quantile are raised to it.
+_LEAST_SEEN = 0.02
 
 #: Share of Gaussians whose step sizes may be coarser than wanted.
 _COARSER = 1e-3
@@ -55,7 +58,12 @@ _FINER = {
 
 #: Rules are fitted to a sample of about this many Gaussians.
 _SAMPLE = 20_000
-_ROUNDS, _TURNS = 4, 12
+
+#: Rounds of fitting all rules.
+_ROUNDS = 4
+
+#: Iterations of the fit of one rule.
+_TURNS = 12
 
 #: Largest factor of opacity or of a scale in a rule, in 1 / 2**16; times a value, it has 53 bits.
 MAX_SLOPE = (1 << 22) - 1

@@ -34,8 +34,11 @@ from gs_codec.coding.rans import LANES, LOWEST
 #: Contexts of a colour.
 _OF_COLOUR = SUMS * SIGNS * MEMBERS
 
-#: What a lane has in place of a Gaussian, and a level beyond any sum.
-_NONE, _LARGEST = -1 - WINDOW, (1 << 31) - 1
+#: Number of the Gaussian of a lane that has none.
+_NONE = -1 - WINDOW
+
+#: A level beyond any sum.
+_LARGEST = (1 << 31) - 1
 
 
 @launched

@@ -33,9 +33,11 @@ from gs_codec.codecs.cuda.lanes import (
 from gs_codec.coding.context_rans import BAD_SUM, OUT_OF_WORDS
 from gs_codec.coding.rans import LANES, LOWEST
 
-#: Contexts of the sum of all bands, first of a pass if it is in it, and of the band's share, which
-#: come next if it is not the last.
-OF_SUM, OF_SHARE = COLOUR_SHIFTS * SUMS, SUMS
+#: Number of contexts of the sum of all bands, which come first in the first pass.
+OF_SUM = COLOUR_SHIFTS * SUMS
+
+#: Number of contexts of the band's share, which come next unless the band is the last.
+OF_SHARE = SUMS
 
 
 @device

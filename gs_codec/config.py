@@ -303,9 +303,14 @@ ROUNDED_FORMATS = ("spz", "sog")
 EXACT_FORMATS = ("glb", "gltf", "usd", "usda", "usdc", "usdz")
 FORMATS = (EGS, *ROUNDED_FORMATS, "compressed.ply", "splat", *EXACT_FORMATS)
 
-#: The name of a SOG scene whose files are not in a zip, and of one as streamed SOG, which is made
-#: with coarser levels; the suffix of a zip of the latter.
-UNBUNDLED, STREAMED, SSOG = "meta.json", "lod-meta.json", ".ssog"
+#: File name of a SOG scene that is a folder of files, not a zip.
+UNBUNDLED = "meta.json"
+
+#: File name of a streamed SOG scene, which has coarser levels.
+STREAMED = "lod-meta.json"
+
+#: Suffix of a zip of a streamed SOG scene.
+SSOG = ".ssog"
 
 
 @dataclass(frozen=True)

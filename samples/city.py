@@ -24,8 +24,11 @@ from gs_codec.scene import Scene
 #: Share of a scene that a tile shows.
 _MIDDLE = 0.9
 
-#: Standard deviations of what a tile is moved by, and its opacity (logit).
-_MOVED, _FADED = 1e-3, 0.05
+#: Standard deviation of the shift of a Gaussian.
+_MOVED = 1e-3
+
+#: Standard deviation of the change of its opacity, as a logit.
+_FADED = 0.05
 
 
 def middle_of(scene: Scene) -> Scene:

@@ -22,7 +22,9 @@ from gs_codec.metrics.images import compare_images
 from samples.generate import generate
 from samples.picture import drawn, show, view
 
-_COUNT, _LEVELS, _TIMES = 400_000, (0, 1, 2), (2, 4, 8)
+_COUNT = 400_000
+_LEVELS = (0, 1, 2)
+_TIMES = (2, 4, 8)
 
 
 def main(target: str) -> None:

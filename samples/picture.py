@@ -29,7 +29,8 @@ from gs_codec.scene import Scene
 from samples.generate import generate, orbit_cameras
 
 _COUNT = 600_000
-_WIDTH, _HEIGHT = 420, 300
+_WIDTH = 420
+_HEIGHT = 300
 _PROFILE = "s"
 
 #: Streams of each bar segment; colours of Okabe and Ito, distinct for the colour-blind too.

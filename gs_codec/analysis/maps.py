@@ -21,7 +21,8 @@ from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 
-_RGB, _YCOCG = ("R", "G", "B"), ("Y", "Co", "Cg")
+_RGB = ("R", "G", "B")
+_YCOCG = ("Y", "Co", "Cg")
 
 #: Attributes that SH-AC are compared with.
 _OTHERS = {"rot": "rotation", "log_scale": "scaling", "opacity": "opacity", "f_dc": "SH-DC"}

@@ -32,7 +32,11 @@ _WHICH = {"sh-ac": "all Gaussians", "sh-ac-coloured": "coloured Gaussians"}
 #: Colours as they are stored, and after the transform.
 _COLOURS = ("R, G, B", "Y, Co, Cg")
 
-_BARS, _CURVE = "0.72", "#00204c"  # light grey; the dark end of cividis
+#: Light grey.
+_BARS = "0.72"
+
+#: The dark end of cividis.
+_CURVE = "#00204c"
 
 _TITLES = {
     "geometry": "positions",

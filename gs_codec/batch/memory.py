@@ -20,9 +20,11 @@ _PIXEL = 320
 #: Bytes of raw floats per byte of a compressed file, by suffix.
 _PACKED = {".splat": 2, ".ksplat": 4, ".spz": 20, ".sog": 20, ".ssog": 20, ".egs": 30}
 
-#: If the header was not read, a file may have this many times the floats that its size suggests,
-#: and always at least this many bytes of floats.
-_MARGIN, _LEAST = 4, 64 << 20
+#: If its header was not read, a file may have this many times the floats that its size suggests.
+_MARGIN = 4
+
+#: Minimum memory for floats, bytes.
+_LEAST = 64 << 20
 
 
 def needed_bytes(floats: int, pixels: int = 0) -> int:

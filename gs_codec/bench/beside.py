@@ -31,9 +31,11 @@ GUIDED = ", camera-guided"
 #: Follows it if nothing but the scene tells where cameras were.
 ESTIMATED = ", estimated cameras"
 
-#: Follows how many times smaller a file is to be that is refined: to photographs, or to the
-#: scene's own views.
-REFINED, BY_RENDERS = "x refined", "x refined, renders"
+#: Name of a curve after its compression ratio: refined to photographs.
+REFINED = "x refined"
+
+#: The same, refined to the scene's own views.
+BY_RENDERS = "x refined, renders"
 
 #: Precedes the format, if it is not our own, and the profile.
 OURS_AS = "ours as "

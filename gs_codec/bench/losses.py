@@ -44,7 +44,9 @@ MOST = 0.1
 WORSE = 0.02
 
 #: Ways to encode: without cameras, with estimated ones, with those of the file.
-FREE, ESTIMATED, GIVEN = "free", "estimated", "given"
+FREE = "free"
+ESTIMATED = "estimated"
+GIVEN = "given"
 
 #: Two camera-free files have at most these shares of a size; what it loses is between.
 _AROUND = (1.0, 1.025)

@@ -34,7 +34,8 @@ from gs_codec.scene import Scene
 
 #: Start of the comment line.
 _MARK = "gs_codec order "
-_GRID, _FLOATS = "grid", "floats"
+_GRID = "grid"
+_FLOATS = "floats"
 
 #: Last word of a line on a grid, if Gaussians outside of it come last.
 _FAR = "far"

@@ -16,9 +16,11 @@ from gs_codec.scene import float_bytes
 #: Gaussians of a task, about; fewer within a memory limit.
 _GAUSSIANS = 1 << 19
 
-#: Bytes of a worker without a task, and copies of its floats that a task holds. Measured, rounded
-#: up.
-_FIXED, _COPIES = 330_000_000, 5
+#: Memory of a worker without a task, bytes. Measured, rounded up.
+_FIXED = 330_000_000
+
+#: Memory of a task, in copies of its floats. Measured, rounded up.
+_COPIES = 5
 
 #: A task, given its number.
 Task = Callable[[int], None]

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import Clipped
 
-#: Largest log-scale whose scale is a finite float32, and the smallest above 0.
-_LARGEST, _SMALLEST = 88.0, -103.28
+#: Largest log-scale whose scale is a finite float32.
+_LARGEST = 88.0
+
+#: Smallest log-scale whose scale is above 0.
+_SMALLEST = -103.28
 
 
 def logits_of(share: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -19,8 +19,14 @@ from gs_codec.runtime.threads import run_all
 #: What a bit is worth: a uniform quantiser has an error of 1/12, and a quarter with one bit more.
 WORTH = math.log(4.0) / 12
 
-#: Bits of a value in a row, about: of 0, of the first level beside it, and of each octave above.
-_ZERO_BITS, _FIRST_BITS, _OCTAVE_BITS = 0.6, 2.5, 1.5
+#: About how many bits a 0 in a row takes.
+_ZERO_BITS = 0.6
+
+#: The same for 1 and -1.
+_FIRST_BITS = 2.5
+
+#: About how many more bits each octave above takes.
+_OCTAVE_BITS = 1.5
 
 #: Most times that the means of the halves of a cell are moved.
 _MOVES = 5

@@ -21,9 +21,14 @@ from gs_codec.runtime.wording import counted
 
 MAGIC = b"glTF"
 
-_HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_HEADER = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<I4s")
 _DATA_URI = "data:application/octet-stream;base64,"
-_FLOAT, _UNSIGNED_BYTE, _ARRAY_BUFFER = 5126, 5121, 34962
+
+#: Numbers of WebGL for the types of components, and for the target of a buffer view.
+_FLOAT = 5126
+_UNSIGNED_BYTE = 5121
+_ARRAY_BUFFER = 34962
 
 #: Types of components, and what a normalised integer of them is divided by.
 _COMPONENTS = {

@@ -37,8 +37,11 @@ _SECTION = np.dtype({
     "itemsize": 1024,
 })  # fmt: skip
 
-#: Bounds of SH-AC and range of centres where a file says 0.
-_BOUNDS, _RANGE = (-1.5, 1.5), 32767
+#: Bounds of SH-AC where a file says 0.
+_BOUNDS = (-1.5, 1.5)
+
+#: Range of centres where a file says 0.
+_RANGE = 32767
 
 #: Types of centres, of scales and rotation, and of SH-AC, by level.
 _TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))

@@ -22,7 +22,8 @@ _MOST_BITS = 64
 #: Stands for everything that a pickle makes and that is none of the above.
 UNKNOWN = object()
 
-_TENSOR, _ORDERED = "torch._utils _rebuild_tensor_v2", "collections OrderedDict"
+_TENSOR = "torch._utils _rebuild_tensor_v2"
+_ORDERED = "collections OrderedDict"
 _PARAMETERS = ("torch._utils _rebuild_parameter", "torch._utils _rebuild_parameter_with_state")
 
 

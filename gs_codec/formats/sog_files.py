@@ -38,8 +38,11 @@ FIRST_TAG = 252
 #: Most bytes of a `meta.json`.
 _META_BYTES = 1 << 22
 
-#: How a PNG begins. Animation flag of an extended WebP file.
-_PNG, _ANIMATION = b"\x89PNG\r\n\x1a\n", 2
+#: First bytes of a PNG.
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+#: Flag of an animation in an extended WebP file.
+_ANIMATION = 2
 
 
 @dataclass(frozen=True)

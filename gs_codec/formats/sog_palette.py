@@ -21,8 +21,11 @@ from gs_codec.scene import sh_bands
 #: Most rows that labels of 16 bits tell apart.
 _MOST = 1 << 16
 
-#: A Gaussian looks for its row in one of about this many groups, and among the rows most used.
-_GROUPS, _COMMON = 64, 1 << 10
+#: A Gaussian searches for its row in one of about this many groups of rows.
+_GROUPS = 64
+
+#: It also searches this many of the most used rows.
+_COMMON = 1 << 10
 
 #: Times that rows and labels follow each other.
 _ROUNDS = 2

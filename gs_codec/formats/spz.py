@@ -44,8 +44,11 @@ _COLOUR_SCALE = 0.15
 #: Bits of fractions that are written, if the farthest centre leaves room for them.
 _WRITTEN_BITS = 16
 
-#: Largest magnitude of a centre in fixed point, and of a component of a quaternion.
-_FARTHEST, _LONGEST = (1 << 23) - 1, 511
+#: Largest magnitude of a coordinate of a centre in fixed point.
+_FARTHEST = (1 << 23) - 1
+
+#: Largest magnitude of a component of a quaternion.
+_LONGEST = 511
 
 #: Far centres are drawn to this magnitude, whose multiples of steps are not beyond the farthest.
 _DRAWN = 15 << 19

@@ -35,7 +35,15 @@ GZIP = b"\x1f\x8b\x08"
 
 _HEADER = struct.Struct("<4sIIBBBB")
 _ZSTD_HEADER = struct.Struct("<4sIIBBBBI12x")
-ANTIALIASED, _EXTENSIONS, LEVELS = 1, 2, 0x80
+
+#: Flag of an antialiased scene.
+ANTIALIASED = 1
+
+#: Flag of a file with extensions.
+_EXTENSIONS = 2
+
+#: Flag of a file with levels of detail.
+LEVELS = 0x80
 _FRACTION_BITS = 24
 
 #: Bytes of a Gaussian in a tree of levels of detail.
@@ -50,9 +58,12 @@ _SYSTEMS = (
 )
 
 
-#: Compression levels: ten seconds for a million Gaussians; the lowest take one, for files larger by
-#: 2 % (gzip) and 5 % (zstd).
-_GZIP_LEVEL, _ZSTD_LEVEL = 8, 17
+#: Compression level: ten seconds for a million Gaussians. The lowest takes one, for files larger by
+#: 2 %.
+_GZIP_LEVEL = 8
+
+#: The same, where the lowest makes files larger by 5 %.
+_ZSTD_LEVEL = 17
 
 
 @dataclass(frozen=True)

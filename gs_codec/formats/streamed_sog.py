@@ -33,8 +33,11 @@ _VERSION = 1
 #: Most bytes of a `lod-meta.json`, unless the file itself or its zip is larger.
 _LOD_META_BYTES = 1 << 22
 
-#: `SPARE` of all files together; of each, at least.
-_SPARE, _LEAST_SPARE = 1 << 22, 1 << 10
+#: `SPARE` of all files together.
+_SPARE = 1 << 22
+
+#: Minimum of `SPARE` of each file.
+_LEAST_SPARE = 1 << 10
 
 
 @dataclass(frozen=True)

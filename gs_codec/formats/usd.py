@@ -35,12 +35,17 @@ from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.programs import Limits, run_on_files
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
 
-TEXT, CRATE = b"#usda", b"PXR-USDC"
+#: First bytes of a text layer.
+TEXT = b"#usda"
+
+#: First bytes of a binary layer.
+CRATE = b"PXR-USDC"
 
 #: Suffixes of what may be read: layers, and zips of them.
 SUFFIXES = (*LAYERS, ".usdz")
 
-_SYSTEM, _SYSTEM_Z_UP = OWN_SYSTEMS[".usd"], "RFU"
+_SYSTEM = OWN_SYSTEMS[".usd"]
+_SYSTEM_Z_UP = "RFU"
 
 #: Files in a `.usdz` begin at multiples of so many bytes.
 _MULTIPLE = 64
@@ -58,9 +63,20 @@ from gs_codec.formats.usd_stage import main
 main()
 """
 
-#: Address space of that process without a scene, and its seconds; each for so many bytes of file.
-_SPACE, _TIMES_FLOATS, _TIMES_FILE = 4 << 30, 4, 64
-_SECONDS, _BYTES_A_SECOND = 20, 1 << 20
+#: Maximum address space of that process without a scene, bytes.
+_SPACE = 4 << 30
+
+#: Further address space for each byte of the scene's floats.
+_TIMES_FLOATS = 4
+
+#: Further address space for each byte of the file.
+_TIMES_FILE = 64
+
+#: Maximum time of that process without a scene, seconds.
+_SECONDS = 20
+
+#: One more second for this many bytes of the file.
+_BYTES_A_SECOND = 1 << 20
 
 
 def require_usd_core(suffix: str = ".usd") -> None:

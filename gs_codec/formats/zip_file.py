@@ -24,8 +24,11 @@ _PIECE = 1 << 20
 #: Number of a system in a zip.
 _UNIX = 3
 
-#: Bytes before the name of an entry; the head of a field that only takes up space.
-_HEADER, _SPACE = 30, struct.Struct("<2sH")
+#: Bytes before the name of an entry.
+_HEADER = 30
+
+#: Header of an extra field that is only padding.
+_SPACE = struct.Struct("<2sH")
 
 
 class Archive:

@@ -12,7 +12,8 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene
 
-BETA_1, BETA_2 = 0.9, 0.999
+BETA_1 = 0.9
+BETA_2 = 0.999
 EPSILON = np.float32(1e-15)
 
 #: Larger derivatives count as 0: float32 cannot hold their squares.

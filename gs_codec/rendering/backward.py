@@ -31,8 +31,11 @@ from gs_codec.rendering.rows import (
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import SH_C0
 
-#: First rows of f_dc and f_rest in a column; opacity, log_scale and rot follow f_rest.
-_F_DC, _F_REST = 3, 6
+#: First row of f_dc in a column.
+_F_DC = 3
+
+#: First row of f_rest; opacity, log_scale and rot follow.
+_F_REST = 6
 
 
 @kernel

@@ -39,12 +39,17 @@ class _Tried(NamedTuple):
     stay: float
 
 
-#: If fewer stay, views are too much alike.
-_THOROUGH, _QUICK = _Tried(6000, 2500, 0.1), _Tried(3000, 800, 0.05)
+#: For estimated cameras. With fewer places, views are too much alike.
+_THOROUGH = _Tried(6000, 2500, 0.1)
 
-#: Distances of places from a Gaussian: from this part of the scene's size to that of its reach; and
-#: the largest distance from the scene's centre in units of its reach.
-_NEAREST, _FARTHEST = 0.3, 3.0
+#: For a quick estimate.
+_QUICK = _Tried(3000, 800, 0.05)
+
+#: Minimum distance of a place from a Gaussian, in units of the scene's size.
+_NEAREST = 0.3
+
+#: Maximum distance of a place from a Gaussian and from the scene's centre, in units of its reach.
+_FARTHEST = 3.0
 
 #: Added to the share of SH-AC that a direction shows before its logarithm is taken.
 _FLOOR = 0.3
@@ -54,9 +59,14 @@ _FLOOR = 0.3
 #: 0.89; a real orbit whose estimated cameras mislead is at 0.31, a quantised garden at 0.22.
 _TELLING = 0.35
 
-#: Directions of the upper half of a sphere, cosine of the normals that count as one direction, and
-#: how many directions of normals are compared.
-_DIRECTIONS, _ALIKE, _MODES = 1000, 0.99, 4
+#: Number of directions of the upper half of a sphere.
+_DIRECTIONS = 1000
+
+#: Normals count for a direction if the cosine between them is at least this.
+_ALIKE = 0.99
+
+#: Number of directions of normals that are compared.
+_MODES = 4
 
 #: Up in most captures.
 _USUAL_UP = np.array([0.0, -1.0, 0.0])

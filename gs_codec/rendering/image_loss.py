@@ -25,7 +25,9 @@ _HALF = 5
 _GAUSSIAN = np.exp(-(np.arange(-_HALF, _HALF + 1.0) ** 2) / (2 * 1.5**2))
 _WINDOW = tuple((_GAUSSIAN / _GAUSSIAN.sum())[: _HALF + 1].tolist())
 
-_C1, _C2 = 0.01**2, 0.03**2
+#: Constants of SSIM for values from 0 to 1.
+_C1 = 0.01**2
+_C2 = 0.03**2
 
 #: Rows of an image that one task works on.
 _BAND = 16

@@ -33,8 +33,10 @@ from gs_codec.runtime.kernels import inlined, kernel
 #: centre to the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
 BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
 
-_ZERO, _ONE = np.float32(0), np.float32(1)
-_LEAST_ALPHA, MOST_ALPHA = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
+_ZERO = np.float32(0)
+_ONE = np.float32(1)
+_LEAST_ALPHA = np.float32(MIN_ALPHA)
+MOST_ALPHA = np.float32(MAX_ALPHA)
 LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
 
 #: The same where splats are left out: an opaque splat's removal shows what it hid.

@@ -27,8 +27,11 @@ from samples.captures.photograph import Photographer
 from samples.captures.rigs import RIGS, cameras_of, frame_of
 from samples.captures.training import train
 
-#: Bounds of the Gaussians that training starts with.
-MIN_COUNT, MAX_COUNT = 100, 100_000
+#: Minimum number of Gaussians that training starts with.
+MIN_COUNT = 100
+
+#: Maximum number.
+MAX_COUNT = 100_000
 
 #: Iterations of training.
 ITERATIONS = 600

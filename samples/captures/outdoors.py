@@ -22,8 +22,11 @@ from samples.textures import (
 
 _DAYLIGHT = (0.62, 0.72, 0.88)
 
-#: Half the length of the village's land, and of the part with houses, metres.
-_LAND, _BUILT = 420.0, 110.0
+#: Half the length of the village's land, metres.
+_LAND = 420.0
+
+#: Half the length of the part with houses, metres.
+_BUILT = 110.0
 
 
 def garden() -> Place:

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 Number = Callable[[Line], "float | None"]
 
-#: Curves of what remains after pruning, and of what is refined then.
-_PRUNED, _REFINED, _BY_RENDERS = "pruned", "refined", "refined to renders"
+#: Names of curves of pruned scenes.
+_PRUNED = "pruned"
+_REFINED = "refined"
+_BY_RENDERS = "refined to renders"
 
 #: Label, colour, mark, and the colour inside it, of each curve; the colour-blind can tell them.
 _CURVES = {

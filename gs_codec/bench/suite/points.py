@@ -14,7 +14,9 @@ from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES
 from gs_codec.runtime.wording import counted
 
 #: Names of curves: the paper's profiles, and ours without cameras and with.
-PAPER, FREE, CAMERA_GUIDED = "paper", "camera-free", "camera-guided"
+PAPER = "paper"
+FREE = "camera-free"
+CAMERA_GUIDED = "camera-guided"
 
 
 def measure_points(

@@ -103,9 +103,12 @@ _LEVELS = {
     "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
 }
 
-#: A scene is of flat Gaussians if the shortest log-scale of the median one is so far below the
-#: middle one, and is then coded as if it were so far.
-_FLAT, _THICKNESS = 4.0, 3.0
+#: Gaussians are flat (2DGS) if their shortest log-scale is this far below the middle one, by the
+#: median.
+_FLAT = 4.0
+
+#: They are coded as if it were this far below.
+_THICKNESS = 3.0
 
 #: Ratio of the step sizes of SH-AC to those of SH-DC.
 SH_RATIO = 2.0**-0.25

@@ -62,7 +62,7 @@ def test_sections():
                 found[int(number)] = (name, of == "scene")
     assert found == {s.value: (s.label, s in SCENE_SECTIONS) for s in SectionId}
     order = ", ".join(f"`{section.label}`" for section in DESCRIPTIONS)
-    assert f"The first sections of a file are, as far as it has them, {order}" in TEXT
+    assert f"The first sections of a file, where present, are {order}" in TEXT
 
 
 def test_profiles():

@@ -530,13 +530,19 @@ def test_steps_are_no_coarser_than_those_of_an_egs():
     assert wanted.positions.max() == 2**30
 
 
-@pytest.mark.parametrize("name", ["b.spz", "b.sog", "meta.json"])
-def test_conversions_of_rounded_scenes_keep_what_the_format_holds(name, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        *((name, convert_file) for name in ("b.spz", "b.sog", "meta.json", "b.ssog")),
+        *((name, encode_file) for name in ("b.spz", "b.sog")),
+    ],
+)
+def test_rounded_scenes_keep_what_the_format_holds(name, write, tmp_path):
     source = tmp_path / "a.spz"
     write_scene(source, random_scene(300, 2, seed=4), Config("s"))
     before, target = read_scene(source), tmp_path / "b" / name
     target.parent.mkdir()
-    done = convert_file(source, target)
+    done = write(source, target)
     assert "profile" not in done.lost[0]
     after = read_scene(target)
     if name == "b.spz":
@@ -546,13 +552,30 @@ def test_conversions_of_rounded_scenes_keep_what_the_format_holds(name, tmp_path
         np.testing.assert_allclose(first.rot, signs * second.rot, atol=2 / 511)
         assert_same_floats(first, replace(second, rot=first.rot))
     own = attribute_errors(before, after)
-    done = convert_file(source, target, overwrite=True, by_profile=True)
-    assert done.lost[0].endswith("or to the steps of profile m")
+    done = write(source, target, overwrite=True, by_profile=True)
+    assert name == "b.ssog" or done.lost[0].endswith("or to the steps of profile m")
     profile = attribute_errors(before, read_scene(target))
     assert own["scaling"] < 0.3 * profile["scaling"]
     assert own["rotation"] < 0.3 * profile["rotation"]
-    done = convert_file(source, target, Config("l"), overwrite=True)
-    assert done.lost[0].endswith("or to the steps of profile l")
+    done = write(source, target, Config("l"), overwrite=True)
+    assert name == "b.ssog" or done.lost[0].endswith("or to the steps of profile l")
+
+
+def test_targets_and_batches_of_rounded_scenes(tmp_path):
+    source, target = tmp_path / "a.spz", tmp_path / "b.spz"
+    write_scene(source, random_scene(300, 2, seed=4), Config("s"))
+    lines = []
+    for asked in ({"rate": {"ratio": 9.0}}, {"config": "m"}, {}):
+        lines.append(encode_file(source, target, overwrite=True, **asked).lost[0])
+    assert [line.endswith("or to the steps of profile m") for line in lines] == [True, True, False]
+    sizes = []
+    for typed in ([], ["-p", "m"]):
+        command = ["batch", tmp_path / "a.spz", tmp_path / f"out{len(typed)}", "--format", "spz"]
+        result = CliRunner().invoke(app, [*map(str, command), *typed])
+        assert result.exit_code == 0, result.output
+        sizes.append((tmp_path / f"out{len(typed)}" / "a.spz").stat().st_size)
+    assert sizes == [target.stat().st_size, sizes[1]]
+    assert sizes[1] < sizes[0]
 
 
 def order_of(scene):

@@ -35,6 +35,7 @@ class Options:
     max_memory: int | None = None
     actions: tuple[Action, ...] = ()
     plain: str | None = None
+    by_profile: bool = False
 
     @property
     def format(self) -> str:
@@ -54,6 +55,7 @@ class Options:
             "rate": self.rate and asdict(self.rate),
             "actions": [asdict(action) for action in self.actions],
             "format": self.format,
+            "by_profile": self.by_profile,
             "files": list(self._files()),
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()

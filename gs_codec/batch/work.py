@@ -126,7 +126,7 @@ def _write(
         )  # fmt: skip
     return encode_file(
         file, output, config, plan, options.rate, actions=options.actions, progress=progress,
-        max_memory=limit, max_bytes=max_bytes, overwrite=True,
+        max_memory=limit, max_bytes=max_bytes, overwrite=True, by_profile=options.by_profile,
     )  # fmt: skip
 
 

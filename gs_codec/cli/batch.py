@@ -115,8 +115,9 @@ def command(
     from gs_codec.batch.scenes import Options
 
     options = Options(
-        config, plan, rate, asked["max_bytes"], asked["max_memory"], tuple(asked.actions), plain
-    )
+        config, plan, rate, asked["max_bytes"], asked["max_memory"], tuple(asked.actions), plain,
+        asked.typed("profile", "coarseness"),
+    )  # fmt: skip
     batch = Batch(
         source, target, options, jobs, resume, report, on_error, asked["dask"], asked["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip

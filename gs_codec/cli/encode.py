@@ -71,7 +71,7 @@ def command(
             done = encode_file(
                 file, out, config, plan, rate, actions=asked.actions, progress=progress,
                 max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
-                overwrite=asked["overwrite"],
+                overwrite=asked["overwrite"], by_profile=asked.typed("profile", "coarseness"),
             )  # fmt: skip
         _tell(source, target, config, asked, done)
 

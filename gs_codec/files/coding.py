@@ -9,12 +9,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gs_codec.codecs.interchange import encode_finest
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, scene_in, tell_lost, write_parts
+from gs_codec.files.scenes import (
+    check_target,
+    keeps_rounding,
+    measured,
+    scene_in,
+    tell_lost,
+    write_parts,
+)
 from gs_codec.files.shifted import early_shift, edit_shifted
 from gs_codec.files.suffixes import ENCODED, config_for
 from gs_codec.formats.coordinates import CONVENTION
@@ -69,6 +77,7 @@ def encode_file(
     max_memory: int | None = None,
     max_bytes: int | None = None,
     overwrite: bool = False,
+    by_profile: bool = False,
 ) -> EncodeReport:
     """Encode a scene of any format to a file, which appears whole or not at all.
 
@@ -93,6 +102,8 @@ def encode_file(
         As for `read`.
     overwrite : bool
         As for `write`; an existing target is refused before the work begins.
+    by_profile : bool
+        As for `convert_file`; with `plan` or `rate`, values are rounded to the profile's steps.
 
     Returns
     -------
@@ -118,8 +129,10 @@ def encode_file(
     >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
     1600
     """
-    check_target([source], target, ENCODED, overwrite)
+    suffix = check_target([source], target, ENCODED, overwrite)
+    by_profile |= isinstance(config, str) or plan is not None or rate is not None
     config = config_for(target, as_config(config))
+    finest = keeps_rounding([source], suffix, config, by_profile)
     if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
     check_levels(config, rate, max_memory)
@@ -139,7 +152,9 @@ def encode_file(
                     scene, done = edit_shifted([scene], actions, shift, plan, progress)
                 counted = scene.float_bytes
             float_bytes = scene.float_bytes
-            if plan is None and rate is None:
+            if finest:
+                parts, report = encode_finest(scene, config)
+            elif plan is None and rate is None:
                 parts, report = encode_camera_free(scene, config, progress)
             else:
                 data, report = encode_by_plan(scene, counted, config, plan, rate, progress)
@@ -148,6 +163,9 @@ def encode_file(
         times.seconds |= report.seconds
         with times.stage("write"):
             write_parts(target, parts)
+        if finest:
+            with times.stage("measure"), located(source):
+                report = replace(report, rendered=measured(target, scene, config))
     tell_lost(target, report.lost)
     ratio = counted / report.file_bytes
     return replace(

@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
-from gs_codec.config import LOSSLESS, ROUNDED_FORMATS, Config, as_config
+from gs_codec.config import LOSSLESS, Config, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import (
     check_target,
+    keeps_rounding,
     read_scene,
     turn_scene,
     write_scene,
     written_bytes,
 )
 from gs_codec.files.shifted import early_shift, edit_shifted
-from gs_codec.files.suffixes import IN_PARTS, format_of
+from gs_codec.files.suffixes import IN_PARTS
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
-from gs_codec.formats.registry import open_scene
 from gs_codec.formats.rounding import Shift
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
@@ -172,8 +172,7 @@ def convert_file(
     if own is not None and wanted.upper() not in ("KEEP", CONVENTION, own):
         raise InvalidInput(f"{target}: coordinates {wanted!a:.20}, expected {own} of its format")
     dropped, times = 0, StageTimes()
-    asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
-    finest = not asked and format_of(suffix) in ROUNDED_FORMATS and all(map(_is_rounded, sources))
+    finest = keeps_rounding(sources, suffix, config, by_profile)
     exact = suffix == ".egs" and config.profile == LOSSLESS and not actions
     shift = None if stated else early_shift(sources, actions)
     with using_threads(config.threads), bounded(max_memory):
@@ -212,11 +211,6 @@ def convert_file(
         rendered,
         scene.float_bytes,
     )
-
-
-def _is_rounded(source: str | Path) -> bool:
-    with open_scene(source) as file:
-        return file.is_rounded
 
 
 def _choose(scenes: Sequence[Scene], chosen: NDArray[np.bool_]) -> Scene:

@@ -24,7 +24,7 @@ from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import ROUNDED_FORMATS, SSOG, STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import LEVELLED, PLAIN, WRITTEN, config_for, suffix_of
+from gs_codec.files.suffixes import LEVELLED, PLAIN, WRITTEN, config_for, format_of, suffix_of
 from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
@@ -72,7 +72,8 @@ def write_scene(
 ) -> Written:
     """Write a scene in a format of `PLAIN`, encoded in one of `FORMATS`, or as streamed SOG.
 
-    If `finest`, `.spz` and SOG are written as finely as they can be, whatever the profile.
+    If `finest`, `.spz` and SOG are written as finely as they can be, whatever the profile; coarser
+    levels of detail by the profile all the same.
 
     Raises
     ------
@@ -86,13 +87,13 @@ def write_scene(
     elif suffix in LEVELLED:
         with located(path):
             config = config_for(path, config, LEVELLED)
-            files, lost = stream_levels(scene, config)
+            files, lost = stream_levels(scene, config, finest=finest)
         if suffix == SSOG:
             with atomic_writer(path) as file:
                 write_zip(file, {STREAMED: files.pop(STREAMED), **files})
         else:
             write_files(Path(path).parent, files)
-        written = Written(lost, _measured(path, scene, config))
+        written = Written(lost, measured(path, scene, config))
     else:
         with located(path):
             config = config_for(path, config)
@@ -100,13 +101,29 @@ def write_scene(
             encode = encode_finest if finest else encode_camera_free
             parts, report = add_levels(*encode(scene, config), config)
         write_parts(path, parts)
-        rendered = _measured(path, scene, config) if finest else report.rendered
+        rendered = measured(path, scene, config) if finest else report.rendered
         written = Written(report.lost, rendered)
     tell_lost(path, written.lost)
     return written
 
 
-def _measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
+def keeps_rounding(
+    sources: Sequence[str | Path], suffix: str, config: Config, by_profile: bool
+) -> bool:
+    """Whether values that come rounded are rounded no further than `.spz` and SOG have to.
+
+    Not if a profile or a coarseness is asked for.
+    """
+    asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
+    return not asked and format_of(suffix) in ROUNDED_FORMATS and all(map(_is_rounded, sources))
+
+
+def _is_rounded(source: str | Path) -> bool:
+    with open_scene(source) as file:
+        return file.is_rounded
+
+
+def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
     """What rendered views of a written file lose."""
     from gs_codec.guidance.check import Check
 

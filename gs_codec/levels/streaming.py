@@ -16,6 +16,7 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.config import STREAMED, UNBUNDLED, Config
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.sog_writer import REACH, numbers, sog_files_of
 from gs_codec.formats.streamed_sog import Leaf, Run, describe_levels
@@ -37,7 +38,7 @@ _SMALLER = np.float32(np.log(3))
 
 
 def stream_levels(
-    scene: Scene, config: Config, leaf: int = LEAF, most: int = FILE
+    scene: Scene, config: Config, leaf: int = LEAF, most: int = FILE, finest: bool = False
 ) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """The files of a scene as streamed SOG, and what they cannot hold, in words.
 
@@ -51,6 +52,8 @@ def stream_levels(
         Of profile ``l``, ``m`` or ``s``.
     leaf, most : int
         Most Gaussians of a leaf, and of a file.
+    finest : bool
+        Whether the first level is written as finely as it can be, whatever the profile.
 
     Returns
     -------
@@ -83,8 +86,11 @@ def stream_levels(
             steps = wanted_steps(whole, camera_free_steps(whole, chosen.adaptive_profile()))
             runs.append(_runs([part.count for part in parts], most, len(names)))
             for number, (start, stop) in enumerate(_extents(runs[-1])):
+                part = whole.between(start, stop)
                 own = steps.take(slice(start, stop))
-                contents, lost = sog_files_of(whole.between(start, stop), own)
+                if finest and not level:
+                    own = AttributeSteps.least(part)
+                contents, lost = sog_files_of(part, own)
                 files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
                 names.append(f"{level}_{number}/{UNBUNDLED}")
                 told += lost

@@ -52,6 +52,9 @@ _COORDINATES = re.compile(
 
 _OFFSET = re.compile(r"\s*CoordinateOffset:\s*(\S+)\s+(\S+)\s+(\S+)\s*", re.IGNORECASE)
 
+#: Translation of centres, x, y, z.
+Shift = tuple[float, float, float]
+
 #: Properties that are no attribute of a Gaussian, but are turned with it.
 NORMALS = ("nx", "ny", "nz")
 
@@ -146,7 +149,7 @@ def antialiased_of(comments: Iterable[str]) -> bool:
     return bool(found) and found[-1] in ("mip", "1")
 
 
-def offset_of(comments: Iterable[str]) -> tuple[float, float, float] | None:
+def offset_of(comments: Iterable[str]) -> Shift | None:
     """What to add to centres for the coordinates of the source, by the last comment on it."""
     found = [m for m in map(_OFFSET.fullmatch, comment_lines(comments)) if m]
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats import ply_header
+from gs_codec.formats.coordinates import turn_shift
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.formats.ply_body import ply_of
 from gs_codec.formats.registry import open_scene
@@ -462,7 +464,7 @@ BAD_FILES = {
             + "element",
             "ascii",
         ),
-        "after 19999999999999999980 of others|beside",
+        "after 19,999,999,999,999,999,980 of others|beside",
     ),
     "60 elements of long names": (
         rewritten(
@@ -740,3 +742,30 @@ def test_a_translation_comes_before_rounding(tmp_path, caplog):
     assert offset_of(read_ply(tmp_path / "c.ply").comments) == (512_345.0, 5_212_344.0, 400.0)
     convert_file(tmp_path / "b.ply", tmp_path / "d.ply", actions=[Action("rotate", "0,90,0")])
     assert offset_of(read_ply(tmp_path / "d.ply").comments) is None
+
+
+@pytest.mark.parametrize("system", ["RUB", "LFU"])
+@pytest.mark.parametrize("is_stated", [False, True], ids=["comment", "option"])
+def test_a_translation_of_other_axes_comes_before_rounding(system, is_stated, tmp_path, caplog):
+    """It is in the axes of the trainer, whatever those of the file are."""
+    path, own = far_scene(tmp_path / "a.ply")
+    text = path.read_bytes()
+    comment = b"" if is_stated else f"comment CoordinateSystem: {system}\n".encode()
+    path.write_bytes(text.replace(b"element", comment + b"element", 1))
+    centres = np.array([turn_shift(tuple(row), system, "RDF") for row in own.tolist()])
+    middle = np.array(turn_shift((512_345.0, 5_212_345.0, 400.0), system, "RDF"))
+    if not is_stated:
+        read_ply(path)
+        [said] = re.findall('"translate", "(.*)"', caplog.messages[-1])
+        assert np.abs(np.array([float(x) for x in said.split(",")]) + middle).max() < 5
+        caplog.clear()
+    shift = Action("translate", ",".join(f"{-x:.0f}" for x in middle))
+    stated = f"{system}:RDF" if is_stated else "RDF"
+    convert_file(path, tmp_path / "b.ply", coordinates=stated, actions=[shift])
+    scene = read_ply(tmp_path / "b.ply")
+    np.testing.assert_allclose(scene.positions.T, centres - middle, atol=1e-6)
+    assert offset_of(scene.comments) == tuple(middle)
+    assert caplog.text == ""
+    convert_file(tmp_path / "b.ply", tmp_path / "c.ply", coordinates=system)
+    back = read_ply(tmp_path / "c.ply")
+    np.testing.assert_allclose(back.positions.T + offset_of(back.comments), own, atol=1e-6)

@@ -23,12 +23,11 @@ from gs_codec.files.scenes import (
     tell_lost,
     write_parts,
 )
-from gs_codec.files.shifted import early_shift, edit_shifted
+from gs_codec.files.shifted import early_shifts, edit_shifted
 from gs_codec.files.suffixes import ENCODED, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
-from gs_codec.formats.rounding import Shift
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
@@ -37,7 +36,7 @@ from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, Shift
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
@@ -144,12 +143,13 @@ def encode_file(
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
             exact = config.profile == LOSSLESS and plan is None and not actions
-            shift = early_shift([source], actions)
+            shifts = early_shifts([source], actions)
+            shift = None if shifts is None else shifts[0]
             scene, input_bytes, counted = read_source(source, config, max_bytes, exact, shift)
         with located(source):
             if actions:
                 with times.stage("edit"):
-                    scene, done = edit_shifted([scene], actions, shift, plan, progress)
+                    scene, done = edit_shifted([scene], actions, shifts, plan, progress)
                 counted = scene.float_bytes
             float_bytes = scene.float_bytes
             if finest:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,17 +25,16 @@ from gs_codec.files.scenes import (
     write_scene,
     written_bytes,
 )
-from gs_codec.files.shifted import early_shift, edit_shifted
+from gs_codec.files.shifted import early_shifts, edit_shifted
 from gs_codec.files.suffixes import IN_PARTS
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
-from gs_codec.formats.rounding import Shift
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, Shift
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
@@ -174,17 +174,17 @@ def convert_file(
     dropped, times = 0, StageTimes()
     finest = keeps_rounding(sources, suffix, config, by_profile)
     exact = suffix == ".egs" and config.profile == LOSSLESS and not actions
-    shift = None if stated else early_shift(sources, actions)
+    shifts = early_shifts(sources, actions, stated)
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            read = partial(_read, config, stated, progress, max_bytes, exact, shift)
-            scenes = [read(each) for each in sources]
+            read = partial(_read, config, stated, progress, max_bytes, exact)
+            scenes = list(map(read, shifts or repeat(None), sources))
         with located(" + ".join(map(str, sources))):
             before = system_of(scenes[0])
             with times.stage("edit"):
                 if chosen is not None:
                     scenes = [_choose(scenes, chosen)]
-                scene, done = edit_shifted(scenes, actions, shift, plan, progress)
+                scene, done = edit_shifted(scenes, actions, shifts, plan, progress)
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)

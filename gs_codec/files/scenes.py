@@ -32,7 +32,6 @@ from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.dialects import with_filter
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.formats.rounding import Shift
 from gs_codec.formats.usd import require_usd_core
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.guidance.planned import encode_camera_free
@@ -43,7 +42,7 @@ from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located, opened
-from gs_codec.scene import Scene, float_bytes
+from gs_codec.scene import Scene, Shift, float_bytes
 
 log = logging.getLogger(__name__)
 

@@ -8,36 +8,45 @@ from typing import TYPE_CHECKING
 
 from gs_codec.edit.actions import Action
 from gs_codec.edit.pipeline import edit_scenes
+from gs_codec.formats.coordinates import CONVENTION, turn_shift
 from gs_codec.formats.registry import open_scene
-from gs_codec.formats.rounding import Shift
 from gs_codec.report import ActionReport, Progress
-from gs_codec.scene import Scene
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import Scene, Shift, coordinates_of
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
 
-def early_shift(sources: Sequence[str | Path], actions: Sequence[Action]) -> Shift | None:
-    """The translation that is the first action, if all sources have centres in float64."""
+def early_shifts(
+    sources: Sequence[str | Path], actions: Sequence[Action], stated: str = ""
+) -> list[Shift] | None:
+    """The translation that is the first action, if all sources have centres in float64.
+
+    In the axes of each source, which may be `stated`.
+    """
     if not actions or actions[0].name != "translate":
         return None
+    shifts = []
     for source in sources:
         with open_scene(source) as file:
             if not file.has_doubles:
                 return None
-    x, y, z = actions[0].arguments
-    return x, y, z
+            system = stated.upper() or coordinates_of(file.ply.header.comments) or CONVENTION
+            with located(source):
+                shifts.append(turn_shift(actions[0].arguments, CONVENTION, system))
+    return shifts
 
 
 def edit_shifted(
     scenes: Sequence[Scene],
     actions: Sequence[Action],
-    shift: Shift | None,
+    shifts: Sequence[Shift] | None,
     plan: Plan | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, tuple[ActionReport, ...]]:
-    """See `edit_scenes`; with a `shift`, the scenes were read with it, so that it is done."""
-    if shift is None:
+    """See `edit_scenes`; with `shifts`, the scenes were read with them, so that it is done."""
+    if shifts is None:
         return edit_scenes(scenes, actions, plan, progress)
     count = sum(scene.count for scene in scenes)
     scene, done = edit_scenes(scenes, actions[1:], plan, progress)

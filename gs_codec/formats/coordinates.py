@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import move_scene
-from gs_codec.scene import Scene, coordinates_comment, coordinates_of
+from gs_codec.scene import Scene, Shift, coordinates_comment, coordinates_of, offset_of, with_offset
 
 #: The system of a scene that states none.
 CONVENTION = "RDF"
@@ -57,13 +57,21 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
     InvalidInput
         If `system` is not a coordinate system.
     """
-    before, after = _axes(system_of(scene)), _axes(system)
-    if np.array_equal(before, after):
+    turn = _turn(system_of(scene), system)
+    if np.array_equal(turn, np.eye(3)):
         return scene
     matrix = np.eye(4)
-    matrix[:3, :3] = after @ before.T
-    scene = move_scene(scene, matrix)
-    return state_system(scene, system)
+    matrix[:3, :3] = turn
+    moved, offset = move_scene(scene, matrix), offset_of(scene.comments)
+    if offset is not None:
+        moved = replace(moved, comments=with_offset(moved.comments, turn @ offset))
+    return state_system(moved, system)
+
+
+def turn_shift(shift: Shift, before: str, after: str) -> Shift:
+    """A translation in the axes of another system; see `turn_axes`."""
+    x, y, z = (_turn(before, after) @ shift).tolist()
+    return x, y, z
 
 
 def state_system(scene: Scene, system: str) -> Scene:
@@ -71,6 +79,11 @@ def state_system(scene: Scene, system: str) -> Scene:
     _axes(system)
     kept = tuple(line for line in scene.comments if coordinates_of([line]) is None)
     return replace(scene, comments=(*kept, coordinates_comment(system)))
+
+
+def _turn(before: str, after: str) -> NDArray[np.float64]:
+    """The matrix that takes coordinates from one system to another."""
+    return _axes(after) @ _axes(before).T
 
 
 def _axes(system: str) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import refuse_beyond, say_degree_4, say_left_out
+from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.dialects import (
     FILTER,
     fuse_filter,
@@ -27,7 +28,7 @@ from gs_codec.formats.limits import check_bytes
 from gs_codec.formats.packed_ply import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
 from gs_codec.formats.ply_body import Ply, Rows, ply_of, to_rows
 from gs_codec.formats.ply_header import PlyHeader
-from gs_codec.formats.rounding import Rounding, Shift
+from gs_codec.formats.rounding import Rounding
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
@@ -39,6 +40,8 @@ from gs_codec.scene import (
     SH_C0,
     SH_COEFFICIENTS,
     Scene,
+    Shift,
+    coordinates_of,
     is_extra_name,
     offset_of,
     property_names,
@@ -110,7 +113,9 @@ def scene_of(
     others = [n for n in data.dtype.names or () if n not in used and not n.startswith("f_rest_")]
     normals = [*NORMALS] if set(NORMALS) <= set(others) else []
     kept = [n for n in others if n == FILTER or (extra == "keep" and is_extra_name(n))]
-    planes, columns, given = _read_columns(path, data, wanted, kept, normals, shift)
+    system = coordinates_of(ply.header.comments) or CONVENTION
+    rounding = Rounding(wanted, shift, system)
+    planes, columns, given = _read_columns(path, data, kept, normals, rounding, len(wanted))
     if not given:
         others = [name for name in others if name not in normals]
         columns = {name: column for name, column in columns.items() if name not in normals}
@@ -197,18 +202,17 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
 def _read_columns(
     path: str | Path,
     rows: Rows,
-    wanted: list[str],
     kept: list[str],
     normals: list[str],
-    shift: Shift | None,
+    rounding: Rounding,
+    number: int,
 ) -> tuple[NDArray[np.float32], dict[str, NDArray], bool]:
-    """Planes of the wanted properties, columns to keep, and whether there are normals, in one pass.
+    """Rounded planes, `number` of them, columns to keep, and whether there are normals; one pass.
 
     Normals are written back as +0, so a -0 that is to be kept is one.
     """
-    planes = empty((len(wanted), len(rows)), np.float32)
+    planes = empty((number, len(rows)), np.float32)
     columns = {name: empty((len(rows),), rows.dtype[name].newbyteorder("=")) for name in kept}
-    rounding = Rounding(wanted, shift)
     given: list[bool | np.bool] = []
 
     def use(place: slice, tile: NDArray) -> None:

@@ -29,14 +29,12 @@ from gs_codec.formats import (
     streamed_sog,
     usd,
 )
-from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
-from gs_codec.formats.rounding import Shift
 from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
 from gs_codec.runtime.mapped import FileBytes, opened
-from gs_codec.scene import Scene, coordinates_of, float_bytes
+from gs_codec.scene import Scene, Shift, float_bytes
 
 Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "usd", "ksplat", "pt", "streamed sog"]
 
@@ -142,8 +140,8 @@ class SceneFile:
 
     @property
     def has_doubles(self) -> bool:
-        """Whether it is a PLY of float64 centres, in the axes of the trainer."""
-        if self.is_compressed or coordinates_of(self.ply.header.comments) not in (None, CONVENTION):
+        """Whether it is a PLY of float64 centres."""
+        if self.is_compressed:
             return False
         vertex = self.ply.header.elements.get("vertex")
         return vertex is not None and any(vertex.types.get(axis) == "f8" for axis in "xyz")

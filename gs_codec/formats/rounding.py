@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.formats.beyond import listed
+from gs_codec.formats.coordinates import CONVENTION, turn_shift
 from gs_codec.runtime.wording import counted
+from gs_codec.scene import Shift
 
 log = logging.getLogger(__name__)
 
 #: Errors of centres below this share of a Gaussian's longest axis are not worth a shift.
 _SEEN = 0.01
-
-#: Translation of centres, x, y, z.
-Shift = tuple[float, float, float]
 
 
 class Rounding:
@@ -32,9 +31,12 @@ class Rounding:
         Of the planes; centres come first.
     shift : tuple of three float, optional
         Added to centres that are float64, before they are rounded.
+    system : str
+        Coordinate system of the file.
     """
 
-    def __init__(self, names: Sequence[str], shift: Shift | None) -> None:
+    def __init__(self, names: Sequence[str], shift: Shift | None, system: str = CONVENTION) -> None:
+        self._system = system
         self._names, self._shift = names, shift or (0.0, 0.0, 0.0)
         self._scales = [k for k, name in enumerate(names) if name.startswith("scale_")]
         self._rounded: Counter[str] = Counter()
@@ -94,5 +96,7 @@ class Rounding:
         if self._share < _SEEN:
             return text
         middle = np.rint((self._low + self._high) / 2)
-        by = ",".join(f"{-x:.0f}" for x in middle)
+        x, y, z = -middle
+        shift = turn_shift((x, y, z), self._system, CONVENTION)
+        by = ",".join(f"{each:.0f}" for each in shift)
         return f'{text}; shift them first: Action("translate", "{by}")'

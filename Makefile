@@ -10,7 +10,7 @@ NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test test-all test-ci lint check docs web boundscheck scaling suite fuzz peers dist release clean
+.PHONY: demo test test-all test-ci lint check wheel docs web boundscheck scaling suite fuzz peers dist release clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -58,6 +58,11 @@ lint: $(VENV)/installed-test
 	$(BIN)/mypy
 
 check: lint test
+
+# A wheel for this Python, with kernels compiled for Linux on x86-64: dist/gs_codec-*.whl. A minute or two.
+wheel: $(VENV)/installed-test
+	@rm -rf build/lib
+	GS_CODEC_KERNELS=1 $(PIP) wheel --no-deps --no-build-isolation --wheel-dir dist .
 
 # Pages on the Python API, to be opened in a browser.
 docs: $(VENV)/installed

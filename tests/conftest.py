@@ -24,6 +24,9 @@ from gs_codec.formats.ply import write_ply
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# However long kernels take to compile: what other processes print is the same.
+os.environ["GS_CODEC_PROGRESS"] = "0"
+
 #: Examples of a property.
 EXAMPLES = 25
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -10,6 +11,8 @@ import sys
 import sysconfig
 import tarfile
 import zipfile
+from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -102,6 +105,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
             "gs_codec/bench/*.jpg",
             "gs_codec/bench/*.jsonl",
             "gs_codec/bench/*.png",
+            "gs_codec/runtime/kernels.txt",
             "*/py.typed",
             "viewer/*.png",
             "viewer/web/page.html",
@@ -229,6 +233,9 @@ def test_unpacked_wheel_loads_every_command(unpacked, tmp_path):
     assert "gs_codec.cli.bench" in loaded
 
 
+PIP = "-m", "pip", "--disable-pip-version-check", "--quiet"
+OFFLINE = "--no-index", "--no-deps", "--no-build-isolation"
+
 #: Runs a kernel, and names the package and the folder of compiled kernels.
 COMPILING = """
 import numpy as np
@@ -239,20 +246,38 @@ print(gs_codec.__file__, _range_of.stats.cache_path, *_range_of.stats.cache_hits
 """
 
 
-@pytest.mark.thorough
-def test_an_installed_copy_that_has_run_gives_way_to_another(wheel, sources, tmp_path, monkeypatch):
-    """Files that pip does not know, in the package, would keep it there: in the way of another."""
-    venv, pip = tmp_path / "venv", ("-m", "pip", "--disable-pip-version-check", "--quiet")
-    run("-m", "venv", "--without-pip", venv, cwd=tmp_path)
-    site = next(venv.glob("lib*/python*/site-packages"))
+@pytest.fixture
+def venv(tmp_path, monkeypatch) -> Path:
+    """An environment that `run` then runs, with the packages of this one but gs_codec."""
+    folder = tmp_path / "venv"
+    run("-m", "venv", "--without-pip", folder, cwd=tmp_path)
+    (site,) = folder.glob("lib/python*/site-packages")
     (site / "rest.pth").write_text(sysconfig.get_path("purelib"))
+    monkeypatch.setattr(sys, "executable", str(folder / "bin/python"))
+    return folder
+
+
+@pytest.fixture
+def few_kernels(sources) -> Iterator[Path]:
+    """The sources with a short list of kernels."""
+    path = sources / "gs_codec/runtime/kernels.txt"
+    whole = path.read_text()
+    path.write_text("".join(line for line in whole.splitlines(True) if " _range_of " in line))
+    yield sources
+    path.write_text(whole)
+
+
+@pytest.mark.thorough
+def test_an_installed_copy_that_has_run_gives_way_to_another(
+    wheel, sources, venv, tmp_path, monkeypatch
+):
+    """Files that pip does not know, in the package, would keep it there: in the way of another."""
+    (site,) = venv.glob("lib/python*/site-packages")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(sys, "executable", str(venv / "bin/python"))
-    options = "--no-index", "--no-deps", "--no-build-isolation", "--force-reinstall"
     hits = []
     for what, place in [((wheel,), site), (("-e", sources), sources)] * 2:
-        run(*pip, "install", *options, *what, cwd=tmp_path)
+        run(*PIP, "install", *OFFLINE, "--force-reinstall", *what, cwd=tmp_path)
         package, cache, *found = run("-c", COMPILING, cwd=tmp_path).split()
         assert Path(package) == place / "gs_codec/__init__.py"
         assert Path(cache).parent == tmp_path / "gs-codec"
@@ -260,3 +285,48 @@ def test_an_installed_copy_that_has_run_gives_way_to_another(wheel, sources, tmp
         assert (site / "gs_codec").exists() == (place == site)
         assert not [*place.glob("gs_codec/**/*.nb*")]
     assert hits == [[], ["1"], ["1"], ["1"]], "each place has compiled again"
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(
+    (sys.platform, platform.machine()) != ("linux", "x86_64"), reason="for Linux on x86-64 alone"
+)
+def test_a_wheel_with_compiled_kernels_compiles_nothing(few_kernels, tmp_path, monkeypatch):
+    monkeypatch.setenv("GS_CODEC_KERNELS", "1")
+    run(*PIP, "wheel", *OFFLINE, "--wheel-dir", tmp_path, few_kernels, cwd=tmp_path)
+    (built,) = tmp_path.glob("*.whl")
+    python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+    assert built.name.endswith(f"-{python}-{python}-manylinux_2_17_x86_64.whl")
+    archive = zipfile.ZipFile(built)
+    metadata = archive.read(f"gs_codec-{gs_codec.__version__}.dist-info/METADATA").decode()
+    required = re.findall(r"^Requires-Dist: (numba[^-]*)$", metadata, re.MULTILINE)
+    assert required == [f"numba=={version('numba')}"]
+    archive.extractall(tmp_path / "unpacked")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(built))  # no folder
+    package, _, hits = run("-c", COMPILING, cwd=tmp_path, path=tmp_path / "unpacked").split()
+    assert (package, hits) == (str(tmp_path / "unpacked/gs_codec/__init__.py"), "1")
+
+
+@pytest.mark.thorough
+def test_an_image_by_the_dockerfile_has_nothing_to_compile(
+    few_kernels, venv, tmp_path, monkeypatch
+):
+    """Its steps, without Docker: in an environment that has the packages."""
+    text = (ROOT / "gs_codec/cli/COMMANDS.md").read_text()
+    (steps,) = re.findall("```dockerfile\n(.*?)```", text, re.DOTALL)
+    (setting,) = re.findall(r"^ENV NUMBA_CACHE_DIR=(\S+)$", steps, re.MULTILINE)
+    _, install, warm = re.findall(r"^RUN (.*)$", steps, re.MULTILINE)
+    pip = venv / "bin/pip"
+    pip.write_text(f'#!/bin/sh\n"{venv}/bin/python" {" ".join(PIP)} "$@" {" ".join(OFFLINE)}\n')
+    pip.chmod(0o755)
+    cache = tmp_path / "image" / setting.lstrip("/")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
+    monkeypatch.setenv("PATH", f"{venv / 'bin'}:{os.environ['PATH']}")
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    for command in (install.replace("/src", str(few_kernels)), warm):
+        subprocess.run(["sh", "-ec", command], check=True, cwd=tmp_path)
+    kept = {path: path.stat().st_mode & 0o444 for path in cache.rglob("*.nb*")}
+    assert len(kept) == 3, "one index, and the code for two types"
+    assert set(kept.values()) == {0o444}, "for another user"
+    assert run("-c", COMPILING, cwd=tmp_path).split()[2:] == ["1"]
+    assert set(cache.rglob("*.nb*")) == set(kept)

@@ -29,7 +29,7 @@ from gs_codec.runtime.wording import as_typed, size_text
 #: Commands in the order of the help; each is a module of this package.
 NAMES = (
     "encode", "decode", "verify", "convert", "prepare", "batch", "inspect", "compare", "render",
-    "share", "analyze", "bench",
+    "share", "analyze", "bench", "warm",
 )  # fmt: skip
 
 

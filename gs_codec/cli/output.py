@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -37,6 +38,7 @@ def set_loudness(quiet: bool = False, verbose: bool = False, results: bool = Tru
     _Loudness.status, _Loudness.verbose = not quiet, verbose
     _Loudness.results = results or not quiet
     logging.getLogger("gs_codec").setLevel(logging.DEBUG if verbose else logging.NOTSET)
+    _show_compiling(not quiet)
 
 
 def is_quiet() -> bool:
@@ -80,7 +82,15 @@ def log_to_stderr(program: str) -> None:
     for level in (logging.WARNING, logging.INFO, logging.DEBUG):
         logging.addLevelName(level, logging.getLevelName(level).lower())
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
+    _show_compiling(True)
     log_warnings()
+
+
+def _show_compiling(shown: bool) -> None:
+    """Show, or hide, how far the compilation of kernels is."""
+    shown = shown and os.environ.get("GS_CODEC_PROGRESS") != "0"
+    logger = logging.getLogger("gs_codec.runtime.compiling")
+    logger.setLevel(logging.INFO if shown else logging.WARNING)
 
 
 def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None = None) -> None:

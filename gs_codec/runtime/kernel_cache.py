@@ -41,6 +41,14 @@ def cache_folder() -> Path | None:
     return next(filter(_is_private, _places()), None)
 
 
+def is_writable() -> bool:
+    """Whether kernels can be kept in `cache_folder`."""
+    folder = cache_folder()
+    while folder is not None and not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder is not None and folder.is_dir() and os.access(folder, os.W_OK)
+
+
 def _places() -> Iterator[Path]:
     home = Path(os.path.expanduser("~/.cache/gs-codec"))
     user = Path(AppDirs("gs-codec", appauthor=False).user_cache_dir)
@@ -77,7 +85,9 @@ def kept(kind: Any, function: Callable, loading: Callable[[Any], Any]) -> Any:
     Its failures are ignored: a kernel can be compiled again. `loading` makes of numba's target the
     one that machine code is loaded with.
     """
-    return NullCache() if cache_folder() is None else _kind(kind)(function, loading)
+    if cache_folder() is None or not os.path.exists(function.__code__.co_filename):
+        return NullCache()
+    return _kind(kind)(function, loading)
 
 
 @functools.cache
@@ -113,14 +123,10 @@ class _Place:
     """Where numba's cache keeps the kernels of a source file: by its content."""
 
     def __init__(self, function: Callable, source: str) -> None:
-        _, digest = source_digest(source)
         self._line = function.__code__.co_firstlineno
-        self._path = Path(cache_folder() or "", f"{Path(source).stem}-{digest[:16]}")
+        self._path = Path(cache_folder() or "", place_name(source))
 
-    @classmethod
-    def from_function(cls, function: Callable, source: str) -> _Place | None:
-        """None for functions without a source file."""
-        return cls(function, source) if os.path.exists(source) else None
+    from_function = classmethod(lambda cls, function, source: cls(function, source))
 
     def get_cache_path(self) -> str:
         return str(self._path)
@@ -135,9 +141,14 @@ class _Place:
         return str(self._line)
 
 
-def settings() -> tuple[Any, ...]:
+def place_name(source: str) -> str:
+    """Name of the folder of a source file's kernels."""
+    return f"{Path(source).stem}-{source_digest(source)[1][:16]}"
+
+
+def settings() -> tuple[str, ...]:
     """Settings of numba that change machine code."""
-    return tuple(getattr(config, name, None) for name in _SETTINGS)
+    return tuple(f"{name}={getattr(config, name, None)}" for name in _SETTINGS)
 
 
 @functools.cache

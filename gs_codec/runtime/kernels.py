@@ -1,18 +1,9 @@
 """Compile functions with numba: cached on disk if possible, without the GIL."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import update_wrapper
 from threading import Lock
 from typing import Any
-
-from gs_codec.runtime.atomic import alone
-
-#: How long to wait for a process that compiles kernels of the same source file; it may be stopped.
-_PATIENCE = 60.0
-
-#: Source files whose kernels this process is compiling.
-_compiling: set[str] = set()
 
 #: Held while a dispatcher is made.
 _making = Lock()
@@ -76,59 +67,10 @@ def _inlined(function: Callable) -> Any:
 
 def _cached(function: Callable) -> Any:
     import numba
-    from numba.core.caching import FunctionCache
 
-    from gs_codec.runtime.kernel_cache import kept
+    from gs_codec.runtime.kernel_loading import load_first
 
-    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    if compiled is function:  # numba is disabled (NUMBA_DISABLE_JIT)
-        return compiled
-    compiled._cache = kept(FunctionCache, function, _Loading)
-    compiled.compile = _alone(compiled.compile, function.__code__.co_filename)
+    compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    if compiled is not function:  # or numba is disabled (NUMBA_DISABLE_JIT)
+        load_first(compiled)
     return compiled
-
-
-def _alone(compile_one: Callable, source: str) -> Callable:
-    """Compile while no other process compiles a kernel of this source file: it may be the same."""
-    from numba.core.compiler_lock import global_compiler_lock
-
-    def compile_alone(signature: Any) -> Any:
-        with global_compiler_lock, _locked(source):
-            return compile_one(signature)
-
-    return compile_alone
-
-
-@contextmanager
-def _locked(source: str) -> Iterator[None]:
-    """Keep a source file locked, unless it is, or there are no locks."""
-    if source in _compiling:
-        yield
-        return
-    _compiling.add(source)
-    try:
-        with alone(source, _PATIENCE):
-            yield
-    finally:
-        _compiling.remove(source)
-
-
-class _Loading:
-    """numba's target for loading a kernel from the cache, with half the start-up time.
-
-    Before numba looks into the cache, it prepares everything that the compiler needs: 0.4 seconds,
-    with the linear algebra of scipy. Loaded machine code needs only numba's runtime. If the kernel
-    must be compiled after all, the compiler calls the target's own `refresh`.
-    """
-
-    def __init__(self, target: Any) -> None:
-        self._target = target
-
-    def refresh(self) -> None:
-        """Do the part of the target's own `refresh` that machine code needs."""
-        from numba.core.runtime import rtsys
-
-        rtsys.initialize(self._target)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._target, name)

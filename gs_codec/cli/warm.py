@@ -1,0 +1,26 @@
+"""``gs-codec warm``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.documents import print_document
+from gs_codec.cli.output import print_text, progress_bar
+from gs_codec.runtime.threads import using_threads
+
+
+@takes("threads", "json")
+def command(asked: Asked) -> None:
+    """Compile all kernels that are not compiled yet, so that no later command has to."""
+    from gs_codec.runtime.warming import warm
+
+    with using_threads(asked["threads"]), progress_bar() as progress:
+        report = warm(progress)
+    if asked["json"]:
+        print_document(**asdict(report) | {"folder": str(report.folder)})
+    else:
+        print_text(
+            f"{report.kernels} kernels, {report.compiled} of them compiled now; "
+            f"compiled kernels are kept in {report.folder}"
+        )

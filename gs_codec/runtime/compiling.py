@@ -1,0 +1,81 @@
+"""Messages while kernels are compiled, which takes seconds: nobody waits without knowing why."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from gs_codec.runtime import kernel_archive, kernel_cache
+
+log = logging.getLogger(__name__)
+
+#: Seconds of compiling before the first message, and of waiting between others.
+_MOMENT = 0.5
+_PAUSE = 2.5
+
+
+class _Compiled:
+    """What this process has compiled, and is compiling: calls within calls."""
+
+    kernels = 0
+    seconds = 0.0
+    calls = 0
+    begun: float | None = None
+    told: float | None = None
+    done = threading.Event()
+
+
+@contextmanager
+def watched() -> Iterator[None]:
+    """Load or compile a kernel in the block; only one thread does."""
+    _Compiled.calls += 1
+    try:
+        yield
+    finally:
+        _Compiled.calls -= 1
+        if not _Compiled.calls and _Compiled.begun is not None:
+            _Compiled.done.set()
+            _Compiled.seconds += time.monotonic() - _Compiled.begun
+            _Compiled.begun = None
+
+
+def count() -> int:
+    """Number of kernels that this process has compiled."""
+    return _Compiled.kernels
+
+
+def begin() -> None:
+    """Note, in a `watched` block, that a kernel has to be compiled."""
+    _Compiled.kernels += 1
+    if _Compiled.begun is None:
+        _Compiled.begun, _Compiled.done = time.monotonic(), threading.Event()
+        threading.Thread(target=_tell, args=(_Compiled.done,), daemon=True).start()
+
+
+def _tell(done: threading.Event) -> None:
+    """Log messages until compiling is done."""
+    wait = _MOMENT - _Compiled.seconds
+    if _Compiled.told is not None:
+        wait = _PAUSE - (time.monotonic() - _Compiled.told)
+    while not done.wait(max(wait, 0.0)):
+        if _Compiled.told is None:
+            _tell_first()
+        else:
+            seconds = _Compiled.seconds + time.monotonic() - (_Compiled.begun or time.monotonic())
+            log.info("compiling kernels: %d so far, %.0f s", _Compiled.kernels, seconds)
+        _Compiled.told, wait = time.monotonic(), _PAUSE
+
+
+def _tell_first() -> None:
+    why = kernel_archive.why_not()
+    text = f"compiling kernels{f' ({why})' if why else ''}, which takes 10 to 60 s"
+    if kernel_cache.is_writable():
+        log.info("%s, once; they are kept in %s", text, kernel_cache.cache_folder())
+    else:
+        log.warning(
+            "%s, at every run: %s; NUMBA_CACHE_DIR names another folder, 'gs-codec warm' fills it",
+            text, f"{kernel_cache.cache_folder() or 'the cache folder'} cannot be written to",
+        )  # fmt: skip

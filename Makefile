@@ -60,9 +60,10 @@ lint: $(VENV)/installed-test
 check: lint test
 
 # A wheel for this Python, with kernels compiled for Linux on x86-64: dist/gs_codec-*.whl. A minute or two.
+SOURCE ?= .
 wheel: $(VENV)/installed-test
 	@rm -rf build/lib
-	GS_CODEC_KERNELS=1 $(PIP) wheel --no-deps --no-build-isolation --wheel-dir dist .
+	GS_CODEC_KERNELS=1 $(PIP) wheel --no-deps --no-build-isolation --wheel-dir dist $(SOURCE)
 
 # Pages on the Python API, to be opened in a browser.
 docs: $(VENV)/installed
@@ -125,7 +126,7 @@ boundscheck: $(VENV)/installed-test
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/boundscheck \
 	    $(PYTEST) --ignore tests/test_viewer_window.py --ignore tests/test_viewer_more.py $(TESTS)
 
-# What is published, built from a clone of the last commit: source distributions, and from these wheels.
+# What is published, built from a clone of the last commit: source distributions, and from these wheels for any system.
 dist:
 	rm -rf build/release dist
 	git clone --quiet . build/release/gs_codec
@@ -136,9 +137,13 @@ dist:
 	    build/release/venv/bin/python -m build --outdir dist build/release/$$each || exit 1; done
 	build/release/venv/bin/twine check --strict dist/*
 
-# All of it installed and used, each in a new environment; recipes for conda and Homebrew, and checksums, beside it.
+# The same, wheels with compiled kernels, recipes for conda and Homebrew, and checksums; each is installed and used in a
+# new environment.
 release: dist
+	$(MAKE) wheel SOURCE=build/release/gs_codec
+	$(MAKE) wheel SOURCE=build/release/gs_codec_core
 	for file in dist/*; do $(PYTHON) .ci/try_install.py $$file || exit 1; done
+	$(PYTHON) .ci/check_kernels.py dist/gs_codec-*-manylinux*.whl
 	$(PYTHON) .ci/recipes.py dist
 	cat dist/SHA256SUMS
 
@@ -151,7 +156,7 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 
 # For tests, modules are compiled when they are imported: all of them would take half of the time to install.
 $(VENV)/installed-test: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy"
+	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
 	.ci/system-packages
 	$(NEW_VENV)
 	$(PIP) install --no-compile -e '.[test]'

@@ -18,9 +18,6 @@ ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PROJECT = (ROOT / "pyproject.toml").read_text()
 
-#: Names of packages of conda, of those that differ from PyPI's.
-CONDA_NAMES = {"open3d-cpu": "open3d"}
-
 
 def recipes():
     """The script that fills recipes."""
@@ -60,9 +57,14 @@ def test_the_conda_recipe_needs_what_the_package_needs(written):
     assert recipe["source"]["sha256"] == hashlib.sha256(b"sources").hexdigest()
     assert recipe["about"]["homepage"] == recipes().project_url()
     listed = re.search(r"^dependencies = \[(.*?)^\]", PROJECT, re.MULTILINE | re.DOTALL)[1]
-    names = re.findall(r'^    "([\w-]+)', listed, re.MULTILINE)
-    needed = {line.split()[0] for line in recipe["requirements"]["run"]} - {"python"}
-    assert needed == {CONDA_NAMES.get(name, name) for name in names}
+    needs = set(re.findall(r'^    "([\w-]+)([^";]*)', listed, re.MULTILINE))
+    needed = {tuple(line.partition(" ")[::2]) for line in recipe["requirements"]["run"]}
+    others = {"open3d", "open3d-cpu", "pcodec", "python"}
+    assert {each for each in needed if each[0] not in others} == {
+        each for each in needs if each[0] not in others
+    }
+    assert {("pcodec", "1.1.*"), ("open3d", ">=0.20")} < needed
+    assert {("pcodec", "==1.1.*"), ("open3d", ">=0.20")} < needs
     scripts = re.findall(r'^(gs-\w+) = "(.*)"$', PROJECT, re.MULTILINE)
     assert recipe["build"]["python"]["entry_points"] == [f"{a} = {b}" for a, b in scripts]
 
@@ -95,6 +97,8 @@ def test_workflows_are_valid(path):
 def test_every_python_that_is_supported_is_tested():
     (path,) = [path for path in WORKFLOWS if path.stem == "tests"]
     tested = load(path)["jobs"]["pythons"]["strategy"]["matrix"]["python"]
+    release = load(path.with_name("release.yml"))["jobs"]
+    assert release["kernels"]["strategy"]["matrix"]["python"] == tested
     assert tested == re.findall(r"Python :: (3\.\d+)", PROJECT)
     assert f'requires-python = ">={tested[0]}"' in PROJECT
 

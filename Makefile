@@ -6,9 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 WEB := viewer/web
 # The pip that comes with Python may be years old, and install half as fast.
-NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
+NEW_VENV := .ci/dots $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
-PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip --disable-pip-version-check --quiet
+PIP := PYTHONWARNINGS=ignore .ci/dots $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .PHONY: demo test test-all test-ci lint check wheel docs web boundscheck scaling suite fuzz peers dist release clean
 
@@ -147,14 +147,14 @@ release: dist
 	$(PYTHON) .ci/recipes.py dist
 	cat dist/SHA256SUMS
 
+# Modules are compiled when they are imported: all of them would take half of the time to install.
 $(VENV)/installed: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec into $(VENV): a gigabyte, the most of it Open3D, scipy and numba; minutes the first time"
-	.ci/system-packages
+	.ci/dots .ci/system-packages
 	$(NEW_VENV)
-	$(PIP) install -e .
+	$(PIP) install --no-compile -e .
 	@touch $@
 
-# For tests, modules are compiled when they are imported: all of them would take half of the time to install.
 $(VENV)/installed-test: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
 	.ci/system-packages

@@ -123,7 +123,9 @@ def test_a_damaged_archive_changes_nothing_but_time(archive, tmp_path, how):
     assert out == ["0.6666666666666666", "True"]
     fault = "truncated" if how == "truncated" else "damaged"
     why = "" if how == "code changed" else f" (those that come with it are {fault})"
-    assert messages.startswith(f"compiling kernels{why}, which takes 10 to 60 s, once; ")
+    assert messages.startswith(
+        f"compiling kernels{why}: 10 to 60 s, once; they are kept in {cache}"
+    )
     out, messages = run(USE.format(before=""), tmp_path, NUMBA_CACHE_DIR=cache)
     assert (out, messages) == (["0.6666666666666666", "False"], "")
 
@@ -148,6 +150,18 @@ def test_a_flipped_bit_anywhere_is_noticed(archive):
             assert [name for name in names if found.part(name) is None], place
 
 
+@pytest.mark.thorough
+def test_a_warning_says_that_nothing_is_kept(tmp_path):
+    (tmp_path / "file").touch()
+    file = str(tmp_path / "file")
+    out, messages = run(USE.format(before=""), tmp_path, NUMBA_CACHE_DIR=file)
+    assert out == ["0.6666666666666666", "True"]
+    assert messages.splitlines()[0] == (
+        f"compiling kernels: 10 to 60 s, at every run, because {file} cannot be written to; set "
+        "NUMBA_CACHE_DIR to a folder that 'gs-codec warm' has filled"
+    )
+
+
 @pytest.mark.parametrize(
     ("before", "environment", "why"),
     [
@@ -159,10 +173,10 @@ def test_a_flipped_bit_anywhere_is_noticed(archive):
             "kernel_archive.TIERS['x86-64-v3'] = 'x86-64-v5', ['avx1024']", {},
             "need a processor with x86-64-v3",
         ),
-        thorough("sys.argv[1] += '/missing'", {}, "compiling kernels, which"),
+        thorough("sys.argv[1] += '/missing'", {}, "compiling kernels: 10 to 60 s, once; "),
         (
             "kernel_archive.stamp.__globals__['source_digest'] = lambda path: (path, 'edited')", {},
-            "compiling kernels, which",
+            "compiling kernels: 10 to 60 s, once; ",
         ),
     ],
     ids=["numba", "boundscheck", "opt", "processor named", "processor", "missing", "edited"],

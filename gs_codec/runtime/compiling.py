@@ -71,11 +71,13 @@ def _tell(done: threading.Event) -> None:
 
 def _tell_first() -> None:
     why = kernel_archive.why_not()
-    text = f"compiling kernels{f' ({why})' if why else ''}, which takes 10 to 60 s"
+    text = f"compiling kernels{f' ({why})' if why else ''}: 10 to 60 s"
+    folder = kernel_cache.cache_folder()
     if kernel_cache.is_writable():
-        log.info("%s, once; they are kept in %s", text, kernel_cache.cache_folder())
+        log.info("%s, once; they are kept in %s", text, folder)
     else:
         log.warning(
-            "%s, at every run: %s; NUMBA_CACHE_DIR names another folder, 'gs-codec warm' fills it",
-            text, f"{kernel_cache.cache_folder() or 'the cache folder'} cannot be written to",
+            "%s, at every run, because %s cannot be written to; set NUMBA_CACHE_DIR to a folder "
+            "that 'gs-codec warm' has filled",
+            text, folder or "the cache folder",
         )  # fmt: skip

@@ -17,7 +17,8 @@ from scenes import estimate_few_cameras, random_scene
 
 from gs_codec.cli import output
 from gs_codec.config import Config
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.formats.ply import write_ply
 
 # A shell that starts tests in the background lets them, and so what they start, ignore Ctrl-C.

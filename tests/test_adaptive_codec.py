@@ -41,7 +41,8 @@ from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.report import StageTimes

@@ -19,8 +19,9 @@ from gs_codec.__main__ import main
 from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file, read_scene, write_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply

@@ -25,8 +25,9 @@ from gs_codec.distributed.sorting import find_cuts
 from gs_codec.distributed.sources import open_sources
 from gs_codec.distributed.workers import Task, size_within
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file
 from gs_codec.formats.ply import write_ply
 from gs_codec.guidance import calibrate, check, checked, windows

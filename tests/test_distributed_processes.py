@@ -15,7 +15,8 @@ from scenes import random_scene
 from test_batch_processes import PATIENT, finish, wait_for
 
 from gs_codec.config import Config
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.formats.ply import write_ply
 
 COUNT = 60_000

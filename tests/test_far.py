@@ -44,7 +44,8 @@ from gs_codec.egs.file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.egs.levels import levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.files.sharing import page_of
 from gs_codec.formats.ply import read_ply

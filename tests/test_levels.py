@@ -23,8 +23,9 @@ from gs_codec.edit.pairs import blobs_of
 from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.levels.building import build_levels

@@ -19,7 +19,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError
-from gs_codec.files.coding import decode_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import write_ply
 from gs_codec.levels.encoding import add_levels

@@ -17,8 +17,9 @@ from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.sources import open_sources
 from gs_codec.edit.pipeline import Action
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.formats.tensors import tensors_of

@@ -19,7 +19,7 @@ from gs_codec.report import bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
-    from gs_codec.files.coding import DecodeReport
+    from gs_codec.files.decoding import DecodeReport
     from gs_codec.rendering.camera import Camera
 
 
@@ -71,7 +71,7 @@ def command(
         target = source.with_suffix(".ply")
     box = None if bbox is None else _parse_box(bbox)
     from gs_codec.codecs.part import Part
-    from gs_codec.files.coding import decode_file
+    from gs_codec.files.decoding import decode_file
 
     if asked["dask"] is not None:
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")

@@ -6,23 +6,18 @@ from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.decode import adaptive_sections, decode_adaptive
-from gs_codec.codecs.entropygs.decode import channel_sections, decode_channels, sections_beside
-from gs_codec.codecs.entropygs.gpcc import tool_for
-from gs_codec.codecs.entropygs.tmc3 import Tmc3
-from gs_codec.codecs.entropygs.torchac_coder import require_coder
-from gs_codec.codecs.interchange import decode_interchange
-from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_sections
 from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.selection import select_blocks
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
 from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, Readable, SectionId, read_file
+from gs_codec.egs.header import Feature
 from gs_codec.egs.index import index_of
 from gs_codec.egs.levels import levels_of, open_level, within
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
@@ -33,6 +28,9 @@ from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import using_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, Scene, join_scenes, stated_comments
+
+if TYPE_CHECKING:
+    from gs_codec.codecs.entropygs.tmc3 import Tmc3
 
 #: Gaussians decoded at once below a memory limit.
 _SLAB = 1 << 18
@@ -52,6 +50,8 @@ def decode_as(config: Config, data: bytes | Readable, progress: Progress | None 
     """Decode what was encoded by a configuration, which names its format."""
     if config.format == EGS:
         return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
+    from gs_codec.codecs.interchange import decode_interchange
+
     return decode_interchange(bytes(data), config)
 
 
@@ -130,8 +130,7 @@ def choose_part(
             f"{counted(header.float_bytes, 'byte')}, the limit is {limit:,}"
         )
     _check_sections(file)
-    tool = tool_for(file, tmc3)
-    require_coder(file)
+    tool = _require_programs(file, tmc3)
     if part.view is not None:
         levels = [file, *(_opened(file, level) for level in levels_of(file))]
         selected = select_blocks(levels, part.view, part.budget, part.chosen_tolerance)
@@ -160,6 +159,18 @@ def _opened(file: EgsFile, level: int) -> EgsFile:
     with within(level):
         _check_sections(found, is_level=True)
     return found
+
+
+def _require_programs(file: EgsFile, tmc3: str | Path | None) -> Tmc3 | None:
+    """Check that the programs of others that a file needs are here; that of its points, if any."""
+    if not (Feature.GPCC | Feature.TORCHAC) & file.header.features:
+        return None
+    from gs_codec.codecs.entropygs.gpcc import tool_for
+    from gs_codec.codecs.entropygs.torchac_coder import require_coder
+
+    tool = tool_for(file, tmc3)
+    require_coder(file)
+    return tool
 
 
 def _in_box(file: EgsFile, part: Part, among: Container[int] | None) -> list[int]:
@@ -288,9 +299,15 @@ def _part_of(progress: Progress | None, first: int, count: int, total: int) -> P
 
 
 def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray[np.float32]]]:
+    if profile in ADAPTIVE_PROFILES:
+        return decode_adaptive
     if profile == LOSSLESS:
+        from gs_codec.codecs.lossless.lossless import decode_lossless
+
         return decode_lossless
-    return decode_adaptive if profile in ADAPTIVE_PROFILES else partial(decode_channels, tool=tool)
+    from gs_codec.codecs.entropygs.decode import decode_channels
+
+    return partial(decode_channels, tool=tool)
 
 
 def _check_extra(file: EgsFile, limit: int) -> None:
@@ -309,10 +326,14 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
     header = file.header
     own: set[SectionId] = set()
     if header.profile == LOSSLESS:
+        from gs_codec.codecs.lossless.lossless import lossless_sections
+
         expected = set(lossless_sections(header.sh_degree))
     elif header.profile in ADAPTIVE_PROFILES:
         own, expected = {SectionId.LATTICE}, adaptive_sections(header.sh_degree)
     else:
+        from gs_codec.codecs.entropygs.decode import channel_sections, sections_beside
+
         expected = channel_sections(file)
         own = sections_beside(file, expected)
     if header.count:

@@ -6,7 +6,7 @@ Those sections hold the index, channels or lattices, and what else coded the sce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGri
 from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels, far_count, lattice_of
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
-from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Readable, SectionId, read_file, section_label
@@ -23,6 +22,9 @@ from gs_codec.egs.index import Box, bounds_of
 from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
 from gs_codec.scene import SH_COEFFICIENTS
+
+if TYPE_CHECKING:
+    from gs_codec.codecs.entropygs.section import Channel
 
 
 @dataclass(frozen=True)
@@ -276,6 +278,8 @@ def _adaptive_details(file: EgsFile) -> dict[str, Any]:
 
 def _channel_details(file: EgsFile) -> dict[str, Any]:
     """Fields of `Info` for `paper` profiles."""
+    from gs_codec.codecs.entropygs.section import channels_of
+
     channels = channels_of(file)
     skipped = skipped_by_header(file.header)
     if file.header.count:
@@ -307,6 +311,8 @@ def _steps(lattice: Lattice, item: ContextList) -> tuple[float, int]:
 
 
 def _channel_dict(channel: Channel) -> dict:
+    from gs_codec.codecs.entropygs.section import RANS_STREAMS
+
     quantiser = channel.quantiser
     plain = {
         "name": channel.name,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +20,14 @@ from gs_codec.codecs.adaptive.lattice import (
     PositionGrid,
     grid_codes,
 )
-from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import Info
-from gs_codec.codecs.lossless.lossless import lossless_order
-from gs_codec.codecs.pairing import Pairing
-from gs_codec.coding.axes import nearest_quaternions, sort_axes
-from gs_codec.coding.clean import identity_for_zero
-from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
-from gs_codec.coding.quantise import Quantiser, fit_range
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
 from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.coding.quantise import Quantiser
 
 #: Start of the comment line.
 _MARK = "gs_codec order "
@@ -80,6 +77,10 @@ class DepthOrder:
 
         Min-max quantisers keep the extremes, so the decoded scene still has their ranges.
         """
+        from gs_codec.codecs.entropygs.symbols import order_like
+        from gs_codec.coding.far import bring_nearer
+        from gs_codec.coding.quantise import fit_range
+
         rows = (*decoded.positions, *decoded.f_dc)
         quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, self.depths, strict=True)]
         # Far Gaussians were drawn nearer, unless an earlier version encoded the scene.
@@ -112,6 +113,9 @@ class GridOrder:
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
         """The original in the decoded scene's order, its axes as they were coded."""
+        from gs_codec.coding.axes import nearest_quaternions, sort_axes
+        from gs_codec.coding.clean import identity_for_zero
+
         codes = grid_codes(original.positions, self.grid)
         order = np.argsort(codes, kind="stable")
         codes, coded = codes[order], grid_codes(decoded.positions, self.grid)
@@ -134,6 +138,8 @@ class FloatOrder:
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
         """The original in the decoded scene's order."""
+        from gs_codec.codecs.lossless.lossless import lossless_order
+
         ordered = original.take(lossless_order(original))
         if ordered.positions.tobytes() != decoded.positions.tobytes():
             raise InvalidInput(_UNRELATED)
@@ -249,6 +255,8 @@ def _matched(first: Scene, second: Scene, in_order: bool) -> tuple[Scene, Scene,
     index = np.arange(first.count)
     if _are_equal(first, second):
         return first, second, "index"
+    from gs_codec.codecs.pairing import Pairing
+
     pairing = Pairing(first, second)
     ways: list[tuple[str, Callable[[], NDArray[np.int64]]]] = [
         ("index", lambda: index),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from gs_codec.codecs.entropygs.torchac_coder import is_torchac
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
 from gs_codec.egs.file import EgsFile
+from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import available_threads
@@ -55,7 +55,7 @@ def slab_within(file: EgsFile, degree: int, wanted: int) -> int:
         If one block does not fit.
     """
     each = _decoding(degree)
-    working = _working(is_torchac(file))
+    working = _working(Feature.TORCHAC in file.header.features)
     _check(working + file.header.block_size * each, "decoding")
     limit = current().limit
     return wanted if limit is None else min(wanted, (limit - working) // each)

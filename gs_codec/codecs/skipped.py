@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,10 +13,12 @@ from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
-from gs_codec.codecs.entropygs.section import Channel
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.header import Header
+
+if TYPE_CHECKING:
+    from gs_codec.codecs.entropygs.section import Channel
 
 #: Longer lists of names are given as a number.
 _NAMED = 4

@@ -16,14 +16,13 @@ from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.coding.extent import box_text
 from gs_codec.config import check_threads
-from gs_codec.egs.file import EgsFile
+from gs_codec.egs.file import MAGIC, EgsFile
 from gs_codec.egs.index import bounds_of
 from gs_codec.egs.levels import check_errors, errors_of, levels_of, open_level, within
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import bounded
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.mapped import FileBytes, located, opened
 from gs_codec.runtime.threads import available_threads, using_threads
 from gs_codec.scene import Scene
 
@@ -116,17 +115,23 @@ def opened_slabs(
         If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed, or
         torchac, likewise.
     """
-    with using_threads(threads), bounded(max_memory), open_scene(path) as file:
+    with using_threads(threads), bounded(max_memory), opened(path) as data:
         start = time.perf_counter()
-        with suppress(InvalidInput):
-            if file.format != "egs":
-                raise CorruptStream(
-                    f"{path}: {file.format}, not an .egs file; `convert` reads other formats"
-                )
+        if bytes(data[: len(MAGIC)]) != MAGIC:
+            _refuse_other(Path(path), data)
         with located(path):
             check_threads(threads)
-            chosen = choose_part(file.data, part, max_bytes, tmc3, among)
+            chosen = choose_part(data, part, max_bytes, tmc3, among)
         yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
+
+
+def _refuse_other(path: Path, data: FileBytes) -> None:
+    """Say which format a file is in, if it is a known one."""
+    from gs_codec.formats.registry import SceneFile
+
+    with suppress(InvalidInput):
+        if (form := SceneFile(path, data).format) != "egs":
+            raise CorruptStream(f"{path}: {form}, not an .egs file; `convert` reads other formats")
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from gs_codec.distributed.folder import Folder, identity_of, work_folder
 from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
 from gs_codec.egs.index import bounds_of, index_of
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import DecodeReport
-from gs_codec.files.scenes import check_target
+from gs_codec.files.decoding import DecodeReport
+from gs_codec.files.suffixes import check_target
 from gs_codec.formats.ply import ply_header, vertex_rows
 from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.arguments import checked

@@ -34,7 +34,8 @@ from gs_codec.egs.file import Section, SectionId, section_sizes
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.sections import carried_sections
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, write_parts
+from gs_codec.files.scenes import write_parts
+from gs_codec.files.suffixes import check_target
 from gs_codec.guidance.check import Check
 from gs_codec.guidance.checked import encode_checked
 from gs_codec.guidance.windows import find_shown

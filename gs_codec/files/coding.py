@@ -1,66 +1,32 @@
-"""Scenes encoded and decoded from file to file, without Open3D."""
+"""Scenes encoded from file to file, without Open3D."""
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gs_codec.codecs.interchange import encode_finest
-from gs_codec.codecs.part import Part
-from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import (
-    check_target,
-    keeps_rounding,
-    measured,
-    scene_in,
-    tell_lost,
-    write_parts,
-)
+from gs_codec.files.scenes import keeps_rounding, measured, scene_in, tell_lost, write_parts
 from gs_codec.files.shifted import early_shifts, edit_shifted
-from gs_codec.files.suffixes import ENCODED, config_for
+from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.formats.coordinates import CONVENTION
-from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
-from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene, Shift
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
-
-
-@dataclass(frozen=True)
-class DecodeReport:
-    """What decoding a file gave.
-
-    Attributes
-    ----------
-    count, sh_degree : int
-        Number of Gaussians written, and their SH degree.
-    bytes_read, file_bytes : int
-        Bytes of the `.egs` file that were read, and all of its bytes.
-    seconds : dict of str to float
-        Wall time of each stage.
-    """
-
-    count: int
-    sh_degree: int
-    bytes_read: int
-    file_bytes: int
-    seconds: dict[str, float]
 
 
 @checked
@@ -189,66 +155,3 @@ def read_source(
         system = None if stays else CONVENTION
         scene = scene_in(file, config.chosen_extra(), None, system, max_bytes, exact)
         return scene, file.stored_bytes, file.ratio_bytes(scene.float_bytes)
-
-
-@checked
-def decode_file(
-    source: str | Path,
-    target: str | Path,
-    part: Part | None = None,
-    *,
-    threads: int | None = None,
-    tmc3: str | Path | None = None,
-    progress: Progress | None = None,
-    max_memory: int | None = None,
-    max_bytes: int | None = None,
-    overwrite: bool = False,
-) -> DecodeReport:
-    """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
-
-    Does not load Open3D. If the Gaussians are not in their original order, a comment in the PLY
-    states the order, so that `compare` can match them.
-
-    Parameters
-    ----------
-    source : str or Path
-        An `.egs` file.
-    target : str or Path
-        The PLY to write, in the INRIA trainer's layout.
-    part, threads, tmc3, progress, max_bytes
-        As for `decode`; only the bytes that `part` needs are read.
-    max_memory : int, optional
-        Maximum memory, bytes: fewer blocks are then decoded at once.
-    overwrite : bool
-        As for `encode_file`.
-
-    Returns
-    -------
-    DecodeReport
-        Number of Gaussians, bytes read, and seconds by stage.
-
-    Raises
-    ------
-    InvalidInput
-        As for `decode`; or if the source cannot be read, the target cannot be written, or
-        `max_memory` is not enough for one block.
-    CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
-        As for `decode`.
-
-    Examples
-    --------
-    >>> part = gs_codec.Part(sh_degree=1)
-    >>> report = gs_codec.decode_file("scene.egs", "decoded.ply", part)
-    >>> report.sh_degree, report.bytes_read < report.file_bytes
-    (1, True)
-    """
-    check_target([source], target, (".ply",), overwrite)
-    start = time.perf_counter()
-    part = part or Part()
-    with opened_slabs(source, part, threads, max_bytes, progress, tmc3, max_memory) as slabs:
-        count, scenes = slabs.counted()
-        with atomic_writer(target) as file:
-            write_vertices(file, count, scenes)
-        seconds = {"decode": slabs.seconds, "write": time.perf_counter() - start - slabs.seconds}
-        size = os.path.getsize(source)
-        return DecodeReport(count, slabs.sh_degree, slabs.bytes_read, size, seconds)

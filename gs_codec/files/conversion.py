@@ -18,7 +18,6 @@ from gs_codec.config import LOSSLESS, Config, as_config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import (
-    check_target,
     keeps_rounding,
     read_scene,
     turn_scene,
@@ -26,7 +25,7 @@ from gs_codec.files.scenes import (
     written_bytes,
 )
 from gs_codec.files.shifted import early_shifts, edit_shifted
-from gs_codec.files.suffixes import IN_PARTS
+from gs_codec.files.suffixes import IN_PARTS, check_target
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config, as_config
-from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_parts, write_scene
-from gs_codec.files.suffixes import PLAIN, config_for
+from gs_codec.files.scenes import read_scene, tell_lost, write_parts, write_scene
+from gs_codec.files.suffixes import PLAIN, check_target, config_for
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.levels.encoding import add_levels
 from gs_codec.report import Progress

@@ -24,7 +24,7 @@ from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import ROUNDED_FORMATS, SSOG, STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import LEVELLED, PLAIN, WRITTEN, config_for, format_of, suffix_of
+from gs_codec.files.suffixes import LEVELLED, PLAIN, config_for, format_of, suffix_of
 from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
@@ -32,7 +32,6 @@ from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.dialects import with_filter
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.formats.usd import require_usd_core
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.levels.encoding import add_levels
@@ -282,19 +281,3 @@ def written_bytes(path: str | Path) -> int:
         return os.path.getsize(path)
     with open_scene(path) as file:
         return file.stored_bytes
-
-
-def check_target(
-    sources: Sequence[str | Path],
-    target: str | Path,
-    known: tuple[str, ...] = WRITTEN,
-    overwrite: bool = True,
-) -> str:
-    """The suffix of a target; refuses one that cannot be written, before the work is done."""
-    for source in sources:
-        if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
-            raise InvalidInput(f"{target}: the source itself")
-    check_writable(target, overwrite)
-    suffix = suffix_of(target, known)
-    require_usd_core(suffix)
-    return suffix

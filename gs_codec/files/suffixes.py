@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gs_codec.config import EGS, FORMATS, SSOG, STREAMED, UNBUNDLED, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.atomic import check_writable
 
 #: Of formats that scenes are encoded to, of those of plain floats, of those with levels made by
 #: `convert`, and of all that are written.
@@ -64,3 +67,22 @@ def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODE
     if config.format not in (EGS, form):
         raise InvalidInput(f"{path}: format '{config.format}', expected .{config.format}")
     return replace(config, format=form)
+
+
+def check_target(
+    sources: Sequence[str | Path],
+    target: str | Path,
+    known: tuple[str, ...] = WRITTEN,
+    overwrite: bool = True,
+) -> str:
+    """The suffix of a target; refuses one that cannot be written, before the work is done."""
+    for source in sources:
+        if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
+            raise InvalidInput(f"{target}: the source itself")
+    check_writable(target, overwrite)
+    suffix = suffix_of(target, known)
+    if suffix.startswith(".usd"):
+        from gs_codec.formats.usd import require_usd_core
+
+        require_usd_core(suffix)
+    return suffix

@@ -68,16 +68,9 @@ def undo(driver: Driver) -> None:
 def save(driver: Driver, name: str) -> None:
     """Save the scene that is edited by ctrl + shift + S and a typed name."""
     driver.key("ctrl+shift+s")
-    modal = driver.viewer.modal
-    driver.wait(lambda: modal.dialog is not None)
-    driver.tick(5, redraw=True)
-    field = next(w for w in inside(modal.dialog) if isinstance(w, gui.TextEdit))
-    driver.click(field)
-    driver.xdotool("type", name)
-    driver.wait(lambda: field.text_value == name)
-    driver.xdotool("keydown", "Return")  # as by a hand, which takes more than a frame
-    driver.xdotool("keyup", "Return")
-    driver.tick(5)
+    driver.type_path(name)
+    driver.key("Return")
+    driver.wait(lambda: driver.viewer.modal.dialog is None)
 
 
 def regions(driver: Driver, found: dict) -> None:

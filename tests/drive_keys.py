@@ -14,8 +14,6 @@ import numpy as np
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
-from viewer.window.dialogs import inside
-
 
 def many(driver: Driver) -> int:
     """How many keys are pressed while nothing waits for what they change."""
@@ -107,16 +105,10 @@ def path(driver: Driver) -> dict:
 
 def type_name(driver: Driver, name: str, end: str) -> tuple[list, str]:
     """Type a name into the dialog that is open, and a key; the state between, and the name."""
-    driver.wait(lambda: driver.viewer.modal.dialog is not None)
-    driver.tick(5)
-    field = next(w for w in inside(driver.viewer.modal.dialog) if isinstance(w, gui.TextEdit))
-    driver.click(field)
-    driver.xdotool("type", name)
-    driver.tick(5)
+    field = driver.type_path(name)
     found = state(driver), field.text_value
-    driver.xdotool("keydown", end)  # as by a hand, which takes more than a frame
-    driver.xdotool("keyup", end)
-    driver.tick(5)
+    driver.key(end)
+    driver.wait(lambda: driver.viewer.modal.dialog is None)
     return found
 
 

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from drive_viewer import Driver, give_up, tell
-from open3d.visualization import gui
 
 from viewer.scenes.opened import Progress
 from viewer.scenes.request import Request
 from viewer.scenes.tries import Asked, Tries
-from viewer.window.dialogs import inside
 
 #: Seconds that an encoding may take, on a busy machine that compiles kernels.
 _PATIENCE = 240
@@ -160,13 +158,8 @@ def history(rates: Rates) -> dict:
     driver.rest()
     found["both"] = rates.state() | {"quality": viewer.stage.quality, "at": viewer.visits.number}
     driver.click(rates.tab.save)
-    rates.wait(lambda: viewer.modal.dialog is not None)
-    driver.tick(5)
-    driver.click(next(w for w in inside(viewer.modal.dialog) if isinstance(w, gui.TextEdit)))
-    driver.xdotool("type", "saved")
-    driver.tick(5)
-    driver.xdotool("keydown", "Return")
-    driver.xdotool("keyup", "Return")
+    driver.type_path("saved")
+    driver.key("Return")
     rates.wait((driver.folder / "saved.egs").exists)
     driver.rest()
     rates.select(0)

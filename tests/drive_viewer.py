@@ -21,6 +21,7 @@ from open3d.visualization import gui
 from PIL import ImageGrab
 
 from viewer.scenes.request import Request
+from viewer.window.dialogs import inside
 from viewer.window.pane import Pane
 from viewer.window.viewer import Viewer
 
@@ -141,6 +142,14 @@ class Driver:
                 return
             self.tick(2)
         give_up("a click does not come through")
+
+    def type_path(self, text: str) -> gui.TextEdit:
+        """Type a path into the dialog that comes; its field."""
+        self.wait(lambda: self.viewer.modal.dialog is not None)
+        field = next(w for w in inside(self.viewer.modal.dialog) if isinstance(w, gui.TextEdit))
+        self.xdotool("type", text)
+        self.wait(lambda: field.text_value == text)
+        return field
 
     def click(self, widget: gui.Widget) -> None:
         frame = widget.frame

@@ -107,3 +107,60 @@ def test_without_a_driver_it_says_so(display, folder):
     assert result.returncode == 2
     assert result.stderr.startswith("gs-viewer: error: no Vulkan device")
     assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def files(display, folder) -> dict:
+    (folder / "folder").mkdir()
+    (folder / "empty.ply").touch()
+    (folder / "damaged.ply").write_bytes((folder / "a.ply").read_bytes()[:5000])
+    os.mkfifo(folder / "pipe.ply")
+    return drive("drive_files.py", display, folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("none.ply", "no such file"),
+        ("folder/none.ply", "no such file"),
+        ("empty.ply", "an empty file"),
+        ("pipe.ply", "not a file"),
+    ],
+)
+def test_a_dialog_says_what_is_wrong_with_a_path(files, folder, name, said):
+    wrong = f"{folder / name}: {said}"
+    told = "".join("".join(files[name]).split())  # lines are wrapped
+    assert told == f"{name}Openascene{folder}{wrong}Open".replace(" ", "")
+
+
+def test_a_folder_that_is_typed_is_listed(files, folder):
+    assert files["folder"][1:] == ["Open a scene", str(folder / "folder"), "Open"]
+
+
+def test_a_damaged_file_is_told_after_the_dialog(files, folder):
+    title, text = files["message"]
+    assert title == "Not possible"
+    assert text.startswith(f"{folder / 'damaged.ply'}: element 'vertex'")
+
+
+def test_the_address_of_a_file_is_pasted_and_opened(files):
+    assert files["pasted"] == []
+    assert files["scenes"] == ["a.ply"]
+
+
+def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files, folder):
+    assert files["suggested"] == ["a.png", "Save a picture", str(folder), "Save"]
+    assert files["saved"] == []
+    assert files["again"][0] == "a-2.png"
+    assert files["exists"][-2:] == ["a.png exists. Enter or Replace replaces it.", "Replace"]
+    assert files["kept"]
+    assert files["replaced"] == []
+    assert files["written"]
+    assert files["a.jpg"][-2:] == ["a.jpg: suffix '.jpg', expected .png", "Save"]
+    assert files["none/a.png"][-2].endswith(f"no directory '{folder / 'none'}'")
+
+
+def test_an_empty_window_says_what_to_do_and_one_that_compiles_for_how_long(files):
+    empty, compiles = files["notices"]
+    assert empty == "O opens a scene. H lists the keys."
+    assert compiles.startswith("Compiling for this processor, once: ")

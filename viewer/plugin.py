@@ -21,6 +21,7 @@ from viewer.pictures.notes import draw_notes
 from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, open_scene, read_pruned
+from viewer.scenes.paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.pose import of_camera
 from viewer.scenes.request import Request, find_views, parse_layers
 from viewer.scenes.viewpoints import find_viewpoints, nearest_camera
@@ -261,22 +262,25 @@ class Actions:
 
     def ask_open(self) -> None:
         """Ask for a file and `open` it."""
-        self._ask("Open a scene", self.open)
+        self._ask("Open a scene", SCENES, self.open)
 
     def ask_pruned(self) -> None:
         """Ask for a ``report.json`` and show its folder's report by `pruned`."""
-        self._ask("report.json of prepare", lambda path: self.pruned(Path(path).parent))
+        self._ask("report.json of prepare", REPORTS, lambda path: self.pruned(Path(path).parent))
 
     def ask_compare(self) -> None:
         """Ask for a file and `compare` with it."""
-        self._ask("Compare with", self.compare)
+        self._ask("Compare with", SCENES, self.compare)
 
     def ask_photographs(self) -> None:
         """Ask for a file of cameras, then for the folder of their images: `photographs`."""
         self._ask(
             "Cameras",
+            CAMERAS,
             lambda cameras: self._ask(
-                "Folder of photographs", lambda images: self.photographs(cameras, images), True
+                "Folder of the photographs",
+                FOLDERS,
+                lambda images: self.photographs(cameras, images),
             ),
         )
 
@@ -337,23 +341,34 @@ class Actions:
         self._notes.close()
         return True
 
-    def _ask(self, title: str, then: Callable[[str], object], folder: bool = False) -> None:
+    def _ask(self, title: str, kind: Kind, then: Callable[[str], object]) -> None:
         from open3d.visualization import gui
+
+        from viewer.window.dialogs import Modal
+        from viewer.window.file_dialog import Asked, FileDialog
 
         if not self._attached:
             return
-        # A file dialog needs a theme, and O3DVisualizer does not give access to its own.
+        # A dialog needs a theme, and O3DVisualizer does not give access to its own.
         window = gui.Application.instance.create_window(title, 720, 480)
-        purpose = gui.FileDialog.OPEN_DIR if folder else gui.FileDialog.OPEN
-        dialog = gui.FileDialog(purpose, title, window.theme)
-        dialog.set_on_cancel(window.close)
+        modal = Modal(window)
 
-        def done(path: str) -> None:
-            window.close()
-            self._try(lambda: then(path))
+        def close() -> None:
+            # Not at once: Open3D is going through its windows.
+            gui.Application.instance.post_to_main_thread(window, window.close)
 
-        dialog.set_on_done(done)
-        window.show_dialog(dialog)
+        def closing() -> bool:
+            dialog.release()
+            return True
+
+        scene = self.scene.path if self.scene is not None else Path()
+        folder = scene.absolute().parent if scene.name else Path.cwd()
+        dialog = FileDialog(
+            modal, Asked(title, kind, folder), lambda path: self._try(lambda: then(path)), close
+        )
+        window.set_on_key(modal.key)
+        window.set_on_tick_event(modal.tick)
+        window.set_on_close(closing)
 
     def _try(self, action: Callable[[], object]) -> None:
         """Do something, or tell why it is not possible."""

@@ -47,6 +47,12 @@ def count() -> int:
     return _Compiled.kernels
 
 
+def elapsed() -> float | None:
+    """Seconds that this process has compiled kernels; None while it compiles none."""
+    begun = _Compiled.begun
+    return None if begun is None else _Compiled.seconds + time.monotonic() - begun
+
+
 def begin() -> None:
     """Note, in a `watched` block, that a kernel has to be compiled."""
     _Compiled.kernels += 1

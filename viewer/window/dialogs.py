@@ -10,14 +10,11 @@ from typing import Any
 
 from open3d.visualization import gui
 
-from gs_codec.files.suffixes import WRITTEN
-from gs_codec.formats.registry import SUFFIXES
-
 #: Longest line of a dialog, characters.
 _WIDTH = 76
 
-#: Suffixes of scenes that are read.
-_SCENES = " ".join(SUFFIXES)
+#: Frames after a dialog until its text field takes no more keys.
+_FRAMES = 4
 
 
 class Modal:
@@ -38,8 +35,10 @@ class Modal:
         self._window = window
         self.dialog: gui.Dialog | None = None
         self._enter: Callable[[], None] | None = None
+        self._work: Callable[[], bool] | None = None
         self._escape: Callable[[], None] = self.close_dialog
         self._escaping = self._asked = self._closing = False
+        self._fading = 0
         self.cancels: list[Callable[[], bool]] = []
         self.theme = window.theme
 
@@ -48,15 +47,20 @@ class Modal:
         dialog: gui.Dialog,
         enter: Callable[[], None] | None = None,
         escape: Callable[[], None] | None = None,
+        work: Callable[[], bool] | None = None,
     ) -> None:
-        """Show a dialog with actions for Enter and Esc; without `escape`, Esc closes it."""
+        """Show a dialog with actions for Enter and Esc; without `escape`, Esc closes it.
+
+        While it is open, each tick of the window calls `work`, which tells whether to draw.
+        """
         self.dialog, self._enter, self._escape = dialog, enter, escape or self.close_dialog
+        self._work = work
         self._window.show_dialog(dialog)
         self._window.post_redraw()
 
     def close_dialog(self) -> None:
         """Close the dialog."""
-        self.dialog = None
+        self.dialog, self._work, self._fading = None, None, _FRAMES
         self._window.close_dialog()
 
     def key(self, event: Any) -> bool:
@@ -86,12 +90,27 @@ class Modal:
         self._asked = not self._closing
         return self._closing
 
-    def settle(self) -> None:
-        """Close the window if it was asked to, and Esc ended nothing instead."""
+    def tick(self) -> bool:
+        """Let the dialog work, and tell whether the window is to be drawn.
+
+        Close the window if it was asked to, and Esc ended nothing instead.
+        """
         if self._asked:
             self._asked, self._closing = False, True
             # Not at once: Open3D is going through its windows.
             gui.Application.instance.post_to_main_thread(self._window, self._window.close)
+        self._fading = max(self._fading - 1, 0)
+        return self._fading > 0 or (self._work is not None and self._work())
+
+    @property
+    def room(self) -> tuple[int, int]:
+        """Width and height that a dialog may take, pixels."""
+        size = self._window.size
+        return size.width, size.height
+
+    def lay_out(self) -> None:
+        """Give the dialog the size that it needs now."""
+        self._window.set_needs_layout()
 
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:
@@ -160,80 +179,6 @@ def shortened(path: str, most: int) -> str:
     return path if len(path) <= most else "..." + path[3 - most :]
 
 
-def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
-    """Ask for a scene's file."""
-    ask_file(window, title, (_SCENES, "3DGS scenes"), then)
-
-
-def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[str], None]) -> None:
-    """Ask where to write a file, and whether to replace one that exists.
-
-    A name without suffix gets the first of `kind`.
-    """
-
-    def chosen(name: str) -> None:
-        path = Path(name)
-        path = path if path.suffix else path.with_suffix(kind[0].split()[0])
-        if path.exists():
-            choices = [("Replace it", partial(then, str(path)))]
-            ask_among(window, title, f"{path.name} exists.", choices)
-        else:
-            then(str(path))
-
-    _ask(window, gui.FileDialog.SAVE, title, kind, chosen)
-
-
-def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
-    """Ask where to write a scene, as by `ask_save`."""
-    ask_save(window, "Save the scene", (" ".join(WRITTEN), "3DGS scenes"), then)
-
-
-def ask_file(
-    window: Modal, title: str, kind: tuple[str, str] | None, then: Callable[[str], None]
-) -> None:
-    """Ask for a file that exists, with one of the suffixes of `kind`, or, without, for a folder."""
-    purpose = gui.FileDialog.OPEN_DIR if kind is None else gui.FileDialog.OPEN
-    _ask(window, purpose, title, kind, then)
-
-
-def _ask(
-    window: Modal,
-    purpose: Any,
-    title: str,
-    kind: tuple[str, str] | None,
-    then: Callable[[str], None],
-) -> None:
-    """Ask for a file; `kind` has its suffixes and their description."""
-    dialog = gui.FileDialog(purpose, title, window.theme)
-    if kind is not None:
-        dialog.add_filter(*kind)
-    dialog.set_on_cancel(window.close_dialog)
-
-    def done(path: str) -> None:
-        window.close_dialog()
-        then(path)
-
-    dialog.set_on_done(done)
-
-    def enter() -> None:
-        path = _typed(dialog)
-        if path is not None:
-            done(path)
-
-    window.show_dialog(dialog, enter)
-
-
-def _typed(dialog: gui.FileDialog) -> str | None:
-    """The path of the name that was typed; None if there is none, as when opening files."""
-    widgets = list(inside(dialog))
-    names = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
-    if not any(names):
-        return None
-    folders = next(w for w in widgets if isinstance(w, gui.Combobox))
-    parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
-    return str(Path(*parts, names[0]))
-
-
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
     """All widgets inside a widget, at any depth."""
     for child in widget.get_children():
@@ -243,4 +188,5 @@ def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
 
 def folded(text: str, width: int) -> list[str]:
     """The lines of a text, wrapped to at most `width` characters."""
-    return [part for line in text.splitlines() for part in textwrap.wrap(line, width) or [""]]
+    lines = (textwrap.wrap(line, width, break_on_hyphens=False) for line in text.splitlines())
+    return [part for parts in lines for part in parts or [""]]

@@ -14,6 +14,7 @@ import gs_codec
 from viewer.scenes.appearance import which_drawn
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened
+from viewer.scenes.paths import SAVED_SCENES
 from viewer.scenes.region import REGIONS, Region, in_region
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
@@ -210,7 +211,13 @@ class Editor:
     def ask_save(self, then: Callable[[], None] = lambda: None) -> None:
         """Ask where to save the scene that is edited, and save it; then do something."""
         if self.edits is not None:
-            dialogs.ask_save_scene(self._viewer.modal, lambda path: self.save(path, then))
+            self._viewer.files.ask_save(
+                "Save the scene",
+                SAVED_SCENES,
+                lambda path: self.save(path, then),
+                "-edited",
+                self.edits.scene.path,
+            )
 
     def save(self, path: str, then: Callable[[], None] = lambda: None) -> None:
         """Save the scene that is edited, in the background; the suffix selects the format."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import gs_codec
 from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned, turned
+from viewer.scenes.paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.recent import recent_files, remember
 from viewer.scenes.request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
@@ -182,7 +183,7 @@ class Loading:
     def ask_open(self, pane: int | None = None) -> None:
         """Ask for a scene's file, and open it as by `open`."""
         title = "Open a scene" if pane is None else f"Open {'AB'[pane]}"
-        dialogs.ask_open(self._viewer.modal, title, partial(self.open, pane=pane))
+        self._viewer.files.ask_open(title, SCENES, partial(self.open, pane=pane))
 
     def ask_recent(self) -> None:
         """Ask which of the files that were opened last to open."""
@@ -190,23 +191,21 @@ class Loading:
 
     def ask_cameras(self) -> None:
         """Ask for a file of cameras, and look from them."""
-        kind = (".json .bin .txt", "Cameras: JSON, COLMAP")
-        self._ask("Open cameras", kind, self.open_cameras)
+        self._ask("Open cameras", CAMERAS, self.open_cameras)
 
     def ask_photographs(self) -> None:
         """Ask for the folder of photographs, and show them."""
-        self._ask("Photographs of the cameras", None, self.open_photographs)
+        self._ask("Folder of the photographs", FOLDERS, self.open_photographs)
 
     def ask_report(self) -> None:
         """Ask for the report of what was pruned from the first scene, and show it."""
-        kind = (".json", "report.json of prepare")
-        self._ask("Report of what was pruned from A", kind, self.open_report)
+        self._ask("Report of what was pruned from A", REPORTS, self.open_report)
 
-    def _ask(self, title: str, kind: tuple[str, str] | None, then: Any) -> None:
+    def _ask(self, title: str, kind: Kind, then: Any) -> None:
         if not self._viewer.stage.scenes:
             self._viewer.fail(gs_codec.GsCodecError(f"{title.lower()}: open a scene first"))
             return
-        dialogs.ask_file(self._viewer.modal, title, kind, then)
+        self._viewer.files.ask_open(title, kind, then)
 
 
 def _remember(scene: Opened) -> None:

@@ -95,6 +95,13 @@ class Panel:
         self.tabs.frame = frame
         self.tabs.selected_tab_index = front if self._coming is None else self._coming
 
+    @property
+    def doing(self) -> str:
+        """What the window is doing and how far it is; empty if nothing that is waited for."""
+        if not self._loading.visible:
+            return ""
+        return f"{' '.join(self.status.text.split())} {100 * self.progress.value:.0f} %"
+
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
         self._coming = list(self._named).index(name)

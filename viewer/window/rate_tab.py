@@ -12,8 +12,8 @@ from gs_codec.config import PROFILE_CHOICES
 from gs_codec.runtime.wording import size_text
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
+from viewer.scenes.paths import TRIES
 from viewer.scenes.tries import WISHES, Asked, Try, has_steps
-from viewer.window import dialogs
 from viewer.window.dialogs import folded, shortened
 from viewer.window.widgets import Widgets
 
@@ -146,9 +146,9 @@ class RateTab:
 
     def _ask_save(self) -> None:
         encoding, number = self._viewer.encoding, self._chosen
-        kind = ".egs", "gs_codec files (.egs)"
-        dialogs.ask_save(
-            self._viewer.modal, "Save the try", kind, lambda path: encoding.save(number, path)
+        source = encoding.scenes[0].path
+        self._viewer.files.ask_save(
+            "Save the try", TRIES, lambda path: encoding.save(number, path), scene=source
         )
 
     def _select(self, _: str, twice: bool) -> None:

@@ -8,12 +8,9 @@ from typing import Any
 
 from gs_codec.runtime.wording import counted
 from viewer.scenes.flight import flythrough, read_poses, write_poses
+from viewer.scenes.paths import POSES
 from viewer.scenes.pose import Pose
-from viewer.window import dialogs
 from viewer.window.worker import Stale
-
-#: The kind of file that paths are written to.
-_KIND = ".json", "Cameras (.json)"
 
 #: Seconds of a flight from one pose to the next, and its poses in a second.
 _LEG, _RATE = 2.0, 30
@@ -120,8 +117,8 @@ class Saved:
 
     def ask_write(self) -> None:
         """Ask where to write the poses, and write them."""
-        dialogs.ask_save(self._viewer.modal, "Save the path", _KIND, self.write)
+        self._viewer.files.ask_save("Save the path", POSES, self.write, "-path")
 
     def ask_open(self) -> None:
         """Ask for a file of cameras, and keep its poses."""
-        dialogs.ask_file(self._viewer.modal, "Open a path", _KIND, self.open)
+        self._viewer.files.ask_open("Open a path", POSES, self.open)

@@ -14,15 +14,18 @@ import gs_codec
 from gs_codec.runtime.arrays import release_large_when_freed
 from viewer.pictures.screenshot import compose, save_picture
 from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
+from viewer.scenes.paths import PICTURES
 from viewer.scenes.request import Request
 from viewer.window import dialogs
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
 from viewer.window.encoding import Encoding
+from viewer.window.file_dialog import Files
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
 from viewer.window.mouse import Place
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
+from viewer.window.notice import Notice
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
 from viewer.window.picking import Picking
@@ -34,9 +37,6 @@ from viewer.window.worker import Stale, Worker
 
 #: Longest step of a flight, seconds, after frames that took long.
 _STEP = 0.2
-
-#: The kind of file that pictures are written to.
-_PICTURES = ".png", "PNG images (.png)"
 
 #: Fields of view that differ by less are the same, degrees.
 _SAME_ANGLE = 0.01
@@ -64,8 +64,10 @@ class Viewer:
     dock : Dock
     editor : Editor
     keys : Keys
+    notice : Notice
     modal : Modal
         The dialog that is open, if one is.
+    files : Files
     message : tuple of str or None
         Title and text of the dialog that is open.
     """
@@ -82,7 +84,7 @@ class Viewer:
         release_large_when_freed()
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
-        self.modal = dialogs.Modal(self.window)
+        self.modal, self.files = dialogs.Modal(self.window), Files(self)
         self.worker = Worker(self.post)
         self.stage = Stage(
             self.window,
@@ -97,7 +99,7 @@ class Viewer:
         self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
         self.picking, self.editor, self.encoding = Picking(self), Editor(self), Encoding(self)
         self.dock = Dock(self, self.editor.select_range)
-        self.panel, self.keys = Panel(self, font), Keys(self)
+        self.panel, self.keys, self.notice = Panel(self, font), Keys(self), Notice(self)
         self._ticked = time.monotonic()
         self._unseen = rendering.Open3DScene(self.window.renderer)
         self.window.set_on_layout(self._lay_out)
@@ -248,10 +250,10 @@ class Viewer:
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
         flown = self.saved.tick()
-        self.modal.settle()
+        worked = self.modal.tick() | self.notice.tick()
         drawn = self.stage.tick()
         self.visits.tick()
-        return drawn or flown or (thrust is not None and not self.stage.painter.leads)
+        return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)
 
     @property
     def busy(self) -> bool:
@@ -271,6 +273,7 @@ class Viewer:
         panes = 1 if self.choice.mode == "wipe" else max(len(self.stage.visible), 1)
         width = self.visits.lay_out(space, panes, self.stage.caption_height, hidden)
         self.stage.lay_out(space.x, space.y, width, space.height)
+        self.notice.lay_out(space, context)
         # Open3D waits for the device before it draws a picture that was asked for, and then does
         # not skip the frame. After a skipped one the interface could still use the old pictures of
         # widgets when these change their sizes again, and Open3D would abort.
@@ -284,7 +287,7 @@ class Viewer:
 
     def ask_save(self) -> None:
         """Ask where to write a picture, and write it."""
-        dialogs.ask_save(self.modal, "Save a picture", _PICTURES, self.save)
+        self.files.ask_save("Save a picture", PICTURES, self.save)
 
     def save(self, path: str) -> None:
         """Write a picture of what is shown, drawn in software."""

@@ -1,0 +1,114 @@
+"""Drives the dialogs of the viewer's window that ask for files; prints what came of it.
+
+Run by test_viewer_window.py, in a process of its own, on a display of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from drive_viewer import Driver, tell
+from open3d.visualization import gui
+
+from gs_codec.runtime import kernels
+from viewer.scenes.request import Request
+from viewer.window.dialogs import inside
+from viewer.window.x11 import Keyboard
+
+
+def said(driver: Driver) -> list[str]:
+    """What the dialog that is open says: the text in its field, labels, and its first button."""
+    dialog = driver.viewer.modal.dialog
+    if dialog is None:
+        return []
+    widgets = list(inside(dialog))
+    fields = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
+    labels = [" ".join(w.text.split()) for w in widgets if isinstance(w, gui.Label)]
+    button = next(w.text for w in widgets if isinstance(w, gui.Button))
+    return [*fields, *filter(None, labels), button]
+
+
+def enter(driver: Driver, text: str, key: str = "Return") -> list[str]:
+    """What the dialog says after a text and a key, and once it has closed, nothing."""
+    if text:
+        driver.type_path(text)
+    before = said(driver)
+    driver.key(key)
+    driver.wait(lambda: said(driver) != before)
+    return said(driver)
+
+
+def opens(driver: Driver) -> dict:
+    """Open scenes by paths of all kinds, good and bad."""
+    viewer, found = driver.viewer, {}
+    wrong = ("none.ply", "folder/none.ply", "empty.ply", "pipe.ply", "folder")
+    for name in wrong:
+        driver.key("o")
+        driver.wait(lambda: bool(said(driver)))
+        found[name] = enter(driver, name)
+        enter(driver, "", "Escape")
+    driver.key("o")
+    found["damaged"] = enter(driver, "damaged.ply")
+    driver.wait(lambda: viewer.message is not None)
+    found["message"] = viewer.message
+    viewer.dismiss()
+    driver.key("o")
+    driver.wait(lambda: bool(said(driver)))
+    driver.tick(20)  # until the field takes keys
+    driver.key("ctrl+v")
+    driver.wait(lambda: said(driver)[0].startswith("file:"))
+    found["pasted"] = enter(driver, "")
+    driver.rest()
+    found["scenes"] = [scene.name for scene in viewer.stage.scenes]
+    return found
+
+
+def saves(driver: Driver) -> dict:
+    """Save pictures under the name that is suggested, a name that exists, and a wrong one."""
+    found: dict = {}
+    driver.key("ctrl+s")
+    driver.wait(lambda: bool(said(driver)))
+    found["suggested"] = said(driver)
+    found["saved"] = enter(driver, "")
+    driver.rest()
+    written = Path("a.png").stat().st_mtime_ns
+    for name in ("a.jpg", "none/a.png"):
+        driver.key("ctrl+s")
+        found[name] = enter(driver, name)
+        enter(driver, "", "Escape")
+    driver.key("ctrl+s")
+    driver.wait(lambda: bool(said(driver)))
+    found["again"] = said(driver)
+    found["exists"] = enter(driver, "a")
+    driver.rest()
+    found["kept"] = Path("a.png").stat().st_mtime_ns == written
+    found["replaced"] = enter(driver, "")
+    driver.rest()
+    found["written"] = Path("a.png").stat().st_mtime_ns != written
+    return found
+
+
+def notices(driver: Driver) -> list[str]:
+    """What the window says over its panes while it is empty, and while kernels are compiled."""
+    notice = driver.viewer.notice.label
+    driver.wait(lambda: notice.visible)
+    lines = [notice.text]
+    kernels._compiling.add("kernels")
+    driver.wait(lambda: notice.text != lines[0])
+    lines.append(notice.text)
+    kernels._compiling.clear()
+    driver.wait(lambda: notice.text == lines[0])
+    return lines
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    os.chdir(folder)
+    os.environ["HOME"] = str(folder)
+    Keyboard.clipboard = lambda self: f"file://{folder}/a.ply\n"
+    driver = Driver(folder, request=Request(None, size=(480, 360)))
+    driver.tick(5, redraw=True)
+    driver.move(100, 100)
+    tell({"notices": notices(driver)} | opens(driver) | saves(driver))

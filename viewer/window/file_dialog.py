@@ -1,0 +1,321 @@
+"""The dialog that asks for a file to open or to save, or for a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, SupportsInt
+
+from open3d.visualization import gui
+
+from gs_codec.errors import InvalidInput
+from viewer.scenes.paths import UP, Kind, check_readable, listed, suggested, to_write, typed_path
+from viewer.window.dialogs import Modal, folded, shortened
+from viewer.window.x11 import BACKSPACE, Keyboard
+
+#: Width of the dialog, in font sizes; characters of a line in it, for each font size.
+_WIDTH, _CHARACTERS = 34.0, 2.0
+
+#: Rows of the list: most of them, and those that all else in the dialog takes the height of.
+_ROWS, _OTHERS = 12, 11
+
+#: Frames in which a text field ends to be edited, and in which it takes a key.
+_ENDS, _TAKES = 2, 1
+
+#: Lines for what is wrong.
+_LINES = 3
+
+_RED = gui.Color(1.0, 0.45, 0.4)
+
+
+class Asked(NamedTuple):
+    """What a dialog asks for.
+
+    Attributes
+    ----------
+    title : str
+    kind : Kind
+    folder : Path
+        What it lists at first.
+    saves : bool
+        Whether a file is to be written.
+    name : str
+        The name that is suggested.
+    """
+
+    title: str
+    kind: Kind
+    folder: Path
+    saves: bool = False
+    name: str = ""
+
+
+class FileDialog:
+    """A list of files, and a field for a path.
+
+    A click puts a name into the field, a double click or Enter opens it. What is wrong with a path
+    is said in the dialog. A file is replaced only when that is asked for a second time.
+
+    Parameters
+    ----------
+    modal : Modal
+    asked : Asked
+    then : callable
+        Gets the path.
+    ended : callable
+        Called when the dialog has ended, before `then`.
+    """
+
+    def __init__(
+        self,
+        modal: Modal,
+        asked: Asked,
+        then: Callable[[str], None],
+        ended: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._modal, self._asked, self._then, self._ended = modal, asked, then, ended
+        self._keyboard = Keyboard()
+        self._steps: Iterator[bool] = iter(())
+        # What is put into the field, until it takes keys; whether the next key replaces that.
+        self._typed: str | None = None
+        self._selected = self._edited = False
+        self._folder = asked.folder
+        self._replaced: Path | None = None
+        em = modal.theme.font_size
+        wide = min(_WIDTH * em, modal.room[0] - 4 * em)
+        self._line = int(_CHARACTERS * wide / em)
+        self.dialog = gui.Dialog(asked.title)
+        box = gui.Vert(0.4 * em, gui.Margins(em, 0.6 * em, em, 0.6 * em))
+        self.dialog.add_child(box)
+        box.add_child(gui.Horiz(0, gui.Margins(int(wide), 0, 0, 0)))
+        box.add_child(gui.Label(asked.title))
+        self._where = gui.Label("")
+        self.list = gui.ListView()
+        rows = int(modal.room[1] / (1.5 * em)) - _OTHERS
+        self.list.set_max_visible_items(min(max(rows, 1), _ROWS))
+        self.list.set_on_selection_changed(self._picked)
+        self.field = gui.TextEdit()
+        self.field.placeholder_text = "name or path"
+        self.field.set_on_text_changed(lambda _: self._forget())
+        self.said = gui.Label((_LINES - 1) * "\n")
+        self.said.text_color = _RED
+        for widget in (self._where, self.field, self.said, self.list):
+            box.add_child(widget)
+        box.add_child(self._buttons(em))
+        modal.show_dialog(self.dialog, self._enter, self.cancel, self._work)
+        self._go_to(asked.folder)
+
+    def _buttons(self, em: float) -> gui.Horiz:
+        """The format, and what ends the dialog."""
+        row = gui.Horiz(0.5 * em)
+        kind = self._asked.kind
+        self.format = gui.Combobox()
+        for suffix in kind.suffixes:
+            self.format.add_item(suffix)
+        self.format.visible = self._asked.saves and len(kind.suffixes) > 1
+        if self.format.visible:
+            self.format.selected_text = kind.suffix_of(self._asked.name) or kind.suffixes[0]
+            row.add_child(self.format)
+        self.format.set_on_selection_changed(self._format_chosen)
+        row.add_stretch()
+        self.accepts = gui.Button("Save" if self._asked.saves else "Open")
+        self.accepts.set_on_clicked(self.accept)
+        cancels = gui.Button("Cancel")
+        cancels.set_on_clicked(self.cancel)
+        for button in (self.accepts, cancels):
+            row.add_child(button)
+        return row
+
+    def cancel(self) -> None:
+        """Close the dialog."""
+        self.release()
+        self._modal.close_dialog()
+        self._ended()
+
+    def release(self) -> None:
+        """Listen to no keys any more."""
+        self._keyboard.close()
+
+    def accept(self) -> None:
+        """Take the path in the field, if it can be taken; a folder is listed."""
+        asked, text = self._asked, self.field.text_value
+        path = typed_path(text, self._folder)
+        chosen = not asked.kind.suffixes and (not text.strip() or path == self._folder)
+        try:
+            if path.is_dir() and not chosen and (text.strip() or asked.kind.suffixes):
+                self._go_to(path)
+                return
+            path = self._checked(path)
+        except (InvalidInput, OSError) as error:
+            self._say(str(error))
+            return
+        if asked.saves and path.exists() and path != self._replaced:
+            self._say(f"{path.name} exists. Enter or Replace replaces it.")
+            self._replaced, self.accepts.text = path, "Replace"
+            return
+        self.cancel()
+        self._then(str(path))
+
+    def _checked(self, path: Path) -> Path:
+        """The path to take; `InvalidInput` if it cannot be."""
+        if self._asked.saves:
+            if not self.field.text_value.strip():
+                raise InvalidInput("type a name")
+            return to_write(path, self._asked.kind, self.format.selected_text)
+        if self._asked.kind.suffixes and not self.field.text_value.strip():
+            raise InvalidInput("type a name, or choose one")
+        check_readable(path, self._asked.kind)
+        return path
+
+    def _go_to(self, folder: Path) -> None:
+        """List a folder."""
+        try:
+            folder = folder.resolve()
+            names = listed(folder, self._asked.kind)
+        except (InvalidInput, OSError, RuntimeError) as error:
+            self._say(str(error))
+            return
+        self._folder = folder
+        self._where.text = shortened(str(folder), self._line)
+        self.list.set_items(names)
+        self._put(self._asked.name, selected=True)
+
+    def _picked(self, name: str, twice: bool) -> None:
+        """Take a name of the list into the field; at a double click, open it."""
+        if name.endswith("/") and twice:
+            self._go_to(self._folder / name)
+        elif name != UP and (self._asked.kind.suffixes == () or not name.endswith("/")):
+            self._put(name.rstrip("/"))
+            if twice:
+                self._steps = self._accept_soon()
+
+    def _format_chosen(self, suffix: str, _: SupportsInt) -> None:
+        """Give the name in the field another suffix."""
+        kind, name = self._asked.kind, self.field.text_value
+        if name:
+            self._put(kind.named(name, suffix))
+
+    def _say(self, text: str) -> None:
+        """Say what is wrong, and go on with the text."""
+        self._put(self.field.text_value)
+        lines = folded(shortened(text, (_LINES - 1) * self._line), self._line)
+        self.said.text = "\n".join([*lines, ""][:_LINES])
+
+    def _forget(self) -> None:
+        """The path is another: what was said of the last one is over."""
+        self._replaced = None
+        self.accepts.text = "Save" if self._asked.saves else "Open"
+        self.said.text = (_LINES - 1) * "\n"
+
+    # Keys
+
+    def _enter(self) -> None:
+        """Take the path at Enter, where `_work` does not see keys."""
+        if not self._keyboard.listens:
+            self.accept()
+
+    def _work(self) -> bool:
+        """Do what keys ask for; see `Modal.show_dialog`."""
+        for pressed in self._keyboard.pressed():
+            if pressed.enters:
+                self._steps = self._accept_soon()
+            elif pressed.pastes:
+                self._put(self._keyboard.clipboard().strip().split("\n")[0])
+            elif pressed.text and self._typed is not None:
+                self._type(pressed.text)
+        return bool(next(self._steps, False))
+
+    def _accept_soon(self) -> Iterator[bool]:
+        """Take the path when the field has what was typed before."""
+        yield from _ENDS * [True]
+        if self._typed is not None:
+            self.field.text_value = self._typed
+        self.accept()
+
+    def _put(self, text: str, selected: bool = False) -> None:
+        """Put a text into the field, and let keys go there; the next replaces it if `selected`."""
+        self._typed, self._selected = text, selected
+        self._forget()
+        self._steps = self._settle()
+
+    def _type(self, text: str) -> None:
+        """Add to the text that is put into the field."""
+        before = "" if self._selected else self._typed or ""
+        self._typed = before[:-1] if text == BACKSPACE else before + text
+        self._selected = False
+
+    def _settle(self) -> Iterator[bool]:
+        """Let the field take the text, and then all keys, once no more are on their way.
+
+        While it is edited, it keeps its own text. Tab lets keys go to it, and selects its text.
+        """
+        text = None
+        while text != self._typed:
+            text = self._typed
+            if self._edited:
+                self.field.visible = False
+                yield from _ENDS * [True]
+            self.field.text_value, self.field.visible = text or "", True
+            while not self._keyboard.listens:
+                yield False
+            self._edited = True
+            for key in ("Tab",) if self._selected else ("Tab", "End"):
+                yield from self._press(key)
+        self._typed = None
+
+    def _press(self, key: str) -> Iterator[bool]:
+        """Let the field see a key go down and up."""
+        yield from _TAKES * [True]
+        self._keyboard.send(key, True)
+        try:
+            yield from _TAKES * [True]
+        finally:
+            self._keyboard.send(key, False)
+
+
+class Files:
+    """Asks for files, first in the folder of the scene, then in that of the last file.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._last: Path | None = None
+
+    def _folder(self, scene: Path) -> Path:
+        return self._last or (scene.absolute().parent if scene.name else Path.cwd())
+
+    def ask_open(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
+        """Ask for a file of a kind, or a folder."""
+        self._ask(Asked(title, kind, self._folder(self._shown)), then)
+
+    def ask_save(
+        self,
+        title: str,
+        kind: Kind,
+        then: Callable[[str], None],
+        mark: str = "",
+        scene: Path | None = None,
+    ) -> None:
+        """Ask where to write a file made from the scene shown, or another; see `suggested`."""
+        source = self._shown if scene is None else scene
+        folder = self._folder(source)
+        suffix = kind.suffix_of(source.name) or kind.suffixes[0]
+        name = suggested(folder, source, suffix, mark)
+        self._ask(Asked(title, kind, folder, True, name), then)
+
+    @property
+    def _shown(self) -> Path:
+        """The file of the first scene."""
+        scenes = self._viewer.stage.scenes
+        return scenes[0].path if scenes else Path()
+
+    def _ask(self, asked: Asked, then: Callable[[str], None]) -> None:
+        def chosen(path: str) -> None:
+            self._last = Path(path).parent
+            then(path)
+
+        FileDialog(self._viewer.modal, asked, chosen)

@@ -1,0 +1,60 @@
+"""A line over the panes: what the window waits for, or what may be done while it shows nothing."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from open3d.visualization import gui
+
+from gs_codec.runtime.kernels import is_compiling
+
+#: Compiling that takes less is not spoken of; afterwards the line stays so long, seconds.
+_SHORT, _STAYS = 0.5, 1.0
+
+#: What an empty window says.
+_EMPTY = "O opens a scene. H lists the keys."
+
+
+class Notice:
+    """The line; in the middle while no scene is shown, else in the lower left corner.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self.label = gui.Label("")
+        self.label.visible = False
+        viewer.window.add_child(self.label)
+        self._compiled, self._seen, self._ticked = 0.0, -_STAYS, time.monotonic()
+
+    def tick(self) -> bool:
+        """Update the line; tell whether it is another one."""
+        now = time.monotonic()
+        if is_compiling():
+            self._compiled, self._seen = self._compiled + now - self._ticked, now
+        self._ticked = now
+        text = self._text(now)
+        if text == self.label.text:
+            return False
+        self.label.text, self.label.visible = text, bool(text)
+        self._viewer.window.set_needs_layout()
+        return True
+
+    def _text(self, now: float) -> str:
+        if now - self._seen < _STAYS and self._compiled > _SHORT:
+            return f"Compiling for this processor, once: {self._compiled:.0f} s"
+        panel, shows = self._viewer.panel, bool(self._viewer.stage.scenes)
+        return "" if shows else panel.doing or _EMPTY
+
+    def lay_out(self, space: gui.Rect, context: Any) -> None:
+        """Put it into the space of the panes."""
+        size = self.label.calc_preferred_size(context, gui.Widget.Constraints())
+        wide, high = min(size.width, space.width), min(size.height, space.height)
+        x, y = space.x, space.get_bottom() - high
+        if not self._viewer.stage.scenes:
+            x, y = x + (space.width - wide) // 2, space.y + (space.height - high) // 2
+        self.label.frame = gui.Rect(x, y, wide, high)

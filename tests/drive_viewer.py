@@ -14,7 +14,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from open3d.visualization import gui
@@ -68,6 +68,7 @@ class Driver:
         images: Path | None = None,
         size: tuple[int, int] = (760, 480),
         request: Request | None = None,
+        device: Literal["gpu", "cpu"] = "cpu",
     ) -> None:
         self.folder = folder
         self.app = gui.Application.instance
@@ -81,7 +82,7 @@ class Driver:
             layers=("splats",),
             size=size,
         )
-        self.viewer = Viewer(request)
+        self.viewer = Viewer(request, device)
         self.begun = False
 
     def tick(self, count: int = 1, pause: float = 0.01, redraw: bool = False) -> None:

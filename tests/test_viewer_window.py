@@ -164,3 +164,19 @@ def test_an_empty_window_says_what_to_do_and_one_that_compiles_for_how_long(file
     empty, compiles = files["notices"]
     assert empty == "O opens a scene. H lists the keys."
     assert compiles.startswith("Compiling for this processor, once: ")
+
+
+@pytest.fixture(scope="module")
+def switched(display, folder) -> dict:
+    return drive("drive_exact.py", display, folder)
+
+
+def test_exact_splats_are_those_of_render_whatever_draws_the_window(switched):
+    mean, largest = switched["exact"]
+    assert largest <= 1
+    assert mean < 0.2
+    assert switched["shader"][1] > 5
+    assert switched["again"] == pytest.approx(switched["shader"], rel=0.01)
+    shader, exact = (text.splitlines()[0] for text in switched["told"])
+    assert shader == "splats: Open3D's shader"
+    assert exact == "splats: our rasteriser, on the CPU"

@@ -14,7 +14,7 @@ from viewer.window.widgets import Widgets
 
 _MODE_NAMES = ("side by side", "wipe", "one, F flips")
 
-_DRAWN_BY = {"gpu": "splats: Open3D's shader", "cpu": "splats: our rasteriser, on the CPU"}
+_DRAWN_BY = {True: "splats: Open3D's shader", False: "splats: our rasteriser, on the CPU"}
 
 
 class SceneTab:
@@ -59,7 +59,7 @@ class SceneTab:
         )
         self.exact = widgets.checkbox("exact splats, by the CPU", viewer.set_exact)
         self.exact.tooltip = "SH of all degrees, as measured; slower than the graphics card."
-        self.exact.visible = viewer.stage.device == "gpu"
+        self.exact.visible = viewer.stage.has_shader
         below.add_child(self.exact)
         self.turned = widgets.checkbox(
             "reverse B's y and z axes (T)", lambda _: viewer.loading.turn()
@@ -146,8 +146,7 @@ class SceneTab:
 
     def _all_numbers(self) -> str:
         stage = self._viewer.stage
-        drawn_by = "cpu" if self._viewer.choice.exact else stage.device
-        lines = [_DRAWN_BY[drawn_by]] if stage.scenes else []
+        lines = [_DRAWN_BY[stage.by_shader]] if stage.scenes else []
         if len(stage.scenes) > 1:
             wide, high = stage.pose.measured if stage.pose is not None else (0, 0)
             lines += [

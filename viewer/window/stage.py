@@ -23,7 +23,7 @@ from viewer.window.mouse import Mouse, Place
 from viewer.window.navigation import Navigator, focused
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.painter import Columns, Painter
-from viewer.window.pane import HIDDEN, Pane
+from viewer.window.pane import HIDDEN, Pane, draws_splats
 from viewer.window.worker import Stale, Worker
 
 #: Most centres that a pane shows, by device.
@@ -204,11 +204,17 @@ class Stage:
     @property
     def by_hand(self) -> bool:
         """Whether splats are drawn by gs_codec's rasteriser."""
-        return "splats" in self.choice.layers and not self._by_shader
+        return "splats" in self.choice.layers and not self.by_shader
 
     @property
-    def _by_shader(self) -> bool:
-        return self.device == "gpu" and not self.choice.exact
+    def by_shader(self) -> bool:
+        """Whether splats are drawn by Open3D's shader."""
+        return self.has_shader and not self.choice.exact
+
+    @property
+    def has_shader(self) -> bool:
+        """Whether Open3D can draw splats on the device."""
+        return draws_splats(self.device)
 
     @property
     def resting(self) -> bool:
@@ -255,7 +261,7 @@ class Stage:
         """Update what depends on the appearance, but for the pictures."""
         shown, layers = self.shown, self.choice.layers
         for pane in self.panes:
-            by_shader = self._by_shader and "splats" in layers
+            by_shader = self.by_shader and "splats" in layers
             by_shader = by_shader and not shown.shows_error(pane.scene)
             pane.show_splats(shown.look(pane.scene) if by_shader else None)
             pane.set_background(shown.appearance.background)

@@ -14,7 +14,7 @@ import numpy as np
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
-from viewer.window.dialogs import inside
+from viewer.window.dialogs import Modal, inside
 from viewer.window.pane import Pane
 
 
@@ -65,12 +65,19 @@ def undo(driver: Driver) -> None:
     driver.wait(lambda: edits.redone_next == step)
 
 
+def replaces(modal: Modal) -> list[gui.Widget]:
+    """The button of a dialog that replaces a file, if it has one."""
+    buttons = [w for w in inside(modal.dialog) if isinstance(w, gui.Button)]
+    return [button for button in buttons if button.text == "Replace"]
+
+
 def save(driver: Driver, name: str) -> None:
     """Save the scene that is edited by ctrl + shift + S and a typed name."""
     driver.key("ctrl+shift+s")
     driver.type_path(name)
     driver.key("Return")
-    driver.wait(lambda: driver.viewer.modal.dialog is None)
+    modal = driver.viewer.modal
+    driver.wait(lambda: modal.dialog is None or bool(replaces(modal)))
 
 
 def regions(driver: Driver, found: dict) -> None:
@@ -160,7 +167,8 @@ def saving(driver: Driver, found: dict) -> None:
     save(driver, "cluster.ply")
     driver.rest()
     found["asked"] = Path("cluster.ply").read_bytes() == b"old"
-    answer(driver, "Replace it")
+    driver.click(replaces(driver.viewer.modal)[0])
+    driver.wait(lambda: driver.viewer.modal.dialog is None)
     driver.rest()
 
 

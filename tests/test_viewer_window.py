@@ -163,7 +163,7 @@ def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files
 def test_an_empty_window_says_what_to_do_and_one_that_compiles_for_how_long(files):
     empty, compiles = files["notices"]
     assert empty == "O opens a scene. H lists the keys."
-    assert compiles.startswith("Compiling for this processor, once: ")
+    assert compiles.startswith("Compiling, once only: ")
 
 
 @pytest.fixture(scope="module")

@@ -100,7 +100,8 @@ class Modal:
             # Not at once: Open3D is going through its windows.
             gui.Application.instance.post_to_main_thread(self._window, self._window.close)
         self._fading = max(self._fading - 1, 0)
-        return self._fading > 0 or (self._work is not None and self._work())
+        worked = self._work is not None and self._work()
+        return worked or self._fading > 0
 
     @property
     def room(self) -> tuple[int, int]:

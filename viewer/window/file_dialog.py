@@ -152,6 +152,7 @@ class FileDialog:
         if asked.saves and path.exists() and path != self._replaced:
             self._say(f"{path.name} exists. Enter or Replace replaces it.")
             self._replaced, self.accepts.text = path, "Replace"
+            self._modal.lay_out()
             return
         self.cancel()
         self._then(str(path))
@@ -303,8 +304,7 @@ class Files:
         """Ask where to write a file made from the scene shown, or another; see `suggested`."""
         source = self._shown if scene is None else scene
         folder = self._folder(source)
-        suffix = kind.suffix_of(source.name) or kind.suffixes[0]
-        name = suggested(folder, source, suffix, mark)
+        name = suggested(folder, source, kind.suffixes[0], mark)
         self._ask(Asked(title, kind, folder, True, name), then)
 
     @property

@@ -37,16 +37,21 @@ class Notice:
         if is_compiling():
             self._compiled, self._seen = self._compiled + now - self._ticked, now
         self._ticked = now
-        text = self._text(now)
+        text = self._text()
         if text == self.label.text:
             return False
         self.label.text, self.label.visible = text, bool(text)
         self._viewer.window.set_needs_layout()
         return True
 
-    def _text(self, now: float) -> str:
-        if now - self._seen < _STAYS and self._compiled > _SHORT:
-            return f"Compiling for this processor, once: {self._compiled:.0f} s"
+    @property
+    def compiles(self) -> bool:
+        """Whether kernels are compiled, or were until a moment ago."""
+        return self._ticked - self._seen < _STAYS
+
+    def _text(self) -> str:
+        if self.compiles and self._compiled > _SHORT:
+            return f"Compiling, once only: {self._compiled:.0f} s"
         panel, shows = self._viewer.panel, bool(self._viewer.stage.scenes)
         return "" if shows else panel.doing or _EMPTY
 

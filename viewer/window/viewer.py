@@ -259,7 +259,8 @@ class Viewer:
     def busy(self) -> bool:
         """Whether the window is still loading or drawing."""
         working = self.worker.busy or self.editor.worker.busy
-        return working or self.saved.flying or not self.stage.resting
+        drawing = self.saved.flying or not self.stage.resting
+        return working or drawing or self.notice.compiles
 
     def _lay_out(self, context: Any) -> None:
         rect = self.window.content_rect

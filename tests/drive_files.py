@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
-from gs_codec.runtime import kernels
+from gs_codec.runtime import compiling
 from viewer.scenes.request import Request
 from viewer.window.dialogs import inside
 from viewer.window.x11 import Keyboard
@@ -95,10 +96,10 @@ def notices(driver: Driver) -> list[str]:
     notice = driver.viewer.notice.label
     driver.wait(lambda: notice.visible)
     lines = [notice.text]
-    kernels._compiling.add("kernels")
+    compiling._Compiled.begun = time.monotonic() - 5
     driver.wait(lambda: notice.text != lines[0])
     lines.append(notice.text)
-    kernels._compiling.clear()
+    compiling._Compiled.begun = None
     driver.wait(lambda: notice.text == lines[0])
     return lines
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from open3d.visualization import gui
 
-from gs_codec.runtime.kernels import is_compiling
+from gs_codec.runtime import compiling
 
 #: Compiling that takes less is not spoken of; afterwards the line stays so long, seconds.
 _SHORT, _STAYS = 0.5, 1.0
@@ -29,13 +29,14 @@ class Notice:
         self.label = gui.Label("")
         self.label.visible = False
         viewer.window.add_child(self.label)
-        self._compiled, self._seen, self._ticked = 0.0, -_STAYS, time.monotonic()
+        self._seconds, self._seen, self._ticked = 0.0, -_STAYS, time.monotonic()
 
     def tick(self) -> bool:
         """Update the line; tell whether it is another one."""
         now = time.monotonic()
-        if is_compiling():
-            self._compiled, self._seen = self._compiled + now - self._ticked, now
+        seconds = compiling.elapsed()
+        if seconds is not None:
+            self._seconds, self._seen = seconds, now
         self._ticked = now
         text = self._text()
         if text == self.label.text:
@@ -50,8 +51,8 @@ class Notice:
         return self._ticked - self._seen < _STAYS
 
     def _text(self) -> str:
-        if self.compiles and self._compiled > _SHORT:
-            return f"Compiling, once only: {self._compiled:.0f} s"
+        if self.compiles and self._seconds > _SHORT:
+            return f"Compiling, once only: {self._seconds:.0f} s"
         panel, shows = self._viewer.panel, bool(self._viewer.stage.scenes)
         return "" if shows else panel.doing or _EMPTY
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+from fnmatch import fnmatch
+from importlib.metadata import version
 
 import pytest
 from test_cli import python
+
+from gs_codec.cli.main import NAMES, _Commands
 
 #: Packages that other distributions of gs-codec bring, or that Open3D does.
 ABSENT = ("open3d", "plotly", "dash", "scipy", "skimage", "sklearn", "matplotlib", "pandas")
@@ -116,3 +120,62 @@ def test_clouds_and_windows_need_open3d(folder):
     what = ["a scene as a point cloud", "a scene as a point cloud", "to_octree", "draw"]
     for error, needing in zip(errors, what, strict=True):
         assert f"{needing}: needs open3d; pip install open3d" in error
+
+
+LOADED = """
+from gs_codec.cli.main import main
+status = run(main, "gs-codec", *{line!r}.split())
+print(status, *sorted(sys.modules), file=sys.stderr)
+"""
+
+#: What starts a command, and what its options are made from.
+STARTED = {
+    "cli", "cli.*", "config", "edit", "edit.actions", "errors", "files", "files.suffixes",
+    "preparation", "preparation.presets", "preparation.steps", "report", "runtime", "runtime.*",
+}  # fmt: skip
+
+DECODED = {
+    "codecs", "codecs.*", "coding", "coding.*", "egs", "egs.*", "files.decoding", "formats",
+    "formats.*", "scene",
+}  # fmt: skip
+
+#: Modules of these packages that only encoding, or other profiles and formats, need.
+NOT_DECODED = {
+    "codecs.entropygs", "codecs.lossless", "codecs.interchange", "codecs.encode", "codecs.pairing",
+    "codecs.adaptive.encode", "formats.registry", "formats.gltf", "formats.sog", "formats.usd",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "ours", "absent"),
+    [
+        ("--version", STARTED, {"numpy", "numba", "rich"}),
+        ("--help", STARTED, {"numpy", "numba"}),
+        ("decode scene.egs out.ply", STARTED | DECODED, {"rich", "skimage"}),
+    ],
+    ids=["version", "help", "decode"],
+)
+def test_a_command_loads_what_it_needs(folder, line, ours, absent):
+    folder.run("encode", "scene.ply", "scene.egs", "--overwrite")
+    script = "import sys\n" + WITHOUT[WITHOUT.index("def run") : WITHOUT.index("sys.meta")]
+    for _ in range(2):  # the first compiles
+        status, _, err = python("-c", script + LOADED.format(line=line), cwd=folder.path)
+        assert status == 0, err
+        (folder.path / "out.ply").unlink(missing_ok=True)
+    ended, *modules = err.split()
+    assert ended == "0"
+    names = {name.removeprefix("gs_codec.") for name in modules if name.startswith("gs_codec.")}
+    assert [name for name in names if not any(fnmatch(name, each) for each in ours)] == []
+    assert names.isdisjoint(NOT_DECODED)
+    packages = {name.partition(".")[0] for name in modules}
+    assert packages.isdisjoint(absent | {"open3d", "sklearn", "pandas", "matplotlib", "plotly"})
+    # numba loads scipy itself, and nothing of it.
+    assert not {"scipy.linalg", "scipy.special", "scipy.sparse", "scipy.spatial"} & set(modules)
+    if tuple(map(int, version("typer").split(".")[:2])) < (0, 28):  # as pyproject.toml asks
+        assert "pydantic" not in packages
+
+
+def test_the_help_lists_what_each_command_says_of_itself():
+    commands = _Commands()
+    for name, line in NAMES.items():
+        assert commands.get_command(None, name).help.split("\n\n")[0].replace("\n", " ") == line

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from gs_codec import __version__
 from gs_codec.cli.command import Shown, usage_of, usage_text
@@ -26,15 +26,37 @@ from gs_codec.cli.output import (
 from gs_codec.errors import GsCodecError, one_line
 from gs_codec.runtime.wording import as_typed, size_text
 
-#: Commands in the order of the help; each is a module of this package.
-NAMES = (
-    "encode", "decode", "verify", "convert", "prepare", "batch", "inspect", "compare", "render",
-    "share", "analyze", "bench", "warm",
-)  # fmt: skip
+#: Commands in the order of the help, with the first line of each one's help, which would take as
+#: long to load as all else that the list needs; each is a module of this package.
+NAMES = {
+    "encode": "Encode a scene to an .egs file, or in a format that other programs read.",
+    "decode": "Decode an .egs file to a PLY that other 3DGS tools open.",
+    "verify": "Check every checksum of an .egs and decode all of it, or read all of another scene.",
+    "convert": (
+        "Convert scenes to another format, merged and edited on the way; report what that loses."
+    ),
+    "prepare": "Prune, refine or compact a scene before it is coded, and report what that cost.",
+    "batch": "Encode or convert a folder of scenes, each as `encode` or `convert` would.",
+    "inspect": (
+        "Show what a file holds: an .egs from its header alone, other scenes once they are read."
+    ),
+    "compare": (
+        "Show how far two versions of a scene are apart: by attribute, or in rendered views."
+    ),
+    "render": (
+        "Draw a scene from each camera as the 3DGS rasteriser does, or write the cameras alone."
+    ),
+    "share": "Write a page that shows a scene, or compares two, in any browser.",
+    "analyze": (
+        "Report why coding works on a scene: correlations, distributions, entropies, sensitivities."
+    ),
+    "bench": "Measure time, size, error, memory and rendered quality; JSON lines on stdout.",
+    "warm": "Compile all kernels that are not compiled yet, so that no later command has to.",
+}
 
 
 class _Commands(Shown, TyperGroup):
-    """The commands; a command's module is loaded when it is called, or listed in the help."""
+    """The commands; a command's module is loaded when it is called."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -45,6 +67,8 @@ class _Commands(Shown, TyperGroup):
 
         if args[:1] == ["help"]:
             args = [*args[1:], "--help"]
+        if not args or args[0] in ("-h", "--help"):
+            self.commands |= {n: TyperCommand(n, help=NAMES[n]) for n in NAMES}
         return super().parse_args(ctx, completed(args))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

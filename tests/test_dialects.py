@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import made_up_sensitivity, random_scene
 from test_ply import assert_refused
 
 from gs_codec.codecs import decode_scene, encode_scene
@@ -18,6 +18,7 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
+from gs_codec.guidance.guide import steps_adding
 from gs_codec.scene import GROUPS, Scene, property_names
 
 #: Elements that Apple's SHARP writes after the Gaussians, with their rows.
@@ -183,6 +184,8 @@ def test_2d_gaussians_are_flat(tmp_path, caplog):
     np.testing.assert_array_equal(scene.log_scale[:, 0], np.float32([8, 9, -2]))
     np.testing.assert_array_equal(scene.rot[:, 1], [1, 0, 0, 0])
     assert caplog.messages == [f"{path}: a 2DGS scene without scale_2; its Gaussians are flat"]
+    path.write_text(text_ply([*names, "scale_2"], ["1 2 3 4 5 6 7 8 9 1 0 0 0 -inf"] * 2))
+    np.testing.assert_array_equal(read_scene(path).log_scale, scene.log_scale)
 
 
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
@@ -191,6 +194,14 @@ def test_2d_gaussians_are_as_flat_after_encoding(profile):
     scene.log_scale[2] = scene.log_scale[:2].min(axis=0) - 10
     back = np.sort(decode_scene(encode_scene(scene, Config(profile))[0]).log_scale, axis=0)
     assert (back[1] - back[0] > 8).all()
+
+
+def test_steps_do_not_follow_the_rounding_of_a_thickness():
+    """Two scales that differ by the same in all Gaussians, but for their last bits."""
+    scene = random_scene(3000, 0)
+    scene.log_scale[2] = scene.log_scale[:2].min(axis=0) - 10
+    steps = steps_adding(scene, made_up_sensitivity(scene))(1e-3)
+    assert all(np.abs(row).max() < 50 for row in steps.coefficients.values())
 
 
 @pytest.mark.parametrize("thinner", [10.0, 90.0])

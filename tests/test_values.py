@@ -45,9 +45,9 @@ def assert_finite_ends(scene: Scene, source: Scene) -> None:
     """All Gaussians of `with_ends`, in the same order, whose other values are nearly the same."""
     assert scene.count == COUNT
     np.testing.assert_allclose(scene.opacity[0, :12], np.repeat([17.328679, -17.328679], [10, 2]))
-    longest = source.log_scale[:2, 20:26].max(axis=0)
-    np.testing.assert_allclose(scene.log_scale[2, 20:26], longest - 11.5, rtol=1e-5)
-    np.testing.assert_allclose(scene.log_scale[:, 26:28], -31.5)
+    shorter = source.log_scale[:2, 20:26].min(axis=0)
+    np.testing.assert_allclose(scene.log_scale[2, 20:26], shorter - 10, rtol=1e-5)
+    np.testing.assert_allclose(scene.log_scale[:, 26:28], -30)
     np.testing.assert_allclose(scene.log_scale[:, :20], source.log_scale[:, :20], atol=1e-5)
     np.testing.assert_allclose(scene.opacity[0, 12:], source.opacity[0, 12:], atol=1e-5)
 

@@ -27,12 +27,12 @@ log = logging.getLogger(__name__)
 #: Logit that stands for an opacity of 1, and its negative for 0: within 2^-25 of them.
 _OPAQUE = 17.328679
 
-#: Log of the scale that stands for 0, as a share of the longest axis of the Gaussian: 1e-5, less
-#: than a pixel. Much smaller scales would take many bits of centres.
-_FLAT = -11.5
+#: Log of the thickness of flat Gaussians, as a share of their shorter other axis: 5e-5, less than a
+#: pixel. The same share for all takes no bits in profiles `l`, `m` and `s`.
+_THICKNESS = np.float32(-10)
 
 #: Minimum log-scale of the axis it is a share of.
-_LEAST_AXIS = -20.0
+_LEAST_AXIS = np.float32(-20)
 
 
 class Ends(NamedTuple):
@@ -50,9 +50,19 @@ def finite_ends(scene: Scene) -> tuple[Scene, Ends]:
         return scene, counts
     opacity, log_scale = (empty(p.shape, np.float32) for p in (scene.opacity, scene.log_scale))
     opacity[:] = np.where(ends, np.copysign(np.float32(_OPAQUE), scene.opacity), scene.opacity)
-    longest = np.maximum(scene.log_scale.max(axis=0), np.float32(_LEAST_AXIS))
-    log_scale[:] = np.where(flat, longest + np.float32(_FLAT), scene.log_scale)
+    log_scale[:] = np.where(flat, flat_scales(scene.log_scale), scene.log_scale)
     return replace(scene, opacity=opacity, log_scale=log_scale), counts
+
+
+def flat_scales(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The log-scales ``(N,)`` that stand for a thickness of 0; ``(k, N)`` are those of all axes.
+
+    Axes of -infinity have no extent, and the share is that of the others.
+    """
+    shorter = np.where(np.isneginf(log_scale), np.float32(np.inf), log_scale).min(axis=0)
+    shorter = np.where(np.isposinf(shorter), _LEAST_AXIS, np.maximum(shorter, _LEAST_AXIS))
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        return shorter + _THICKNESS
 
 
 def with_finite_ends(scene: Scene, where: str | Path = "") -> Scene:

@@ -55,16 +55,16 @@ def _turn_apart(rows, turns):
             break
 
 
-def fitting(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def fitting(rows: NDArray[np.float64], least: float = 0.0) -> NDArray[np.float64]:
     """Pseudo-inverse ``(K, n)`` for least-squares fits of values by ``rows (K, n)``.
 
     The coefficients of the rows are ``[dot(row, values) for row in fitting(rows)]``, the smallest
-    ones if rows depend on one another.
+    ones if rows depend on one another, up to a share `least` of the largest.
     """
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _turn_apart(turned, turns)
     squares = np.sum(turned * turned, axis=1)
-    cut = np.finfo(np.float64).eps * max(rows.shape)
+    cut = max(np.finfo(np.float64).eps * max(rows.shape), least)
     kept = squares > squares.max(initial=0.0) * cut * cut
     scaled = turned[kept] / squares[kept, None]
     return np.stack([combine(column, scaled) for column in turns[kept].T])

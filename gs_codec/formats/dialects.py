@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.clean import flat_scales
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.beyond import listed
 from gs_codec.formats.packed_values import spans
@@ -29,9 +30,6 @@ FILTER = "filter_3D"
 
 #: What CloudCompare writes before the names of scalar fields, and 3dgsconverter for it.
 _SCALAR = re.compile("(?:scalar_|scal_)+(.+)", re.DOTALL)
-
-#: How far the log-scale of the thickness of 2D Gaussians is below the shorter of the others.
-_THIN = 10.0
 
 #: Properties of scenes that move: of SpacetimeGaussians and 4DGS.
 _MOVING = re.compile(r"t|(?:motion|omega|f_t)_\d+|trbf_\w+|scale_t|(?:rot_r|rotr)_\d+", re.ASCII)
@@ -127,11 +125,7 @@ def with_filter(where: str | Path, scene: Scene) -> Scene:
 
 
 def with_flat(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scales ``(3, N)`` of 2D Gaussians ``(2, N)``, whose third axis is their normal.
-
-    The third is a fixed share of the shorter one: profiles then code it in no bits.
-    """
+    """Scales ``(3, N)`` of 2D Gaussians ``(2, N)``, whose third axis is their normal."""
     planes = empty((3, log_scale.shape[1]), np.float32)
-    with np.errstate(invalid="ignore"):
-        planes[:2], planes[2] = log_scale, log_scale.min(axis=0) - _THIN
+    planes[:2], planes[2] = log_scale, flat_scales(log_scale)
     return planes

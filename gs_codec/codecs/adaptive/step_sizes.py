@@ -107,6 +107,10 @@ _LEVELS = {
 #: median.
 _FLAT = 4.0
 
+#: Features that differ by less than this share are alike, as scales of flat Gaussians are but for
+#: their rounding: a fit of their differences would make steps of that rounding.
+_ALIKE = 1e-4
+
 #: They are coded as if it were this far below.
 _THICKNESS = 3.0
 
@@ -253,7 +257,7 @@ def _level(
 
 def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Coefficients c with ``exp(c @ known)`` the mean of `values` (gamma regression)."""
-    fits = fitting(known)
+    fits = fitting(known, _ALIKE)
     fitted = np.sum(fits * np.log(values), axis=1)
     for _ in range(_TURNS):
         expected = np.exp(np.clip(combine(fitted, known), -60, 60))

@@ -83,6 +83,7 @@ def lines_of_all() -> list[Line]:
     lines: list[Line] = [
         {
             "kind": "machine", "processor": "EPYC", "threads": 2, "commit": "abc",
+            "installed": {"gs-codec-core": {"packages": 16, "bytes": 353_800_000}},
             "packages": {"numpy": "2"}, "skipped": ["curves"], "command": "gs-codec bench",
         },
         *lines_of("sample", photographs=False),
@@ -148,6 +149,7 @@ def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
         "| bonsai | count tree | 16 | 0.20 | 0.10 | 0.08 | 24.0 |",
         "| bonsai | Open3D's Octree | 10 | 2.00 | 4.00 |  |  |",
         "EPYC",
+        "- installed, gs-codec-core: 16 packages, 353.80 MB",
         "- left out with --skip: curves",
         "SOG: no &lt;node>",
     ],

@@ -12,6 +12,7 @@ from gs_codec.bench.beside import is_ours
 from gs_codec.bench.suite import plots, tables
 from gs_codec.bench.suite.results import Results
 from gs_codec.runtime.atomic import write_files
+from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,6 +115,10 @@ def _circumstances(results: Results) -> list[str]:
     known = {x["codec"]: x["version"] for x in results.of("beside") if not is_ours(x["codec"])}
     versions = [f"{name} ({v})" for name, v in (machine.get("packages", {}) | known).items()]
     facts += [f"- versions: {', '.join(versions)}"] if versions else []
+    facts += [
+        f"- installed, {name}: {counted(size['packages'], 'package')}, {size_text(size['bytes'])}"
+        for name, size in machine.get("installed", {}).items()
+    ]
     facts += [f"- not measured: {tables.escaped(reason)}" for reason in results.absent]
     facts += [f"- left out with --skip: {group}" for group in machine.get("skipped", ())]
     return ["## Circumstances", "\n".join(facts)] if facts else []

@@ -15,6 +15,7 @@ from gs_codec.bench.beside import ESTIMATED, guided, measure_beside, our_codecs
 from gs_codec.bench.device import measure_device
 from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import machine
+from gs_codec.bench.installed import installed
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
 from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
@@ -112,7 +113,8 @@ def _measure(
     date = datetime.now(timezone.utc).isoformat(timespec="seconds")
     skipped = sorted(options.skip)
     yield machine() | {
-        "repeats": options.repeats, "skipped": skipped, "date": date, "command": command,
+        "installed": installed(), "repeats": options.repeats, "skipped": skipped, "date": date,
+        "command": command,
     }  # fmt: skip
     yield from map(scene_line, scenes)
     largest = max(scenes, key=lambda measured: measured.scene.count)

@@ -131,8 +131,16 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
         _print_rate(report.rate)
     elif report.coarseness != 1 and (report.rendered is None or report.rendered.remedy is None):
         print_text(f"steps {report.coarseness:.2f} times the profile's")
-    if config.profile != LOSSLESS:
+    if config.profile == LOSSLESS:
+        return
+    if report.rate is not None and report.rate.psnr_drop is not None:
+        print_rendered(report.rendered, _CROPS)
+    else:
         print_rendered(report.rendered)
+
+
+#: What is measured beside whole views that were to lose so much.
+_CROPS = "crops of other views, half of them of the smallest Gaussians"
 
 
 def _print_rate(rate: RateReport) -> None:

@@ -133,13 +133,13 @@ def print_prepared(prepared: dict[str, Any]) -> None:
     print_table(columns, rows)
 
 
-def print_rendered(loss: RenderedLoss | None) -> None:
-    """What rendered views lose, on stdout."""
+def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> None:
+    """What rendered views lose, on stdout; `views` says which."""
     if loss is None:
         print_text("rendered views: not measured")
         return
     text = (
-        f"rendered views: {loss.psnr:.1f} dB to the original, "
+        f"{views}: {loss.psnr:.1f} dB to the original, "
         f"a loss of {'about ' if loss.loss >= 0.01 else ''}{loss_text(loss.loss)} at 30 dB; "
         f"worst window {loss_text(loss.worst)}"
     )

@@ -53,10 +53,10 @@ def test_sizes_add_up(measured):
     lines = measured[0]
     for line in lines[1:4]:
         assert line["gaussians"] == 1000
-        assert line["ratio"] == pytest.approx(line["ply_bytes"] / line["file_bytes"])
-        assert line["bits_per_gaussian"] == pytest.approx(8 * line["file_bytes"] / 1000)
+        assert line["ratio"] == pytest.approx(line["input_bytes"] / line["output_bytes"])
+        assert line["bits_per_gaussian"] == pytest.approx(8 * line["output_bytes"] / 1000)
     for beside, codec in ((lines[1], lines[4]), (lines[2], lines[7])):
-        assert sum(codec["section_bytes"].values()) == beside["file_bytes"]
+        assert sum(codec["section_bytes"].values()) == beside["output_bytes"]
 
 
 def test_times_are_those_of_the_whole_and_of_its_stages(measured):

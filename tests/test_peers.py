@@ -228,8 +228,8 @@ def test_every_codec_has_a_line(beside_lines):
     assert names == ["m", "paper-m", "m, camera-guided", "pcodec, columns", *SPLAT_NAMES, "other"]
     for line in lines[1:-2]:
         assert line["own_process"] == (line["codec"] in SPLAT_NAMES)
-        assert line["ratio"] == pytest.approx(line["ply_bytes"] / line["file_bytes"])
-        assert line["bits_per_gaussian"] == pytest.approx(8 * line["file_bytes"] / 600)
+        assert line["ratio"] == pytest.approx(line["input_bytes"] / line["output_bytes"])
+        assert line["bits_per_gaussian"] == pytest.approx(8 * line["output_bytes"] / 600)
         assert line["encode_seconds"]["min"] > 0
         assert line["views"] == 24
         assert f"\n{line['codec']}{' *' if line['own_process'] else ''}" in table.replace(":", "")

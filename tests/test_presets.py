@@ -197,8 +197,8 @@ def test_bench_paper_has_every_step_and_profile(reproduced):
         members = [x for x in steps if x["profile"] == profile]
         assert [x["step"] for x in members] == coded
         (line,) = (x for x in lines if x["kind"] == "profile" and x["profile"] == profile)
-        assert members[-1]["bytes"] == line["file_bytes"]
-        assert line["ply_bytes"] == (folder / "still.ply").stat().st_size
+        assert members[-1]["bytes"] == line["output_bytes"]
+        assert line["input_bytes"] == (folder / "still.ply").stat().st_size
         assert all(seconds > 0 for seconds in line["seconds"].values())
     sizes = [x["bytes"] for x in steps if x["profile"] in (None, "paper-m")]
     assert sizes[:5] == sorted(sizes[:5], reverse=True)
@@ -215,8 +215,8 @@ def test_its_page_is_what_it_measured(reproduced):
         assert published in page
     lines = lines_of(folder)
     medium = next(x for x in lines if x["kind"] == "profile" and x["profile"] == "paper-m")
-    assert f"| still | `paper-m` | {medium['file_bytes'] / 1e6:.2f} | " in page
-    assert f"{medium['ply_bytes'] / medium['file_bytes']:.1f}x" in page
+    assert f"| still | `paper-m` | {medium['output_bytes'] / 1e6:.2f} | " in page
+    assert f"{medium['input_bytes'] / medium['output_bytes']:.1f}x" in page
     assert f"| {medium['quality']['ssim']:.4f} | {medium['delta']['ssim']:+.4f} |" in page
     titles = [row for row in page.splitlines() if row.startswith("## ")]
     assert len(titles) == 5
@@ -246,7 +246,7 @@ def test_what_it_coded_is_the_prepared_scene(reproduced):
     encode_file(folder / "still.ply", folder / "again.egs", PRESET.config, plan)
     lines = lines_of(folder)
     medium = next(x for x in lines if x["kind"] == "profile" and x["profile"] == "paper-m")
-    assert (folder / "again.egs").stat().st_size == medium["file_bytes"]
+    assert (folder / "again.egs").stat().st_size == medium["output_bytes"]
     assert_same_floats(
         decode_scene((folder / "again.egs").read_bytes()),
         decode_scene((folder / "again.egs").read_bytes(), threads=2),

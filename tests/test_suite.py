@@ -131,7 +131,7 @@ def test_a_scene_says_what_views_it_is_measured_in(suite):
     assert (shot["width"], shot["height"]) == (WIDTH, 24)
     assert (plain["cameras"], plain["measured_views"], plain["encoded_by_views"]) == ("auto", 3, 6)
     assert not plain["photographs"]
-    assert plain["ply_bytes"] > 400 * 4 * 23
+    assert plain["input_bytes"] > 400 * 4 * 23
 
 
 @pytest.mark.thorough
@@ -154,7 +154,7 @@ def test_codecs_stand_beside_each_other(suite):
                 continue
             assert ("delta" in line) == (scene == "shot")
             assert line["bits_per_gaussian"] == pytest.approx(
-                8 * line["file_bytes"] / line["gaussians"]
+                8 * line["output_bytes"] / line["gaussians"]
             )
         memory = of(suite[0], "memory", scene)
         assert [line["profile"] for line in memory] == list(PROFILE_CHOICES)
@@ -166,14 +166,14 @@ def test_estimated_cameras_are_those_of_encode(suite):
     lines, _, out = suite
     ply = out.parents[1] / "shot" / "point_cloud.ply"
     data = gs_codec.encode(gs_codec.read(ply), plan=gs_codec.Plan(cameras="auto", views=6))
-    sizes = {line["codec"]: line.get("file_bytes") for line in of(lines, "beside", "shot")}
+    sizes = {line["codec"]: line.get("output_bytes") for line in of(lines, "beside", "shot")}
     assert sizes["m, estimated cameras"] == len(data) != sizes["m, camera-guided"]
 
 
 @pytest.mark.thorough
 def test_pruned_scenes_are_smaller_than_all_of_them(suite):
     for scene in ("shot", "plain"):
-        bits = {line["codec"]: line.get("file_bytes") for line in of(suite[0], "beside", scene)}
+        bits = {line["codec"]: line.get("output_bytes") for line in of(suite[0], "beside", scene)}
         assert bits["m, 58.8 % pruned"] < bits["m, 39 % pruned"] < bits["m, camera-guided"]
 
 

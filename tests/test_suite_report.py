@@ -44,7 +44,7 @@ def beside(scene: str, photographs: bool, codec: tuple) -> Line:
     line = {
         "kind": "beside", "scene": scene, "codec": name, "version": "1",
         "own_process": name == "slow", "gaussians": 1000,
-        "ply_bytes": 248000, "ratio": 1984 / bits, "bits_per_gaussian": bits,
+        "input_bytes": 248000, "ratio": 1984 / bits, "bits_per_gaussian": bits,
         "mean": {"psnr": psnr, "ssim": 0.99}, "worst_psnr": psnr,
         "encode_seconds": {"median": encode, "min": 0.9 * encode, "max": 1.2 * encode},
         "decode_seconds": {"median": decode, "min": 0.9 * decode, "max": 1.2 * decode},
@@ -56,8 +56,8 @@ def lines_of(scene: str, photographs: bool) -> list[Line]:
     """Lines of every kind that a scene has."""
     lines: list[Line] = [
         {
-            "kind": "scene", "scene": scene, "gaussians": 1000, "sh_degree": 3, "ply_bytes": 248000,
-            "cameras": "auto", "measured_views": 24, "encoded_by_views": 64, "width": 300,
+            "kind": "scene", "scene": scene, "gaussians": 1000, "sh_degree": 3,
+            "input_bytes": 248000, "cameras": "auto", "measured_views": 24, "encoded_by_views": 64, "width": 300,
             "height": 200, "photographs": photographs,
         },
         {

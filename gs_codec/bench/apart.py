@@ -79,4 +79,4 @@ def measure_scaling(
                 line = {"kind": "scaling", "scene": name, "profile": profile, "gaussians": size}
                 line |= {"encode": asdict(run_apart(encode)), "decode": asdict(run_apart(decode))}
                 file_bytes = stream.stat().st_size
-                yield line | {"float_bytes": tiled.float_bytes, "file_bytes": file_bytes}
+                yield line | {"float_bytes": tiled.float_bytes, "output_bytes": file_bytes}

@@ -80,7 +80,7 @@ def _decoding(_: MeasuredScene, scene: Scene, repeats: int, device: str) -> Line
         known, by_cpu = _timed(partial(decode_tensors, data, "cpu"), repeats)
         yield {
             "block_size": block_size,
-            "file_bytes": len(data),
+            "output_bytes": len(data),
             "seconds": seconds,
             "cpu_seconds": by_cpu,
             "same": all(torch.equal(vars(known)[k], v.cpu()) for k, v in vars(splats).items()),

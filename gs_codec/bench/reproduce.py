@@ -119,8 +119,8 @@ def _profile_lines(
         "kind": "profile",
         "scene": measured.name,
         "profile": profile,
-        "ply_bytes": measured.path.stat().st_size,
-        "file_bytes": report.file_bytes,
+        "input_bytes": measured.path.stat().st_size,
+        "output_bytes": report.file_bytes,
         "geometry": "gpcc" if "gpcc" in report.section_bytes else "octree",
         "seconds": {name: median(runs) for name, runs in seconds.items()},
         "models": entropy_by_group(report),
@@ -197,8 +197,8 @@ def _results(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
     for scene in scenes:
         for line in _of(lines, "profile", scene):
             rows.append([
-                escaped(scene), f"`{line['profile']}`", f"{line['file_bytes'] / 1e6:.2f}",
-                f"{line['ply_bytes'] / line['file_bytes']:.1f}x", line["geometry"],
+                escaped(scene), f"`{line['profile']}`", f"{line['output_bytes'] / 1e6:.2f}",
+                f"{line['input_bytes'] / line['output_bytes']:.1f}x", line["geometry"],
                 *(
                     _shown(line[kind][metric], f"{sign}.{digits}f")
                     for metric, digits in _METRICS.values()

@@ -97,7 +97,7 @@ def scene_line(measured: MeasuredScene) -> dict[str, Any]:
         "scene": measured.name,
         "gaussians": scene.count,
         "sh_degree": scene.sh_degree,
-        "ply_bytes": measured.path.stat().st_size,
+        "input_bytes": measured.path.stat().st_size,
         "cameras": Path(cameras_beside(measured.path)).name,
         "measured_views": len(measured.cameras),
         "encoded_by_views": min(len(measured.guides), measured.plan.views),

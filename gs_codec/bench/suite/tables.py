@@ -116,7 +116,7 @@ def views(results: Results, scene: str) -> str:
         return ""
     photographs = " against photographs" if line["photographs"] else ""
     return (
-        f"PLY: {line['ply_bytes'] / 1e6:.1f} MB. Cameras: {line['cameras']}; "
+        f"PLY: {line['input_bytes'] / 1e6:.1f} MB. Cameras: {line['cameras']}; "
         f"{counted(line['measured_views'], 'held-out view')} of {line['width']} x {line['height']} "
         f"pixels measured{photographs}, {counted(line['encoded_by_views'], 'other view')} used by "
         "the encoder."

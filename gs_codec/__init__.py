@@ -22,9 +22,9 @@ _PUBLIC = {
     "gs_codec.preparation.steps": ("Plan", "Steps"),
     "gs_codec.preparation.presets": ("Preset", "preset"),
     "gs_codec.codecs.part": ("Part",),
-    "gs_codec.rendering.camera": ("Camera",),
-    "gs_codec.rendering.lens": ("Lens",),
-    "gs_codec.rendering.cameras": ("read_cameras", "write_cameras"),
+    "gs_codec.cameras.camera": ("Camera",),
+    "gs_codec.cameras.lens": ("Lens",),
+    "gs_codec.cameras.files": ("read_cameras", "write_cameras"),
     "gs_codec.errors": (
         "GsCodecError",
         "InvalidInput",

@@ -14,6 +14,10 @@ from gs_codec.api.tensors import to_tensors as to_tensors
 from gs_codec.api.viewing import compare as compare
 from gs_codec.api.viewing import prepare as prepare
 from gs_codec.api.viewing import render as render
+from gs_codec.cameras.camera import Camera as Camera
+from gs_codec.cameras.files import read_cameras as read_cameras
+from gs_codec.cameras.files import write_cameras as write_cameras
+from gs_codec.cameras.lens import Lens as Lens
 from gs_codec.codecs.adaptive.lattice import PositionGrid as PositionGrid
 from gs_codec.codecs.entropygs.section import Channel as Channel
 from gs_codec.codecs.inspection import Info as Info
@@ -49,10 +53,6 @@ from gs_codec.preparation.report import PrepareReport as PrepareReport
 from gs_codec.preparation.report import StepReport as StepReport
 from gs_codec.preparation.steps import Plan as Plan
 from gs_codec.preparation.steps import Steps as Steps
-from gs_codec.rendering.camera import Camera as Camera
-from gs_codec.rendering.cameras import read_cameras as read_cameras
-from gs_codec.rendering.cameras import write_cameras as write_cameras
-from gs_codec.rendering.lens import Lens as Lens
 from gs_codec.rendering.renderer import Accumulations as Accumulations
 from gs_codec.rendering.renderer import RenderedViews as RenderedViews
 from gs_codec.rendering.renderer import Rendering as Rendering

@@ -19,7 +19,7 @@ from gs_codec.cli import output
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 
 # A shell that starts tests in the background lets them, and so what they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

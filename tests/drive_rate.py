@@ -18,7 +18,7 @@ from drive_viewer import Driver, give_up, tell
 
 from viewer.scenes.opened import Progress
 from viewer.scenes.request import Request
-from viewer.scenes.tries import Asked, Tries
+from viewer.scenes.trials import Asked, Tries
 
 #: Seconds that an encoding may take, on a busy machine that compiles kernels.
 _PATIENCE = 240

@@ -25,7 +25,7 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.activated import logits_of
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, turn_axes
 from gs_codec.formats.packed_values import sigmoid, unit_quaternions
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.tensors import NAMES, scene_of_tensors
 from gs_codec.scene import Scene, property_names
 

@@ -18,9 +18,9 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
 from gs_codec.guidance.guide import Guidance, steps_adding
 from gs_codec.preparation.reference_views import ReferenceViews
-from gs_codec.rendering import auto_cameras
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.views import estimate as auto_cameras
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
 REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")

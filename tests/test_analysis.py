@@ -31,8 +31,8 @@ from gs_codec.codecs import encode_scene
 from gs_codec.codecs.entropygs.symbols import Coded, order_scene, quantise_and_model
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply import read_ply, write_ply
-from gs_codec.rendering.auto_cameras import auto_cameras
+from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.views.estimate import auto_cameras
 
 GROUPS = {
     "positions",

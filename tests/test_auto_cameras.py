@@ -11,20 +11,20 @@ from scenes import edge_scenes, random_scene
 
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.config import Config
+from gs_codec.encoding.order import encode_by_plan, encode_planned
 from gs_codec.errors import InvalidInput
-from gs_codec.guidance.planned import encode_by_plan, encode_planned
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering import auto_cameras as module
-from gs_codec.rendering.auto_cameras import (
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import Scene
+from gs_codec.views import estimate as module
+from gs_codec.views.estimate import (
     HEIGHT,
     WIDTH,
     auto_cameras,
     estimate_views,
     guiding_cameras,
 )
-from gs_codec.rendering.evidence import gather_evidence
-from gs_codec.rendering.renderer import render
-from gs_codec.scene import Scene
+from gs_codec.views.evidence import gather_evidence
 from samples.generate import generate
 
 

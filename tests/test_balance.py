@@ -9,12 +9,12 @@ from test_guide import cameras
 
 from gs_codec.codecs import decode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.encoding.order import encode_by_plan
 from gs_codec.errors import InvalidInput
-from gs_codec.guidance.allocate import step_error_for
-from gs_codec.guidance.planned import encode_by_plan
 from gs_codec.preparation.balance import Balance, profile_steps
 from gs_codec.preparation.pipeline import choose_views, prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rate.allocate import step_error_for
 from gs_codec.scene import Scene
 from samples.generate import generate
 

@@ -12,15 +12,15 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec.bench import host
-from gs_codec.bench.apart import run_apart
+from gs_codec.bench.processes import run_apart
 from gs_codec.bench.sources import held_out_views, tile_scene
+from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.image_files import write_png
 from gs_codec.cli.main import app
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.formats.ply import write_ply
-from gs_codec.rendering.cameras import read_cameras
-from gs_codec.rendering.images import write_png
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.rendering.renderer import render
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from test_render import straight
 
-from gs_codec.rendering.between import cameras_between
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.between import cameras_between
+from gs_codec.cameras.camera import Camera
 
 
 def ring(angles) -> list[Camera]:

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene, shared_scene_path, with_threads
 
+from gs_codec.cameras.inria import as_camera
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.config import Config
+from gs_codec.encoding.order import encode_by_plan, encode_camera_free
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.guidance.calibrate import calibrated
-from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
-from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import render
+from gs_codec.views.find import find_cameras
 from samples.captures.capture import capture
 from samples.generate import generate, orbit_cameras
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from scenes import shared_scene_path
 
+from gs_codec.cameras.camera import Camera, facing
+from gs_codec.cameras.files import read_cameras
 from gs_codec.errors import InvalidInput, printable
-from gs_codec.rendering.camera import Camera, facing
-from gs_codec.rendering.cameras import read_cameras
 from gs_codec.runtime.wording import counted
 
 MODELS = {

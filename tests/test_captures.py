@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.files import read_cameras
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.reference_views import ReferenceViews
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import read_cameras
 from gs_codec.scene import GROUPS
 from samples import generate
 from samples.captures.capture import Capture, capture

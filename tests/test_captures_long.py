@@ -13,13 +13,13 @@ from typer.testing import CliRunner
 
 from gs_codec.bench import losses
 from gs_codec.bench.losses import ESTIMATED, FREE, GIVEN, loss_of, loss_table, misses_of
+from gs_codec.cameras.files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene
 from gs_codec.config import Config
-from gs_codec.formats.ply import read_ply
-from gs_codec.guidance.planned import encode_planned
+from gs_codec.encoding.order import encode_planned
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.reference_views import draw_reference_views
-from gs_codec.rendering.cameras import read_cameras
 from samples.captures.capture import capture, write_capture
 from samples.captures.rigs import RIGS
 

@@ -12,20 +12,21 @@ from scenes import edge_scenes, made_up_guide, random_scene, with_far, with_thre
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.inria import as_camera
 from gs_codec.cli.main import app
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import encode_clean
 from gs_codec.config import Config
+from gs_codec.encoding import order as planned
+from gs_codec.encoding import retry as checked
+from gs_codec.encoding.loss import Check, error_of
+from gs_codec.encoding.order import encode_by_plan, encode_camera_free
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply import write_ply
-from gs_codec.guidance import checked, planned
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.guidance.calibrate import finer, wanted_error
-from gs_codec.guidance.check import Check, error_of
-from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.guidance.windows import choose_windows, sample_of, windows_of
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import render
 from gs_codec.report import StageTimes, psnr_loss
 from gs_codec.scene import GROUPS

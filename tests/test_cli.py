@@ -31,7 +31,7 @@ from gs_codec.egs.sections import write_extra
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import write_scene
-from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply, write_ply
 from gs_codec.scene import GROUPS
 
 ROOT = Path(__file__).parents[1]

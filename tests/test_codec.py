@@ -20,7 +20,7 @@ from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import GROUPS, Scene
 
 EDGES = edge_scenes()

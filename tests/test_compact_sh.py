@@ -9,6 +9,7 @@ import pytest
 from reference_renderer import render_reference, sh_basis
 from scenes import assert_same_floats, edge_scenes, random_scene, with_threads
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.preparation import compact_sh as module
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.sh_weights import (
@@ -18,7 +19,6 @@ from gs_codec.preparation.sh_weights import (
     squared_weights,
     with_coefficients,
 )
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene
 

@@ -24,7 +24,7 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file, read_scene, write_scene
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.scene import Scene, coordinates_comment
 
@@ -170,7 +170,7 @@ def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
 
 @pytest.mark.parametrize("command", ["convert", "encode", "prepare --gaussians 9", "batch", "read"])
 def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("gs_codec.formats.usd.find_spec", lambda name: None)
+    monkeypatch.setattr("gs_codec.formats.usd.scene.find_spec", lambda name: None)
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     first, *options = command.split()
     typed = [first, str(ply), str(tmp_path / "b.usdz"), *options]

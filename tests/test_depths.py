@@ -16,7 +16,7 @@ from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.guidance.allocate import encode_to_target
+from gs_codec.rate.allocate import encode_to_target
 from gs_codec.scene import Scene
 
 #: Passes whose steps tell those of a group.

@@ -17,20 +17,22 @@ from scenes import antialiased, edge_scenes, random_scene, thorough
 from gs_codec import decode_distributed, encode_distributed
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config
-from gs_codec.distributed import looking
+from gs_codec.distributed import survey as looking
 from gs_codec.distributed.decoding import decode_with
 from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.folder import Folder, work_folder
 from gs_codec.distributed.sorting import find_cuts
 from gs_codec.distributed.sources import open_sources
 from gs_codec.distributed.workers import Task, size_within
+from gs_codec.encoding import loss as check
+from gs_codec.encoding import retry as checked
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file
-from gs_codec.formats.ply import write_ply
-from gs_codec.guidance import calibrate, check, checked, windows
+from gs_codec.formats.ply.file import write_ply
+from gs_codec.guidance import calibrate, windows
 from gs_codec.guidance.calibrate import wanted_error
 from gs_codec.scene import Scene
 from samples.generate import generate

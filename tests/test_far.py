@@ -26,6 +26,7 @@ from test_guide import cameras, quality
 from test_levels import AWAY, NEAR, encoded, in_level
 from test_web_decoder import NODE, digest, run
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.cli import main as cli
 from gs_codec.codecs import decode_part, decode_scene, encode_scene, slabs
 from gs_codec.codecs.adaptive.arrange import arrange_scene
@@ -43,17 +44,16 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.egs.levels import levels_of, open_level
+from gs_codec.encoding.order import encode_by_plan, encode_camera_free, encode_planned
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.files.sharing import page_of
-from gs_codec.formats.ply import read_ply
-from gs_codec.guidance.planned import encode_by_plan, encode_camera_free, encode_planned
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras
 from gs_codec.scene import Scene
+from gs_codec.views.find import find_cameras
 from samples.generate import generate
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -292,7 +292,7 @@ def shown(
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_views_and_sizes_are_nearly_those_without_far_ones(number, profile, guided, monkeypatch):
     """In so small a scene, moving any few Gaussians changes views by up to 3 dB."""
-    monkeypatch.setattr("gs_codec.guidance.checked._MOST_ENCODINGS", 1)
+    monkeypatch.setattr("gs_codec.encoding.retry._MOST_ENCODINGS", 1)
     near, config, views = generate(6000, 1, 5), Config(profile), cameras(12)
     plan = Plan(Steps(), views) if guided else None
     scene = with_far(near, number, 6)

@@ -12,6 +12,7 @@ from scenes import antialiased, edge_scenes, random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.camera import Camera
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import encode as entropygs
@@ -24,9 +25,8 @@ from gs_codec.config import Config
 from gs_codec.edit.floaters import FLOATERS, find_floaters
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.levels.streaming import stream_levels
-from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene, join_scenes
 
 COUNT = 3000

@@ -19,11 +19,11 @@ from PIL import Image
 from scenes import SHARED, random_scene
 
 import gs_codec
+from gs_codec.cameras.inria import as_camera
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply import write_ply
-from gs_codec.rendering.inria import as_camera
+from gs_codec.formats.ply.file import write_ply
 from viewer.main import main
 from viewer.pictures import film, reels
 from viewer.pictures.screenshot import draw_request

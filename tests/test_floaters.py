@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene, shared_scene_path, with_threads
 
+from gs_codec.cameras.camera import Camera, facing
 from gs_codec.edit.clusters import keep_largest_cluster, largest_cluster
 from gs_codec.edit.floaters import FLOATERS, find_floaters, remove_floaters
 from gs_codec.edit.spacing import far_from_others, find_spacing, usual_distance
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply import read_ply
-from gs_codec.rendering.camera import Camera, facing
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene, join_scenes
 

@@ -18,7 +18,7 @@ from gs_codec.codecs.entropygs.models import Component, MixtureModel
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.frequency_table import normalise
 from gs_codec.config import DEPTH_GROUPS, Config
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import other_comments
 
 TINY = Path(__file__).parents[2] / "shared" / "scenes" / "tiny_sh3.ply"

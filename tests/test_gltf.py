@@ -18,7 +18,7 @@ from test_similarity import assert_seen_alike
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.gltf import pack_gltf
+from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.registry import open_scene
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 

@@ -11,12 +11,12 @@ from scenes import with_threads
 from scipy.ndimage import correlate1d
 from test_render import TEAL, crowd, render, splats, straight, turned
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.rendering.project import MIN_ALPHA
-from gs_codec.rendering.rows import MOMENT_YY, take_back_rows
+from gs_codec.rendering.tiles_float32 import MOMENT_YY, take_back_rows
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 pytestmark = pytest.mark.thorough

@@ -22,15 +22,15 @@ from gs_codec.bench import device
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import Results
 from gs_codec.bench.suite.tables import device_table
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.files import write_cameras
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering import gradients, gsplat_backend
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import write_cameras
 from gs_codec.rendering.image_loss import differentiate_loss, differentiate_loss_tensor
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene

@@ -11,20 +11,20 @@ import pytest
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.camera import Camera
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, AdaptiveProfile, Config
+from gs_codec.encoding.order import encode_planned
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.guidance.guide import Guidance, guide
-from gs_codec.guidance.planned import encode_planned
 from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.camera import Camera
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate, orbit_cameras
 

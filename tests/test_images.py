@@ -15,10 +15,10 @@ from PIL import EpsImagePlugin, Image
 from test_ply import assert_one_line
 
 import gs_codec
+from gs_codec.cameras.image_files import read_image
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.images import _warnings_ignored, read_pixels
-from gs_codec.formats.sog_files import read_pixels as read_sog_pixels
-from gs_codec.rendering.images import read_image
+from gs_codec.formats.sog.files import read_pixels as read_sog_pixels
 
 #: Packages, and what opens images there.
 PACKAGES = ("gs_codec", "viewer")

@@ -23,18 +23,18 @@ from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_step
 from gs_codec.codecs.decode import decode_as
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ADAPTIVE_PROFILES, Config
+from gs_codec.encoding.order import encode_by_plan
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import compare_files, read_scene, write_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.packed_ply import pack_ply
 from gs_codec.formats.packed_values import largest_omitted, largest_restored
-from gs_codec.formats.ply import write_ply
-from gs_codec.formats.sog_writer import pack_sog
-from gs_codec.formats.spz import pack_spz
-from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.packed import pack_ply
+from gs_codec.formats.sog.writer import pack_sog
+from gs_codec.formats.spz.scene import pack_spz
 from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views

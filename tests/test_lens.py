@@ -16,14 +16,15 @@ import pytest
 from scenes import random_scene
 from test_cameras import Image, Intrinsics, both_forms, write_model
 
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.image_files import read_image, write_png
+from gs_codec.cameras.lens import Lens
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.reference_views import photographed, read_photographs
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras, read_cameras
-from gs_codec.rendering.images import read_image, write_png
-from gs_codec.rendering.lens import Lens
-from gs_codec.rendering.photographs import read_photograph
+from gs_codec.views.find import find_cameras
+from gs_codec.views.photographs import read_photograph
 
 SIDES = (800, 600)
 

@@ -9,9 +9,9 @@ import pytest
 from reference_renderer import sh_basis
 from scenes import random_scene, with_threads
 
+from gs_codec.cameras.camera import Camera, facing
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.likely_views import likely_views
-from gs_codec.rendering.camera import Camera, facing
 
 #: Places that the scene was trained from; cameras are estimated at the first alone.
 SEEN, MISSED = np.array([8.0, 0, 0]), np.array([0, 8.0, 0])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gs_codec.rendering.upright import up_of
+from gs_codec.cameras.up import up_of
 from viewer.scenes.pose import Pose, distance_ahead, look_at
 from viewer.window.keys import KEYS
 from viewer.window.navigation import (

@@ -12,14 +12,14 @@ from scenes import antialiased as compensated
 from scenes import assert_same_floats, random_scene, shared_scene_path, with_threads
 from test_render import TEAL, real_cameras, render, splats, straight
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation import adam
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.adam import adam_step, new_state, rig_radius
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.reference_views import ReferenceViews
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, Scene

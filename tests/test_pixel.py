@@ -9,7 +9,7 @@ import pytest
 import reference_renderer as reference
 from scenes import antialiased, random_scene
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.pixel import gaussian_weight, pixel_weights, splat_outline
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scenes import random_scene
 
+from gs_codec.cameras.inria import as_camera
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.rendering.inria import as_camera
 from viewer.pictures.layers import error_legend, reason_colour
 from viewer.pictures.notes import draw_notes
 from viewer.scenes.choice import Appearance

@@ -11,6 +11,8 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.image_files import read_image, write_png
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
@@ -20,15 +22,13 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
 from gs_codec.preparation import optimise, pipeline
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
 from gs_codec.preparation.report import LABELS, centres_checksum
 from gs_codec.preparation.steps import Steps
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene
 

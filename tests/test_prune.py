@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene
 
+from gs_codec.cameras.between import cameras_between
+from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation import reference_views as targets_module
 from gs_codec.preparation.pipeline import Plan, prepare_scene
@@ -21,8 +23,6 @@ from gs_codec.preparation.prune import (
 )
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit, draw_reference_views
 from gs_codec.preparation.steps import Steps
-from gs_codec.rendering.between import cameras_between
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import SH_C0, Scene
 

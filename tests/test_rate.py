@@ -18,26 +18,26 @@ from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.cli.asked import Asked, plan_of
 from gs_codec.cli.encode import _print_report
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
+from gs_codec.cli.request import Asked, plan_of
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.encoding.order import encode_by_plan
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply import vertex_rows, write_ply
-from gs_codec.guidance import trials
-from gs_codec.guidance.allocate import encode_to_target
-from gs_codec.guidance.planned import encode_by_plan
-from gs_codec.guidance.search import COARSEST, FINEST, search
+from gs_codec.formats.ply.file import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rate import trials
+from gs_codec.rate.allocate import encode_to_target
+from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import RateReport, RenderedLoss
 from gs_codec.scene import Scene
 from samples.generate import generate
@@ -146,7 +146,7 @@ def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
         return found is not None and 0.97 <= measure(found) <= 1.0
 
     beside = sum(met(seed) for seed in range(60))
-    monkeypatch.setattr("gs_codec.guidance.search._BESIDE", ())
+    monkeypatch.setattr("gs_codec.rate.search._BESIDE", ())
     assert sum(met(seed) for seed in range(60)) < beside
     assert beside >= 50
 

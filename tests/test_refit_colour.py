@@ -10,13 +10,13 @@ from reference_renderer import render_reference
 from scenes import assert_same_floats, with_threads
 from test_compact_sh import EDGES, images, orbit, visible_scene
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.preparation import image_operator as module
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.project import TILE
 from gs_codec.scene import GROUPS, Scene
 

@@ -13,9 +13,9 @@ from matplotlib.image import imread
 from reference_renderer import MIN_ALPHA, render_reference
 from scenes import random_scene, shared_scene_path, with_threads
 
-from gs_codec.formats.ply import read_ply
+from gs_codec.cameras.camera import Camera
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.rendering import renderer
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.project import _project, project
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.formats.attribute_steps import ShGrid
 from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.preparation.sh_weights import coefficients_of, sh_row, with_coefficients
-from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
 ERROR = 1e-9

@@ -10,9 +10,9 @@ import pytest
 from scenes import edge_scenes, random_scene
 from test_ply import assert_same_bits
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import move_scene, rotation_of
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene

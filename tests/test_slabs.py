@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.cli import main as cli
 from gs_codec.codecs import decode_part, encode_parts, encode_scene, slabs
 from gs_codec.codecs.decode import choose_part
@@ -21,9 +22,8 @@ from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.levels.encoding import add_levels
-from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
 BLOCK = 1024

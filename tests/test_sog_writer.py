@@ -27,10 +27,10 @@ from gs_codec.formats.codebook import (
     make_table,
     nearest_rows,
 )
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.registry import open_scene
-from gs_codec.formats.sog_palette import fit_palette
-from gs_codec.formats.sog_writer import pack_sog
+from gs_codec.formats.sog.palette import fit_palette
+from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.scene import ANTIALIASED, Scene, sh_bands
 
 
@@ -208,7 +208,7 @@ def test_a_palette_is_as_good_as_that_of_lloyd(monkeypatch):
     rng = np.random.default_rng(4)
     groups = rng.normal(0, 0.3, (300, 24))
     vectors = (groups[rng.integers(0, 300, 4000)] + rng.normal(0, 0.05, (4000, 24))).astype("f4")
-    monkeypatch.setattr("gs_codec.formats.sog_palette._MOST", 256)
+    monkeypatch.setattr("gs_codec.formats.sog.palette._MOST", 256)
     palette = fit_palette(np.ascontiguousarray(vectors.T), np.full((3, 4000), 1e-4))
     assert len(palette.levels) <= 256
     rows = vectors[rng.choice(4000, 256, replace=False)].astype(float)

@@ -19,6 +19,7 @@ from other_programs import PROGRAMS, check, stored_numbers
 from scenes import assert_same_floats, random_scene
 from test_web_page import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 
+from gs_codec.cameras.files import write_cameras
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import STREAMED, Config
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
@@ -27,14 +28,13 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.registry import check_file, open_scene, overview_of
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.auto_cameras import auto_cameras
-from gs_codec.rendering.cameras import write_cameras
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import ANTIALIASED, Scene
+from gs_codec.views.estimate import auto_cameras
 from samples.generate import generate
 
 LEAF, FILE = 200, 450

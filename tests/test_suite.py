@@ -13,20 +13,22 @@ from scenes import estimate_few_cameras, random_scene
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.bench import apart, beside, measure, sources
-from gs_codec.bench import apart as scaling
+from gs_codec.bench import measure, sources
+from gs_codec.bench import processes as apart
+from gs_codec.bench import processes as scaling
+from gs_codec.bench import side_by_side as beside
 from gs_codec.bench.peers import AbsentPeer
 from gs_codec.bench.sources import open_beside
 from gs_codec.bench.suite import run
 from gs_codec.bench.suite.run import GROUPS, Options, run_suite, scene_line
 from gs_codec.bench.suite.tables import escaped
+from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.image_files import write_png
 from gs_codec.cli import main
 from gs_codec.cli.main import app
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply import write_ply
-from gs_codec.rendering.cameras import read_cameras
-from gs_codec.rendering.images import write_png
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.rendering.renderer import render
 from samples.generate import generate, orbit_cameras
 

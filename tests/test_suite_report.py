@@ -57,8 +57,8 @@ def lines_of(scene: str, photographs: bool) -> list[Line]:
     lines: list[Line] = [
         {
             "kind": "scene", "scene": scene, "gaussians": 1000, "sh_degree": 3,
-            "input_bytes": 248000, "cameras": "auto", "measured_views": 24, "encoded_by_views": 64, "width": 300,
-            "height": 200, "photographs": photographs,
+            "input_bytes": 248000, "cameras": "auto", "measured_views": 24, "encoded_by_views": 64,
+            "width": 300, "height": 200, "photographs": photographs,
         },
         {
             "kind": "memory", "scene": scene, "gaussians": 1000, "profile": "m",

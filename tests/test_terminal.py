@@ -62,7 +62,7 @@ def test_messages_that_are_logged_are_printable(capsys):
     root.handlers.clear()
     try:
         log_to_stderr("gs-codec")
-        logging.getLogger("gs_codec.formats.ply").warning("%s: not kept", HOSTILE)
+        logging.getLogger("gs_codec.formats.ply.file").warning("%s: not kept", HOSTILE)
     finally:
         root.handlers[:] = before
     err = capsys.readouterr().err

@@ -23,9 +23,9 @@ from test_cameras import (
     write_model,
 )
 
+from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.image_files import find_image
 from gs_codec.errors import InvalidInput
-from gs_codec.rendering.cameras import read_cameras
-from gs_codec.rendering.images import find_image
 
 #: The camera of `test_cameras`: at (1, 2, 3), it looks along x; the columns are right (-y), up (z)
 #: and back (-x).

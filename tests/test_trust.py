@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, expected_sensitivity
 from gs_codec.coding.axes import sort_axes
-from gs_codec.guidance.trust import blend, blind_share, regions
-from gs_codec.rendering.camera import Camera
+from gs_codec.guidance.cross_validation import blend, blind_share, regions
 
 COUNT, VIEWS = 2000, 32
 

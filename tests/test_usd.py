@@ -19,9 +19,9 @@ from test_similarity import assert_seen_alike
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.files.scenes import read_scene, stated_bytes
-from gs_codec.formats import usd
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.usd import SUFFIXES, pack_usd
+from gs_codec.formats.usd import scene as usd
+from gs_codec.formats.usd.scene import SUFFIXES, pack_usd
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
@@ -142,7 +142,8 @@ def test_an_openusd_without_gaussians_is_said(monkeypatch):
 @pytest.mark.thorough
 def test_other_processes_write_the_same_bytes(tmp_path):
     code = (
-        "import sys; from scenes import random_scene; from gs_codec.formats.usd import pack_usd\n"
+        "import sys; from scenes import random_scene\n"
+        "from gs_codec.formats.usd.scene import pack_usd\n"
         "sys.stdout.buffer.write(pack_usd(random_scene(50, 3), '.usdc')[0])"
     )
     done = subprocess.run(

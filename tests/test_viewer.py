@@ -21,15 +21,15 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.inria import as_camera
+from gs_codec.cameras.up import UNSURE, UPS, up_of
+from gs_codec.cameras.widest import widest_view
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply, write_ply
 from gs_codec.preparation.report import centres_checksum
-from gs_codec.rendering.inria import as_camera
-from gs_codec.rendering.upright import UNSURE, UPS, up_of
-from gs_codec.rendering.widest import widest_view
 from viewer.main import app, main
 from viewer.pictures import screenshot
 from viewer.pictures.centres import centres, pruned_centres

@@ -9,10 +9,10 @@ import pytest
 from scenes import SHARED, random_scene
 
 import gs_codec
+from gs_codec.cameras.inria import as_camera
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.metrics.images import psnr
-from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED

@@ -14,7 +14,7 @@ import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.registry import open_scene as open_file
 from gs_codec.scene import ANTIALIASED
 from viewer.pictures.marker import draw_marker, marker
@@ -76,7 +76,7 @@ def test_the_pixel_follows_the_colour_of_its_gaussian_by_its_weight(a):
 
 
 def test_no_other_gaussian_has_a_larger_weight(a):
-    from gs_codec.rendering.inria import as_camera
+    from gs_codec.cameras.inria import as_camera
     from gs_codec.rendering.pixel import pixel_weights
 
     rows, weights = pixel_weights(a.gaussians, as_camera(POSE.camera(*SIZE)), 24, 16)

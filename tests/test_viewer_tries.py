@@ -13,16 +13,17 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply import write_ply
-from gs_codec.rendering.cameras import find_cameras, read_cameras
+from gs_codec.formats.ply.file import write_ply
+from gs_codec.views.find import find_cameras
 from samples.generate import generate
-from viewer.scenes import tries as module
+from viewer.scenes import trials as module
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened, open_scene, turned
 from viewer.scenes.pose import look_at
-from viewer.scenes.tries import Asked, Tries, Try
+from viewer.scenes.trials import Asked, Tries, Try
 
 
 @pytest.fixture(scope="module")

@@ -13,21 +13,22 @@ from scenes import random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.image_files import find_image, output_names, read_image, write_png
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import photographed
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.images import find_image, output_names, read_image, write_png, write_views
 from gs_codec.rendering.renderer import render
+from gs_codec.views.draw import write_views
+from gs_codec.views.find import find_cameras
 
 
 def camera(name="view", width=40, height=30, position=(0.0, 0.0, -5.0), split=None) -> Camera:

@@ -12,13 +12,13 @@ from scenes import random_scene
 from test_levels import NO_LEVELS, encoded, errors_changed, in_level, sample
 from test_web_decoder import NODE, blocks, digest, run, upto
 
+from gs_codec.cameras.camera import Camera, facing
 from gs_codec.codecs import decode_part, decode_scene
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.selection import select_blocks
 from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.egs.levels import levels_of, open_level
-from gs_codec.rendering.camera import Camera, facing
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
 

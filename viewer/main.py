@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import gs_codec
-from gs_codec.cli.asked import is_given
+from gs_codec.cameras.up import UPS
 from gs_codec.cli.main import describe_error
 from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
+from gs_codec.cli.request import is_given
 from gs_codec.preparation.steps import CAMERAS
-from gs_codec.rendering.upright import UPS
 from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 from viewer.scenes.choice import (

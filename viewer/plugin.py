@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gs_codec
+from gs_codec.cameras.image_files import find_image, seek_images
 from gs_codec.formats.cloud import check_cloud
-from gs_codec.rendering.images import find_image, seek_images
-from gs_codec.rendering.photographs import read_photograph
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
+from gs_codec.views.photographs import read_photograph
 from viewer.pictures.centres import centres, pruned_centres
 from viewer.pictures.layers import Points
 from viewer.pictures.notes import draw_notes

@@ -19,9 +19,9 @@ from pathlib import Path
 from urllib.parse import quote
 
 import gs_codec
+from gs_codec.cameras.up import up_axis
 from gs_codec.cli.output import print_text
 from gs_codec.files.sharing import PAGE, page_of
-from gs_codec.rendering.upright import up_axis
 from gs_codec.report import Progress
 
 #: This machine alone.

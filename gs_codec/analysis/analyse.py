@@ -16,13 +16,13 @@ from gs_codec.analysis.sensitivity import ErrorScale, SensitivityCurves, measure
 from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
+from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput
-from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.preparation.reference_views import evenly
-from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import SCHEMA, Progress, step_counter
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
+from gs_codec.views.find import find_cameras
 
 #: The profile whose depths are used for histograms, models and the marks on curves.
 REFERENCE = "paper-m"

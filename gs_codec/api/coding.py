@@ -10,12 +10,12 @@ from gs_codec.codecs import decode_part
 from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import LOSSLESS, Config, Extra, RateTarget, as_config
+from gs_codec.encoding.order import encode_by_plan
 from gs_codec.files.coding import read_source
 from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.formats.cloud import from_cloud, to_cloud
-from gs_codec.formats.ply import vertex_rows
-from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.formats.ply.file import vertex_rows
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress, RateReport

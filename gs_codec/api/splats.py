@@ -15,9 +15,9 @@ from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, as_config
 from gs_codec.egs.header import Feature
+from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
-from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import located

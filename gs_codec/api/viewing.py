@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.matching import put_side_by_side
 from gs_codec.config import Config, as_config
 from gs_codec.errors import InvalidInput
@@ -18,8 +19,6 @@ from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.metrics.lpips import VARIABLE
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.steps import Plan
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.renderer import RenderedViews, Rendering
 from gs_codec.rendering.renderer import render as render_view
 from gs_codec.report import Progress
@@ -27,6 +26,7 @@ from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
+from gs_codec.views.find import find_cameras
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -238,7 +238,7 @@ def prepare(
     >>> [step.name for step in report.steps]
     ['original', 'leave-one-out pruning']
     """
-    from gs_codec.guidance.check import Check
+    from gs_codec.encoding.loss import Check
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.pipeline import prepare_scene
 

@@ -16,7 +16,7 @@ from urllib.parse import unquote, urlsplit
 
 from gs_codec.batch.redaction import without_secrets
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.formats import usd
+from gs_codec.formats.usd import scene as usd
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 
 log = logging.getLogger(__name__)

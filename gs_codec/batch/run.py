@@ -26,7 +26,7 @@ from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.work import encode_one, versions
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.formats.usd import require_usd_core
+from gs_codec.formats.usd.scene import require_usd_core
 from gs_codec.report import Progress
 from gs_codec.runtime.lazy import from_extra
 from gs_codec.runtime.threads import available_threads

@@ -13,8 +13,8 @@ import numpy as np
 from gs_codec.api.splats import decode_tensors, require_device
 from gs_codec.bench.sources import MeasuredScene, tile_scene
 from gs_codec.config import Config
+from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import MissingTool
-from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.reference_views import draw_targets, evenly
 from gs_codec.preparation.steps import BACKGROUNDS

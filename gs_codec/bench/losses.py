@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_scene
 from gs_codec.bench.suite.tables import markdown
+from gs_codec.cameras.camera import Camera
 from gs_codec.config import RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all

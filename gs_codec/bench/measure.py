@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.analysis.entropy import entropy_by_group
-from gs_codec.bench.apart import run_apart
-from gs_codec.bench.beside import measure_beside, our_codecs
 from gs_codec.bench.host import machine
 from gs_codec.bench.peers import find_peers
+from gs_codec.bench.processes import run_apart
+from gs_codec.bench.side_by_side import measure_beside, our_codecs
 from gs_codec.bench.sources import MeasuredScene, open_scene
 from gs_codec.config import Config, changed_options
+from gs_codec.encoding.order import encode_camera_free
 from gs_codec.files.scenes import compare_files
-from gs_codec.formats.ply import write_ply
-from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.formats.ply.file import write_ply
 
 
 def measure_scenes(

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES,
@@ -16,6 +15,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
+from gs_codec.cli.request import Asked, takes
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder

@@ -20,15 +20,6 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from gs_codec.cli.asked import (
-    Asked,
-    action_plan,
-    config_of,
-    plan_of,
-    refuse_coding,
-    takes,
-    target_of,
-)
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
 from gs_codec.cli.options import completion
@@ -40,6 +31,15 @@ from gs_codec.cli.output import (
     print_text,
     progress_lines,
     smaller,
+)
+from gs_codec.cli.request import (
+    Asked,
+    action_plan,
+    config_of,
+    plan_of,
+    refuse_coding,
+    takes,
+    target_of,
 )
 from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable

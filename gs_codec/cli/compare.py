@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES,
@@ -17,6 +16,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
+from gs_codec.cli.request import Asked, takes
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted

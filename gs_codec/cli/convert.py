@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gs_codec.cli.actions import say_what_was_done
-from gs_codec.cli.asked import Asked, action_plan, config_of, refuse_coding, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
@@ -19,6 +18,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
+from gs_codec.cli.request import Asked, action_plan, config_of, refuse_coding, takes
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.config import SSOG, STREAMED, Config
 from gs_codec.edit.actions import KINDS

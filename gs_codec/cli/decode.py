@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import print_text, progress_bar
+from gs_codec.cli.request import Asked, takes
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
 from gs_codec.report import bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
+    from gs_codec.cameras.camera import Camera
     from gs_codec.files.decoding import DecodeReport
-    from gs_codec.rendering.camera import Camera
 
 
 @takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
@@ -121,7 +121,7 @@ def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeRep
 
 def _camera_of(text: str) -> Camera:
     """The camera that ``CAMERAS[:NAME]`` or, by its index, ``CAMERAS:#N`` names."""
-    from gs_codec.rendering.cameras import read_cameras
+    from gs_codec.cameras.files import read_cameras
 
     path, name = text, ""
     if not os.path.exists(text):

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.actions import say_what_was_done
-from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
@@ -21,6 +20,7 @@ from gs_codec.cli.output import (
     progress_bar,
     smaller,
 )
+from gs_codec.cli.request import Asked, config_of, plan_of, takes, target_of
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gs_codec.batch.memory import needed_bytes
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES_PIPED,
@@ -18,6 +17,7 @@ from gs_codec.cli.output import (
     print_table,
     print_text,
 )
+from gs_codec.cli.request import Asked, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, config_of, plan_of, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
@@ -16,6 +15,7 @@ from gs_codec.cli.output import (
     print_rendered,
     progress_bar,
 )
+from gs_codec.cli.request import Asked, config_of, plan_of, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_text, progress_bar
+from gs_codec.cli.request import Asked, takes
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
 from gs_codec.runtime.wording import counted
@@ -47,9 +47,10 @@ def command(
         check_writable(out, asked["overwrite"])
     else:
         check_folder(out, asked["overwrite"])
+    from gs_codec.cameras.files import write_cameras
     from gs_codec.files.scenes import read_scene
-    from gs_codec.rendering.cameras import find_cameras, write_cameras
-    from gs_codec.rendering.images import write_views
+    from gs_codec.views.draw import write_views
+    from gs_codec.views.find import find_cameras
 
     loaded = read_scene(scene, "drop", max_bytes=asked["max_bytes"])
     views = find_cameras(cameras, loaded, asked["split"], asked["width"])

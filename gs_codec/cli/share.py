@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
+from gs_codec.cli.request import Asked, takes
 from gs_codec.config import UP_AXES
 from gs_codec.preparation.steps import CAMERAS
 

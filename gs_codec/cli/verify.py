@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES_PIPED, print_text, progress_bar
+from gs_codec.cli.request import Asked, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian

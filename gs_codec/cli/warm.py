@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import print_text, progress_bar
+from gs_codec.cli.request import Asked, takes
 from gs_codec.runtime.threads import using_threads
 
 

@@ -16,14 +16,15 @@ from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_step
 from gs_codec.coding.clean import clean_scene, finite_ends
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ROUNDED_FORMATS, Config
-from gs_codec.formats import packed_ply, spz
 from gs_codec.formats.attribute_steps import AttributeSteps, ShGrid
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
-from gs_codec.formats.gltf import pack_gltf
+from gs_codec.formats.gltf.scene import pack_gltf
+from gs_codec.formats.ply import packed as packed_ply
 from gs_codec.formats.registry import open_scene
-from gs_codec.formats.sog_writer import pack_sog
+from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.formats.splat import pack_splat
-from gs_codec.formats.usd import SUFFIXES, pack_usd
+from gs_codec.formats.spz import scene as spz
+from gs_codec.formats.usd.scene import SUFFIXES, pack_usd
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.encode import encode_parts
@@ -26,20 +27,19 @@ from gs_codec.distributed.blocks import Chunks, Quantised, code_blocks, write_bl
 from gs_codec.distributed.chunks import quantise, save_quantised
 from gs_codec.distributed.folder import identity_of, work_folder
 from gs_codec.distributed.levels import code_levels
-from gs_codec.distributed.looking import Job, Looked, choose_lattice, look
 from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run
 from gs_codec.distributed.sources import Sources, open_sources
+from gs_codec.distributed.survey import Job, Looked, choose_lattice, look
 from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
 from gs_codec.egs.file import Section, SectionId, section_sizes
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.sections import carried_sections
+from gs_codec.encoding.loss import Check
+from gs_codec.encoding.retry import encode_checked
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import write_parts
 from gs_codec.files.suffixes import check_target
-from gs_codec.guidance.check import Check
-from gs_codec.guidance.checked import encode_checked
 from gs_codec.guidance.windows import find_shown
-from gs_codec.rendering.camera import Camera
 from gs_codec.report import EncodeReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.mapped import located, opened

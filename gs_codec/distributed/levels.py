@@ -18,13 +18,13 @@ from gs_codec.config import Config
 from gs_codec.distributed.blocks import Chunks, CodedBlocks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.chunks import quantise, save_quantised
 from gs_codec.distributed.folder import Folder
-from gs_codec.distributed.looking import Job, choose_lattice, look
 from gs_codec.distributed.sorting import planes_of, scene_of_rows
 from gs_codec.distributed.sources import Source, Span
+from gs_codec.distributed.survey import Job, choose_lattice, look
 from gs_codec.distributed.workers import Workers, do_all
 from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.levels import errors_section, level_header
-from gs_codec.formats.ply_body import to_rows
+from gs_codec.formats.ply.body import to_rows
 from gs_codec.levels.building import Level, coarser
 from gs_codec.levels.encoding import config_of_levels
 from gs_codec.report import StageTimes

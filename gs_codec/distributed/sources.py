@@ -16,9 +16,9 @@ from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import Extra
 from gs_codec.edit.join import merge_scenes
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply import scene_of
+from gs_codec.formats.extra_properties import scene_without
+from gs_codec.formats.ply.file import scene_of
 from gs_codec.formats.registry import open_scene
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene, join_scenes

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.far import find_far
 from gs_codec.coding.linear import combine
 from gs_codec.edit.clouds import on_clouds
@@ -20,14 +21,13 @@ from gs_codec.edit.spacing import (
     usual_distance,
 )
 from gs_codec.errors import InvalidInput
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.project import NEAR, camera_arguments, rotated
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.lazy import needed
 from gs_codec.scene import Scene
+from gs_codec.views.find import find_cameras
 
 #: Why a Gaussian is a floater; the index is the label. The first stays.
 FLOATERS = ("", "isolated", "hardly seen", "outside")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.beyond import say_left_out
+from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene, join_scenes, other_comments, stated_comments
 

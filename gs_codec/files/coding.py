@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.interchange import encode_finest
 from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config
 from gs_codec.edit.actions import Action, check_actions
+from gs_codec.encoding.order import encode_by_plan, encode_camera_free
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import keeps_rounding, measured, scene_in, tell_lost, write_parts
 from gs_codec.files.shifted import early_shifts, edit_shifted
 from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
-from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arguments import checked

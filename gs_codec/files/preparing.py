@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config, as_config
+from gs_codec.encoding.order import encode_planned
 from gs_codec.files.scenes import read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import PLAIN, check_target, config_for
-from gs_codec.guidance.planned import encode_planned
 from gs_codec.levels.encoding import add_levels
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
@@ -80,7 +80,7 @@ def prepare_file(
     if coded:
         config = config_for(target, config)
     # Loaded here: encoding alone does without all that draws.
-    from gs_codec.guidance.check import Check
+    from gs_codec.encoding.loss import Check
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene

@@ -23,17 +23,17 @@ from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import ROUNDED_FORMATS, SSOG, STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
+from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, PLAIN, config_for, format_of, suffix_of
-from gs_codec.formats.beyond import scene_without
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.csv_table import write_csv
-from gs_codec.formats.dialects import with_filter
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.extra_properties import scene_without
+from gs_codec.formats.ply.dialects import with_filter
+from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.zip_file import write_zip
-from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.levels.encoding import add_levels
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.metrics.attributes import Comparison, compare_scenes
@@ -123,7 +123,7 @@ def _is_rounded(source: str | Path) -> bool:
 
 def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
     """What rendered views of a written file lose."""
-    from gs_codec.guidance.check import Check
+    from gs_codec.encoding.loss import Check
 
     clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
     with open_scene(path) as file:

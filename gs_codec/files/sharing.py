@@ -15,24 +15,24 @@ from urllib.parse import quote
 
 import numpy as np
 
+from gs_codec.cameras.inria import as_entry
+from gs_codec.cameras.up import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
+from gs_codec.cameras.widest import widest_view
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import EGS, LOSSLESS, Config
 from gs_codec.egs.header import Feature
+from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.scenes import scene_in
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
-from gs_codec.guidance.planned import encode_camera_free
-from gs_codec.rendering.auto_cameras import COUNT, estimate_views
-from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.inria import as_entry
-from gs_codec.rendering.upright import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
-from gs_codec.rendering.widest import widest_view
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
+from gs_codec.views.estimate import COUNT, estimate_views
+from gs_codec.views.find import find_cameras
 
 log = logging.getLogger(__name__)
 

@@ -82,7 +82,7 @@ def check_target(
     check_writable(target, overwrite)
     suffix = suffix_of(target, known)
     if suffix.startswith(".usd"):
-        from gs_codec.formats.usd import require_usd_core
+        from gs_codec.formats.usd.scene import require_usd_core
 
         require_usd_core(suffix)
     return suffix

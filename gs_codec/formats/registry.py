@@ -16,21 +16,17 @@ from gs_codec.config import SSOG, Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
-from gs_codec.formats import (
-    checkpoint,
-    gltf,
-    gltf_file,
-    ksplat,
-    packed_ply,
-    sog,
-    splat,
-    spz,
-    spz_file,
-    streamed_sog,
-    usd,
-)
-from gs_codec.formats.ply import scene_of
-from gs_codec.formats.ply_body import Ply, ply_of
+from gs_codec.formats import checkpoint, ksplat, splat
+from gs_codec.formats.gltf import file as gltf_file
+from gs_codec.formats.gltf import scene as gltf
+from gs_codec.formats.ply import packed as packed_ply
+from gs_codec.formats.ply.body import Ply, ply_of
+from gs_codec.formats.ply.file import scene_of
+from gs_codec.formats.sog import scene as sog
+from gs_codec.formats.sog import streamed as streamed_sog
+from gs_codec.formats.spz import file as spz_file
+from gs_codec.formats.spz import scene as spz
+from gs_codec.formats.usd import scene as usd
 from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
 from gs_codec.runtime.mapped import FileBytes, opened

@@ -11,8 +11,8 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.formats.beyond import listed
 from gs_codec.formats.coordinates import CONVENTION, turn_shift
+from gs_codec.formats.extra_properties import listed
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Shift
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.activated import linear_scales, log_scales_of
-from gs_codec.formats.beyond import left_out_of
+from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,

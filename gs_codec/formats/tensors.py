@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.beyond import say_degree_4
+from gs_codec.formats.extra_properties import say_degree_4
 from gs_codec.formats.packed_values import sh_of_colours, sigmoid
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS, Scene

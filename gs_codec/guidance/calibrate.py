@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_sizes import SH_RATIO, StepSizes, blind_coefficients
 from gs_codec.codecs.adaptive.wanted_steps import wanted_steps
 from gs_codec.coding.axes import sort_axes
@@ -35,7 +36,6 @@ from gs_codec.guidance.windows import (
     parts_of,
     sample_of,
 )
-from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import GROUPS, Scene, sh_bands

@@ -21,9 +21,9 @@ from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
+from gs_codec.guidance.cross_validation import blend, blind_share
 from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.guidance.sensitivity import sensitivity
-from gs_codec.guidance.trust import blend, blind_share
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
 from gs_codec.preparation.likely_views import likely_views

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.binary import bit_length
 from gs_codec.formats.attribute_steps import ShGrid
 from gs_codec.preparation.sh_weights import (
@@ -17,7 +18,6 @@ from gs_codec.preparation.sh_weights import (
     list_views,
     with_coefficients,
 )
-from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity
 from gs_codec.guidance.splat_moments import (
     SQUARED_WEIGHT,
@@ -23,7 +24,6 @@ from gs_codec.guidance.splat_moments import (
     sum_moments,
 )
 from gs_codec.preparation.reference_views import ReferenceViews
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import (
     FACTOR_XX,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gs_codec.rendering.project import FACTOR_YY, TILE
-from gs_codec.rendering.rows import (
+from gs_codec.rendering.tiles_float32 import (
     BEHIND,
     LEAST_LEFT,
     MOST_ALPHA,
@@ -21,7 +21,7 @@ from gs_codec.rendering.rows import (
     turn_back,
     uncover,
 )
-from gs_codec.rendering.trace import tile_bounds
+from gs_codec.rendering.tiles_float64 import tile_bounds
 from gs_codec.runtime.kernels import inlined, kernel
 
 #: Columns of the sums over a splat's pixels. g is the squared derivative of the pixel by ln alpha;

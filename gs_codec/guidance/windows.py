@@ -16,17 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
-from gs_codec.rendering.auto_cameras import look_at
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.evidence import Evidence, gather_evidence
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import NEAR
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
+from gs_codec.views.estimate import look_at
+from gs_codec.views.evidence import Evidence, gather_evidence
 
 #: Share of windows aimed at the smallest Gaussians, which belong to what the cameras looked at.
 #: Most other Gaussians may be sky.

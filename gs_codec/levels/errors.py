@@ -15,10 +15,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.edit.pairs import blobs_of
+from gs_codec.cameras.camera import Camera
 from gs_codec.egs.header import FANOUT
-from gs_codec.levels.merging import Clusters, merge_group, spacing
-from gs_codec.rendering.camera import Camera
+from gs_codec.levels.quarter import Clusters, merge_group, spacing
+from gs_codec.merging.pairs import blobs_of
 from gs_codec.rendering.frame import make_frame
 from gs_codec.scene import Scene
 

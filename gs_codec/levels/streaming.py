@@ -18,8 +18,8 @@ from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.sog_writer import REACH, numbers, sog_files_of
-from gs_codec.formats.streamed_sog import Leaf, Run, describe_levels
+from gs_codec.formats.sog.streamed import Leaf, Run, describe_levels
+from gs_codec.formats.sog.writer import REACH, numbers, sog_files_of
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.building import coarsen
 from gs_codec.levels.encoding import config_of_levels

@@ -9,17 +9,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.image_files import find_images, output_names, write_png
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.images import View, compare_images
 from gs_codec.metrics.lpips import load_lpips
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import find_images, output_names, write_png
-from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import make_folder
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
+from gs_codec.views.photographs import read_photograph
 
 #: Factor by which difference images are amplified.
 DIFFERENCE_GAIN = 10

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.ycocg import luma_chroma, red_green_blue
 from gs_codec.preparation.likely_views import LikelyViews
 from gs_codec.preparation.sh_weights import (
@@ -18,7 +19,6 @@ from gs_codec.preparation.sh_weights import (
     squared_weights,
     with_coefficients,
 )
-from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all

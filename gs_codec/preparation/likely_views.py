@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.evidence import sh_bases, sphere
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
+from gs_codec.views.evidence import sh_bases, sphere
 
 #: Number of directions.
 _DIRECTIONS = 32

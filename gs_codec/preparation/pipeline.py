@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.between import cameras_between
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import Config
 from gs_codec.preparation.balance import Balance, StepsOf, profile_steps
@@ -37,13 +39,11 @@ from gs_codec.preparation.reference_views import (
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.report import LABELS, PrepareReport, StepReport, centres_checksum
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.auto_cameras import guiding_cameras
-from gs_codec.rendering.between import cameras_between
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.gsplat_backend import is_chosen
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
+from gs_codec.views.estimate import guiding_cameras
+from gs_codec.views.find import find_cameras
 
 log = logging.getLogger(__name__)
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_sizes import expected_sensitivity
 from gs_codec.coding.axes import sort_axes
 from gs_codec.errors import InvalidInput
@@ -28,10 +29,9 @@ from gs_codec.formats.packed_values import sigmoid
 from gs_codec.preparation.balance import Balance
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.preparation.steps import GeometryRule, Steps
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.renderer import render
-from gs_codec.rendering.rows import leave_out_rows
+from gs_codec.rendering.tiles_float32 import leave_out_rows
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene

@@ -11,20 +11,20 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.image_files import seek_images
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.preparation.steps import Device
 from gs_codec.rendering import gsplat_backend
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.images import seek_images
-from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
 from gs_codec.report import NOMINAL_ERROR, Progress, step_counter
 from gs_codec.runtime.mapped import other_files
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
+from gs_codec.views.photographs import read_photograph
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -13,7 +13,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 
 if TYPE_CHECKING:
-    from gs_codec.rendering.camera import Camera
+    from gs_codec.cameras.camera import Camera
 
 #: Percent of which something is left.
 _PERCENT = {

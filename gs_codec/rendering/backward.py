@@ -19,7 +19,7 @@ from gs_codec.rendering.project import (
     quaternion_turn,
     rotated,
 )
-from gs_codec.rendering.rows import (
+from gs_codec.rendering.tiles_float32 import (
     BY_RED,
     MOMENT,
     MOMENT_X,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.project import (
     CENTRE_X,
     CENTRE_Y,
@@ -23,8 +23,8 @@ from gs_codec.rendering.project import (
     project,
     to_tile,
 )
-from gs_codec.rendering.rows import draw_rows
-from gs_codec.rendering.trace import draw_tiles
+from gs_codec.rendering.tiles_float32 import draw_rows
+from gs_codec.rendering.tiles_float64 import draw_tiles
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import available_threads, run_all, using_threads
 from gs_codec.scene import Scene

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.backward import differentiate_gaussians
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.rendering.project import camera_arguments
-from gs_codec.rendering.rows import MOMENT_YY, take_back_rows
+from gs_codec.rendering.tiles_float32 import MOMENT_YY, take_back_rows
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene, channel_count
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.errors import MissingTool
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.image_loss import differentiate_loss_tensor
 from gs_codec.rendering.project import LOW_PASS, NEAR
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.frame import make_frame, project_all
 from gs_codec.rendering.project import (
     CENTRE_X,
@@ -17,7 +17,7 @@ from gs_codec.rendering.project import (
     TILE,
     project,
 )
-from gs_codec.rendering.trace import tile_bounds, tile_buffers, trace_splat
+from gs_codec.rendering.tiles_float64 import tile_bounds, tile_buffers, trace_splat
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 

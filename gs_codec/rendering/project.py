@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import GROUPS, SH_C0, Scene

@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.inria import as_camera
 from gs_codec.rendering import gsplat_backend
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.inria import as_camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import TILE
-from gs_codec.rendering.rows import (
+from gs_codec.rendering.tiles_float32 import (
     LEAST_LEFT,
     PIXELS,
     alpha_at,
@@ -20,7 +20,7 @@ from gs_codec.rendering.rows import (
     splat_of,
     total_of,
 )
-from gs_codec.rendering.trace import tile_bounds
+from gs_codec.rendering.tiles_float64 import tile_bounds
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.neighbours import Neighbours
-from gs_codec.rendering.camera import Camera
 from gs_codec.scene import SH_C0, Scene
 from samples.captures.photograph import Hits
 from samples.captures.rigs import Frame

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from samples.captures.place import Light, Place
 from samples.textures import Array
 

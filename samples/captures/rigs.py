@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from gs_codec.rendering.camera import Camera
+from gs_codec.cameras.camera import Camera
 from samples.captures.indoors import corridor, flat, table_room, window_bench
 from samples.captures.objects import papered_wall, turntable
 from samples.captures.outdoors import garden, pasture, village

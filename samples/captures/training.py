@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.preparation.adam import new_state, rig_radius
 from gs_codec.preparation.optimise import take_steps, view_of, with_values
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.scene import GROUPS, Scene
 

@@ -21,11 +21,11 @@ sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 from other_programs import PROGRAMS  # noqa: E402
 from scenes import random_scene  # noqa: E402
 
-from gs_codec.formats.gltf import pack_gltf  # noqa: E402
-from gs_codec.formats.packed_ply import pack_ply  # noqa: E402
-from gs_codec.formats.sog_writer import pack_sog  # noqa: E402
+from gs_codec.formats.gltf.scene import pack_gltf  # noqa: E402
+from gs_codec.formats.ply.packed import pack_ply  # noqa: E402
+from gs_codec.formats.sog.writer import pack_sog  # noqa: E402
 from gs_codec.formats.splat import pack_splat  # noqa: E402
-from gs_codec.formats.spz import pack_spz  # noqa: E402
+from gs_codec.formats.spz.scene import pack_spz  # noqa: E402
 from gs_codec.scene import GROUPS  # noqa: E402
 
 #: The writer of each format, as fine as the format is, and what reads its golden file.

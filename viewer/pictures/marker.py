@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from gs_codec.rendering.inria import as_camera
+from gs_codec.cameras.inria import as_camera
 from gs_codec.rendering.pixel import splat_outline
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose

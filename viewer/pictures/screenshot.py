@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import gs_codec
-from gs_codec.rendering.images import find_image
-from gs_codec.rendering.photographs import read_photograph
+from gs_codec.cameras.image_files import find_image
 from gs_codec.runtime.atomic import atomic_writer, check_writable
+from gs_codec.views.photographs import read_photograph
 from viewer.pictures.layers import Legend
 from viewer.pictures.picture import (
     Shown,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
+from gs_codec.cameras.inria import as_camera
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import Rendering, render
 from gs_codec.scene import Scene
 from viewer.scenes.appearance import Look, gaussians_drawn

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.rendering.inria import as_camera
+from gs_codec.cameras.inria import as_camera
 from gs_codec.runtime.lazy import needed
 from viewer.scenes.pose import Pose, of_camera
 

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.inria import as_camera
 from gs_codec.codecs.costs import CodedGaussian
 from gs_codec.files.scenes import describe_gaussian_of_file
-from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.pixel import gaussian_weight, pixel_weights
 from gs_codec.scene import sh_bands
 from viewer.scenes.appearance import Look, gaussians_drawn, which_drawn

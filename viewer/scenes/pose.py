@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.camera import facing
-from gs_codec.rendering.upright import UPS
+from gs_codec.cameras.camera import facing
+from gs_codec.cameras.up import UPS
 from viewer.scenes.opened import thinned
 
 #: Default camera: focal length in heights of the frame (60 degrees vertically); frame in pixels.

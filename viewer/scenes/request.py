@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import gs_codec
-from gs_codec.rendering.auto_cameras import COUNT
-from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.images import seek_images
-from gs_codec.rendering.upright import UNSURE, up_axis
+from gs_codec.cameras.image_files import seek_images
+from gs_codec.cameras.up import UNSURE, up_axis
+from gs_codec.views.estimate import COUNT
+from gs_codec.views.find import find_cameras
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -52,7 +52,7 @@ class Request:
     max_bytes : int or None
         As for `gs_codec.read`.
     up : str or None
-        Which axis of the scene is up, of `gs_codec.rendering.upright.UPS`.
+        Which axis of the scene is up, of `gs_codec.cameras.up.UPS`.
     octree : OctreeChoice
     scale : str or None
         One of `SCALES`, for the colours of centres; None is that of the quantity.

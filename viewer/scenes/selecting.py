@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
+from gs_codec.cameras.camera import Camera
 from gs_codec.edit.clusters import largest_cluster
 from gs_codec.edit.floaters import find_floaters
 from gs_codec.edit.selection import attribute_names, attribute_values, in_box
 from gs_codec.edit.shares import SHARES, members
-from gs_codec.rendering.camera import Camera
 from viewer.scenes.opened import Opened, Progress, Pruned
 
 #: Rules beside the shares of statistics.

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.rendering.auto_cameras import COUNT, estimate_views
-from gs_codec.rendering.upright import BY_CAMERAS, UPS, up_of
-from gs_codec.rendering.widest import widest_view
+from gs_codec.cameras.up import BY_CAMERAS, UPS, up_of
+from gs_codec.cameras.widest import widest_view
+from gs_codec.views.estimate import COUNT, estimate_views
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose, of_camera, overview, upright
 

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 
 from gs_codec.metrics.attributes import Comparison
 from viewer.scenes.opened import Opened, Progress, Pruned
-from viewer.scenes.tries import Asked, Tries, Try
+from viewer.scenes.trials import Asked, Tries, Try
 from viewer.window.worker import Cancelled, Stale
 
 #: Progress is shown at most this often, seconds: drawing the window takes time, too.

@@ -13,7 +13,7 @@ from gs_codec.runtime.wording import size_text
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
 from viewer.scenes.paths import TRIES
-from viewer.scenes.tries import WISHES, Asked, Try, has_steps
+from viewer.scenes.trials import WISHES, Asked, Try, has_steps
 from viewer.window.dialogs import folded, shortened
 from viewer.window.widgets import Widgets
 

@@ -8,10 +8,10 @@ import numpy as np
 from open3d.visualization import gui
 
 import gs_codec
-from gs_codec.rendering.images import find_image
-from gs_codec.rendering.photographs import read_photograph
-from gs_codec.rendering.upright import BY_CAMERAS
+from gs_codec.cameras.image_files import find_image
+from gs_codec.cameras.up import BY_CAMERAS
 from gs_codec.runtime.wording import counted
+from gs_codec.views.photographs import read_photograph
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
 from viewer.window.backdrop import picture_of
 from viewer.window.pane import HIDDEN

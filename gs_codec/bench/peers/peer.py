@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.config import Extra
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import Scene
 
 

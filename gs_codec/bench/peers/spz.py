@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gs_codec.bench.host import version_of
 from gs_codec.bench.peers.peer import AbsentPeer, Peer
 from gs_codec.config import Extra
-from gs_codec.formats.ply import read_ply
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import Scene
 
 

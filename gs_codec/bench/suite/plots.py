@@ -7,7 +7,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.plots import new_figure
-from gs_codec.bench.beside import BY_RENDERS, GUIDED, REFINED, is_ours
+from gs_codec.bench.side_by_side import BY_RENDERS, GUIDED, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES

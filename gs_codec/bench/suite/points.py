@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from gs_codec.bench.beside import GUIDED, camera_free, guided, is_ours, measure_beside
+from gs_codec.bench.side_by_side import GUIDED, camera_free, guided, is_ours, measure_beside
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import curve_of
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.plots import new_figure, png_of
-from gs_codec.bench.beside import is_ours
+from gs_codec.bench.side_by_side import is_ours
 from gs_codec.bench.suite import plots, tables
 from gs_codec.bench.suite.results import Results
 from gs_codec.runtime.atomic import write_files

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gs_codec.bench.beside import is_ours
+from gs_codec.bench.side_by_side import is_ours
 from gs_codec.config import LOSSLESS, PROFILES
 from gs_codec.runtime.lazy import needed
 

@@ -10,14 +10,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from gs_codec.bench.apart import measure_scaling
-from gs_codec.bench.beside import ESTIMATED, guided, measure_beside, our_codecs
 from gs_codec.bench.device import measure_device
 from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import machine
 from gs_codec.bench.installed import installed
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
+from gs_codec.bench.processes import measure_scaling
+from gs_codec.bench.side_by_side import ESTIMATED, guided, measure_beside, our_codecs
 from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads

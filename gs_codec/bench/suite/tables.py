@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gs_codec.bench.beside import BY_RENDERS, ESTIMATED, GUIDED, OURS_AS, REFINED, is_ours
+from gs_codec.bench.side_by_side import BY_RENDERS, ESTIMATED, GUIDED, OURS_AS, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.config import LOSSLESS

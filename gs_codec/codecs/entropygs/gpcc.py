@@ -23,7 +23,7 @@ from gs_codec.egs.file import EgsFile, Section, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
-from gs_codec.formats.ply_header import read_header
+from gs_codec.formats.ply.header import read_header
 from gs_codec.runtime.wording import counted
 
 Depths = tuple[int, int, int]

@@ -1,0 +1,82 @@
+"""Measurements in processes of their own: peak memory, and how time and memory grow with a scene.
+
+A small process runs it and reads what it took: a process counts at least the memory of the parent
+that it was forked from.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gs_codec.bench.sources import tile_scene
+from gs_codec.errors import GsCodecError
+from gs_codec.formats.ply.file import write_ply
+from gs_codec.scene import Scene
+
+_RUN_AND_TELL = """
+import json, resource, subprocess, sys, time
+start = time.perf_counter()
+status = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+seconds = time.perf_counter() - start
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps([seconds, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss]))
+sys.exit(status != 0)
+"""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a process took, its start included: seconds by the clock, and of processors.
+
+    `peak_bytes` is its largest resident size (Linux), mapped files included.
+    """
+
+    seconds: float
+    cpu_seconds: float
+    peak_bytes: int
+
+
+def run_apart(arguments: list[str]) -> Usage:
+    """Run ``gs-codec ARGUMENTS``.
+
+    Raises
+    ------
+    GsCodecError
+        If it fails; with the command's own message.
+    """
+    between = [sys.executable, "-I", "-S", "-c", _RUN_AND_TELL]
+    command = [*between, sys.executable, "-m", "gs_codec", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        lines = done.stderr.strip().splitlines() or [f"status {done.returncode}"]
+        raise GsCodecError(lines[-1].removeprefix("gs-codec: error: "))
+    return Usage(*json.loads(done.stdout))
+
+
+def measure_scaling(
+    scene: Scene, name: str, sizes: Sequence[int], profiles: Sequence[str], threads: int | None
+) -> Iterator[dict[str, Any]]:
+    """A line for each profile and size, to which the scene is tiled."""
+    options = [] if threads is None else ["--threads", str(threads)]
+    with tempfile.TemporaryDirectory() as folder:
+        ply, stream, back = (Path(folder, file) for file in ("a.ply", "a.egs", "b.ply"))
+        for number, size in enumerate(sizes):
+            tiled = tile_scene(scene, size)
+            write_ply(ply, tiled)
+            for profile in profiles:
+                encode = ["encode", str(ply), str(stream), "-p", profile, *options, "--overwrite"]
+                decode = ["decode", str(stream), str(back), *options, "--overwrite"]
+                if not number:  # compiles, and is not counted
+                    run_apart(encode)
+                    run_apart(decode)
+                line = {"kind": "scaling", "scene": name, "profile": profile, "gaussians": size}
+                line |= {"encode": asdict(run_apart(encode)), "decode": asdict(run_apart(decode))}
+                file_bytes = stream.stat().st_size
+                yield line | {"float_bytes": tiled.float_bytes, "output_bytes": file_bytes}

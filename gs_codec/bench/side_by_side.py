@@ -1,0 +1,250 @@
+"""Codecs beside each other: sizes, times taken in turn, and rendered views."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gs_codec import __version__
+from gs_codec.bench.peers import AbsentPeer, Peer
+from gs_codec.bench.sources import MeasuredScene
+from gs_codec.codecs.decode import decode_as
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, PROFILE_CHOICES, Config, RateTarget
+from gs_codec.encoding.order import encode_by_plan, encode_planned
+from gs_codec.errors import InvalidInput, ToolFailed
+from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
+from gs_codec.metrics.views import compare_views
+from gs_codec.preparation.pipeline import prepare_scene
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.scene import Scene
+
+#: Follows the profile's name if it is camera-guided.
+GUIDED = ", camera-guided"
+
+#: Follows it if nothing but the scene tells where cameras were.
+ESTIMATED = ", estimated cameras"
+
+#: Name of a curve after its compression ratio: refined to photographs.
+REFINED = "x refined"
+
+#: The same, refined to the scene's own views.
+BY_RENDERS = "x refined, renders"
+
+#: Precedes the format, if it is not our own, and the profile.
+OURS_AS = "ours as "
+
+#: Iterations of refinement.
+_ITERATIONS = 2000
+
+#: Most views to prune and to encode by.
+_PRUNING_VIEWS = 128
+
+
+def our_codecs(
+    configs: Sequence[Config],
+    plan: Plan | None = None,
+    pruned: Sequence[float] = (),
+    refined: Sequence[tuple[Plan, float]] = (),
+) -> list[Peer]:
+    """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
+
+    Those in other formats than `.egs` are named by the format first, and stand beside the others'.
+
+    `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
+    views to refine to, and how many times smaller.
+    """
+    codecs = [camera_free(config) for config in configs]
+    if plan is not None:
+        adaptive = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
+        codecs += [guided(config, plan) for config in adaptive]
+        of_m = [config for config in adaptive if config.profile == "m" and config.format == EGS]
+        codecs += [pruned_by(config, plan, percent) for config in of_m for percent in pruned]
+        codecs += [refined_to(config, *how) for config in of_m for how in refined]
+    return codecs
+
+
+def is_ours(codec: str) -> bool:
+    """Whether a result line's codec is one of `our_codecs`, in our own format."""
+    return codec.partition(",")[0] in PROFILE_CHOICES
+
+
+def camera_free(config: Config) -> Peer:
+    """A profile without cameras."""
+
+    def encode(ply: Path) -> bytes:
+        return encode_planned(read_ply(ply, config.chosen_extra()), config, None)[0]
+
+    def decode(data: bytes) -> Scene:
+        scene = decode_as(config, data)
+        vertex_rows(scene)
+        return scene
+
+    return Peer(_name_of(config), __version__, encode, decode, lambda scene: scene)
+
+
+def _name_of(config: Config) -> str:
+    """A profile's name; of other formats, what is ours in them."""
+    if config.format == EGS:
+        return config.profile
+    version = f" v{config.spz_version}" if config.format == "spz" else ""
+    return f"{OURS_AS}{config.format}{version}, {config.profile}"
+
+
+def guided(config: Config, plan: Plan, how: str = GUIDED) -> Peer:
+    """A profile that uses the views of a plan."""
+
+    def encode(ply: Path) -> bytes:
+        return encode_planned(read_ply(ply, config.chosen_extra()), config, plan)[0]
+
+    return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
+
+
+def pruned_by(config: Config, plan: Plan, percent: float) -> Peer:
+    """A profile that uses the views of a plan, after so many percent were pruned by them."""
+    chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
+
+    def encode(ply: Path) -> bytes:
+        scene, report = prepare_scene(read_ply(ply, config.chosen_extra()), chosen)
+        return encode_planned(scene, config, chosen, references=report.views.renders)[0]
+
+    how = f", {percent:g} % pruned"
+    return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
+
+
+def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:
+    """A profile after refinement to the views of a plan, this many times smaller than the PLY."""
+
+    def encode(ply: Path) -> bytes:
+        chosen, target = replace(plan, steps=Steps(refine=_ITERATIONS)), RateTarget(ratio=ratio)
+        scene = read_ply(ply, config.chosen_extra())
+        try:
+            return encode_by_plan(scene, ply.stat().st_size, config, chosen, target)[0]
+        except InvalidInput as error:
+            raise ToolFailed(str(error)) from error
+
+    how = BY_RENDERS if plan.gt_images is None else REFINED
+    name = f"{config.profile}, {ratio:g}{how}"
+    return replace(camera_free(config), name=name, encode=encode, once=True)
+
+
+def measure_beside(
+    measured: MeasuredScene, codecs: Sequence[Peer | AbsentPeer], repeats: int
+) -> Iterator[dict[str, Any]]:
+    """A result line for each codec.
+
+    All start from the same (cached) PLY, read by the same reader, and end with its floats in
+    memory. In each of the `repeats` after the first, which compiles, every codec has its turn; slow
+    ones have one. A codec that is absent, fails or exceeds its time has a line with the reason.
+    """
+    name, scene = measured.name, measured.scene
+    present = [codec for codec in codecs if isinstance(codec, Peer)]
+    with tempfile.TemporaryDirectory() as folder:
+        ply = Path(folder) / "scene.ply"
+        _compile(scene, ply, present)
+        write_ply(ply, scene)
+        ply_bytes = ply.stat().st_size
+        for codec, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
+            try:
+                yield _line(measured, codec, turns, ply_bytes)
+            except ToolFailed as error:
+                yield _absent(name, codec.name, f"{codec.name} of {name}: {error}")
+    for other in codecs:
+        if isinstance(other, AbsentPeer):
+            yield _absent(name, other.name, other.absent)
+
+
+@dataclass
+class _Turns:
+    """Encoding of a scene by a codec, and the seconds of each of its turns."""
+
+    data: bytes = b""
+    encode: list[float] = field(default_factory=list)
+    decode: list[float] = field(default_factory=list)
+    failed: ToolFailed | None = None
+
+
+def _compile(scene: Scene, ply: Path, codecs: Sequence[Peer]) -> None:
+    """Encode a thousand Gaussians with those codecs of ours whose only turn counts.
+
+    Refinement takes minutes anyway.
+    """
+    few = np.linspace(0, scene.count - 1, min(scene.count, 1000)).astype(np.int64)
+    write_ply(ply, scene.take(few))
+    for codec in codecs:
+        if codec.once and not codec.own_process and REFINED not in codec.name:
+            codec.encode(ply)
+
+
+def _take_turns(ply: Path, codecs: Sequence[Peer], repeats: int) -> list[_Turns]:
+    all_turns = [_Turns() for _ in codecs]
+    for turn in range(repeats + 1):
+        for codec, turns in zip(codecs, all_turns, strict=True):
+            if turns.failed or (codec.once and turn != 1):
+                continue
+            start = time.perf_counter()
+            try:
+                turns.data = codec.encode(ply)
+                encoded = time.perf_counter()
+                codec.decode(turns.data)
+            except ToolFailed as error:
+                turns.failed = error
+                continue
+            end = time.perf_counter()
+            if turn:
+                turns.encode.append(encoded - start)
+                turns.decode.append(end - encoded)
+    return all_turns
+
+
+def _line(measured: MeasuredScene, codec: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
+    """Sizes and times; bits for each Gaussian of the input; with cameras the quality of views."""
+    if turns.failed:
+        raise turns.failed
+    count, size = measured.scene.count, len(turns.data)
+    line = {
+        "kind": "beside",
+        "scene": measured.name,
+        "codec": codec.name,
+        "version": codec.version,
+        "own_process": codec.own_process,
+        "gaussians": count,
+        "input_bytes": ply_bytes,
+        "output_bytes": size,
+        "ratio": ply_bytes / size,
+        "bits_per_gaussian": 8 * size / max(count, 1),
+        "encode_seconds": _spread(turns.encode),
+        "decode_seconds": _spread(turns.decode),
+    }
+    if measured.cameras:
+        line |= _quality(measured, codec.scene(codec.decode(turns.data)))
+    return line
+
+
+def _quality(measured: MeasuredScene, decoded: Scene) -> dict[str, Any]:
+    """Fields on the decoded scene's views; PSNR of equal ones is None."""
+    views = (measured.cameras, measured.truth)
+    comparison = compare_views(measured.scene, decoded, *views, device="cpu")
+    mean = comparison.mean
+    result: dict[str, Any] = {
+        "views": len(comparison.views),
+        "mean": mean.between.as_dict(),
+        "worst_psnr": comparison.worst.between.as_dict()["psnr"],
+    }
+    if mean.first and mean.delta:
+        result |= {"truth": mean.first.as_dict(), "delta": mean.delta.as_dict()}
+    return result
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    return {"median": statistics.median(values), "min": min(values), "max": max(values)}
+
+
+def _absent(scene: str, codec: str, why: str) -> dict[str, Any]:
+    return {"kind": "beside", "scene": scene, "codec": codec, "absent": why}

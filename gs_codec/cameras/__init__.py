@@ -1,0 +1,1 @@
+"""Cameras: pinhole cameras and lenses, and the files of other programs that hold them."""

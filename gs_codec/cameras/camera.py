@@ -1,0 +1,151 @@
+"""A pinhole camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.cameras.lens import Lens, check_view
+from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import check_fields
+
+#: How far R R^T may be from the identity; files hold rotations to about six digits.
+_ORTHONORMAL_TOLERANCE = 1e-3
+
+#: How far it is from the identity by rounding alone.
+_ROUNDING = 1e-14
+
+#: Sine of the angle from straight up or down below which a direction has no side of its own.
+_LEVEL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera without distortion; camera axes are right, down, forward (OpenCV).
+
+    A point p of the world is at ``c = rotation @ (p - position)`` in camera axes, and at
+    ``(fx c_x / c_z + cx, fy c_y / c_z + cy)`` in the image. The image's upper left corner is (0, 0)
+    and the centre of its first pixel is (0.5, 0.5), as in COLMAP.
+
+    Parameters
+    ----------
+    name : str
+        The image's name, by which image files are found and written. Several cameras may have one
+        name, but not where photographs are found by it.
+    width, height : int
+        Pixels, 1 to `MAX_SIDE`.
+    fx, fy : float
+        Focal lengths, pixels, above 0.
+    cx, cy : float
+        Principal point, pixels.
+    rotation : ndarray, shape (3, 3), float64
+        World to camera; made orthonormal to rounding.
+    position : ndarray, shape (3,), float64
+        The camera's centre in the world.
+    split : {"train", "test"} or None
+        What the image was used for, if known.
+    lens : Lens, optional
+        The distorted lens that this camera stands for (see `Lens.pinhole`). Photographs that are
+        read for the camera are undistorted; what is rendered does not depend on it.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is out of range or not finite, or `rotation` is not a rotation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> position = np.array([0, 0, -4.0])
+    >>> camera = gs_codec.Camera("front", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), position)
+    >>> [rendering] = [drawn for _, drawn in gs_codec.render("scene.ply", [camera])]
+    >>> rendering.colour.shape
+    (48, 64, 3)
+    """
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    rotation: NDArray[np.float64]
+    position: NDArray[np.float64]
+    split: Literal["train", "test"] | None = None
+    lens: Lens | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        where = f"camera '{self.name}'"
+        check_view(where, self)
+        object.__setattr__(self, "position", np.asarray(self.position))
+        if np.shape(self.position) != (3,) or not np.isfinite(self.position).all():
+            raise InvalidInput(f"{where}: position is not three finite numbers")
+        object.__setattr__(self, "rotation", _nearest_rotation(where, np.asarray(self.rotation)))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on an image of another size."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * x,
+            fy=self.fy * y,
+            cx=self.cx * x,
+            cy=self.cy * y,
+        )
+
+
+def facing(direction: NDArray, up: NDArray) -> NDArray[np.float64]:
+    """Rotation of an upright camera: rows right, down, forward.
+
+    Straight up or down, it looks as if tilted from -z, or from -y if the z axis is up.
+
+    Parameters
+    ----------
+    direction, up : ndarray, shape (3,)
+        Of any length; `up` points up in the image.
+
+    Raises
+    ------
+    InvalidInput
+        If one of them is zero or not finite.
+    """
+    forward, up = _scaled("direction", direction), _scaled("up", up)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    if not np.linalg.norm(right) > _LEVEL * np.linalg.norm(up):
+        side = np.cross(up, np.eye(3)[2 if abs(up[2]) < np.linalg.norm(up[:2]) else 1])
+        right = side - (side @ forward) * forward
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _scaled(name: str, vector: NDArray) -> NDArray[np.float64]:
+    """A vector times a power of two, which rounds nothing, so that squares keep in range."""
+    vector = np.asarray(vector, np.float64)
+    if not (np.isfinite(vector).all() and vector.any()):
+        raise InvalidInput(f"{name} {vector.tolist()}: expected finite numbers, not all 0")
+    return np.ldexp(vector, -np.frexp(np.abs(vector).max())[1])
+
+
+def _nearest_rotation(where: str, matrix: NDArray) -> NDArray[np.float64]:
+    """The rotation nearest to `matrix`, which must nearly be one."""
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise InvalidInput(f"{where}: rotation is not a finite 3x3 matrix")
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    if not error <= _ORTHONORMAL_TOLERANCE:  # NaN too
+        raise InvalidInput(f"{where}: rotation is singular or scaled, expected R R^T = 1")
+    if np.linalg.det(matrix) < 0:
+        raise InvalidInput(f"{where}: rotation is a reflection (determinant -1)")
+    if error <= _ROUNDING:
+        # Kept to the last bit, so that a camera that is written and read stays the same.
+        return np.array(matrix, np.float64, order="C")
+    u, _, v = np.linalg.svd(matrix)
+    return u @ v

@@ -1,0 +1,195 @@
+"""Cameras from files of several programs; to cameras.json."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import reprlib
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.colmap import DEEPER_PLACES, PLACES, find_model, models_below, read_colmap
+from gs_codec.cameras.inria import as_entry, read_inria
+from gs_codec.cameras.json_fields import MAX_BYTES, load_json, short
+from gs_codec.cameras.paths import read_camera_path, read_supersplat
+from gs_codec.cameras.transforms import read_transforms
+from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.atomic import atomic_writer, check_writable
+from gs_codec.runtime.wording import counted
+
+log = logging.getLogger(__name__)
+
+#: Location of each camera for error messages, and the fields of its `Camera`.
+_Entries = Iterator[tuple[str, dict[str, Any]]]
+
+#: Longest name of an image, characters.
+_MAX_NAME = 1024
+
+#: Not allowed in names of images: control characters, line ends and lone surrogates.
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
+_COLMAP_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
+
+#: Files of cameras in a folder, in order of preference; all of a group are read together.
+_JSON_FILES = (
+    ("cameras.json",),
+    ("transforms.json",),
+    ("transforms_train.json", "transforms_test.json"),
+)
+
+#: Readers of JSON objects, by a field that only theirs have.
+_READERS: dict[str, Callable[[Path, dict[str, Any]], _Entries]] = {
+    "frames": read_transforms,
+    "camera_path": read_camera_path,
+    "poseSets": read_supersplat,
+    "animTracks": read_supersplat,
+}
+
+
+@checked
+def read_cameras(path: str | Path) -> list[Camera]:
+    """Read the cameras of a dataset, of a trained scene or of a camera path.
+
+    Parameters
+    ----------
+    path : str or Path
+        A COLMAP sparse model's folder, or one of its files; a dataset's folder with models in
+        ``sparse/0``, ``sparse/1`` and so on, or in ``sparse``; a JSON file; or a folder without
+        these, but with ``cameras.json``, ``transforms.json``, or ``transforms_train.json`` and
+        ``transforms_test.json``, or else with models in ``colmap/sparse/0``, ``dense/0/sparse`` or
+        the like. Of several models the one with most images is read, and a log message says so. A
+        binary model is preferred to a text model. JSON files are told by their contents:
+        ``cameras.json`` of the INRIA trainer, transforms of nerfstudio, instant-ngp or Blender's
+        datasets, camera paths of nerfstudio, poses of SuperSplat.
+
+    Returns
+    -------
+    list of Camera
+        From JSON in the file's order; from COLMAP by image name, split into train and test. Those
+        of distorted lenses stand for undistorted photographs (see `Lens`).
+
+    Raises
+    ------
+    InvalidInput
+        If there are no cameras, a file is broken, or a camera is of a model that is not read.
+
+    Examples
+    --------
+    >>> [(camera.name, camera.width) for camera in gs_codec.read_cameras("cameras.json")]
+    [('00000', 64), ('00001', 64)]
+    """
+    path = Path(path)
+    cameras = []
+    for where, fields in _entries(path):
+        _check_name(where, fields["name"])
+        try:
+            cameras.append(Camera(**fields))
+        except InvalidInput as error:
+            raise InvalidInput(f"{where}: {error}") from error
+    if not cameras:
+        raise InvalidInput(f"{path}: no cameras, expected at least one")
+    return cameras
+
+
+@checked
+def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool = False) -> None:
+    """Write cameras in the layout of the INRIA trainer's ``cameras.json``; whole or not at all.
+
+    `read_cameras` gives the same cameras again, to the last bit, but without their `Camera.lens`,
+    which the layout does not have: a log message says so.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    cameras : iterable of Camera
+        At least one.
+    overwrite : bool
+        Whether to replace an existing file. By default, an existing file is an error.
+
+    Raises
+    ------
+    InvalidInput
+        If the file could not be read again, or cannot be written.
+
+    Examples
+    --------
+    >>> views = gs_codec.render("scene.ply", "cameras.json", width=32)
+    >>> gs_codec.write_cameras("small.json", views.cameras)
+    >>> [camera.height for camera in gs_codec.read_cameras("small.json")]
+    [22, 22]
+    """
+    check_writable(path, overwrite)
+    cameras = list(cameras)
+    if not cameras:
+        raise InvalidInput(f"{path}: no cameras, expected at least one")
+    for index, camera in enumerate(cameras):
+        _check_name(f"camera {index}", camera.name)
+    lines = ",\n".join(json.dumps(as_entry(index, camera)) for index, camera in enumerate(cameras))
+    data = f"[\n{lines}\n]\n".encode()
+    if len(data) > MAX_BYTES:
+        raise InvalidInput(
+            f"{path}: {counted(len(data), 'byte')} of cameras, expected at most {MAX_BYTES:,}"
+        )
+    with atomic_writer(path) as file:
+        file.write(data)
+    distorted = sum(camera.lens is not None for camera in cameras)
+    if distorted:
+        many = counted(distorted, "camera")
+        log.warning("%s: without the lenses of %s, for undistorted images", path, many)
+
+
+def _entries(path: Path) -> _Entries:
+    # os.path because Path's own tests raise on names that are too long.
+    if os.path.isfile(path):
+        if path.suffix.lower() == ".json":
+            return _read_json(path)
+        if path.name not in _COLMAP_FILES:
+            raise InvalidInput(f"{path}: expected a .json file, or a COLMAP model's folder")
+        path = path.parent
+    elif not os.path.isdir(path):
+        raise InvalidInput(f"{path}: no such file or folder, expected cameras")
+    model = find_model(path, PLACES)
+    if model is not None:
+        return read_colmap(model)
+    for names in _JSON_FILES:
+        found = [path / name for name in names if os.path.isfile(path / name)]
+        if found:
+            return chain.from_iterable(map(_read_json, found))
+    model = find_model(path, DEEPER_PLACES)
+    if model is not None:
+        return read_colmap(model)
+    below = models_below(path)
+    others = f"; COLMAP models are in {', '.join(map(short, below[:5]))}" if below else ""
+    raise InvalidInput(
+        f"{path}: neither a COLMAP model (cameras and images, both .bin or .txt) nor cameras.json "
+        f"nor transforms.json{others}"
+    )
+
+
+def _read_json(path: Path) -> _Entries:
+    whole = load_json(path)
+    if isinstance(whole, list):
+        return read_inria(path, whole)
+    for key, read in _READERS.items() if isinstance(whole, dict) else ():
+        if key in whole:
+            return read(path, whole)
+    raise InvalidInput(
+        f"{path}: {short(whole)}, expected a list of cameras or one of {', '.join(_READERS)}"
+    )
+
+
+def _check_name(where: str, name: str) -> None:
+    """Check the name of an image; several may have one name."""
+    if not 0 < len(name) <= _MAX_NAME:
+        raise InvalidInput(
+            f"{where}: name of {counted(len(name), 'character')}, expected 1 to {_MAX_NAME}"
+        )
+    if _UNPRINTABLE.search(name):
+        raise InvalidInput(f"{where}: control characters in name {reprlib.repr(name)}")

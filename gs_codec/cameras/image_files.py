@@ -1,0 +1,186 @@
+"""Images from and to files: the photographs of cameras, found by name, and PNG."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.lens import MAX_SIDE
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.images import read_pixels, read_size
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
+
+log = logging.getLogger(__name__)
+
+_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+
+#: Most pixels of a photograph.
+_MOST = 1 << 27
+
+
+def read_image(path: str | Path) -> NDArray[np.float32]:
+    """Read an image as ``(H, W, 3)`` float32, 0-1; transparent parts are black.
+
+    Raises
+    ------
+    InvalidInput
+        If it is missing, broken, or larger than a camera can be.
+    """
+    with located(path):
+        pixels = read_pixels(path, _FORMATS, _check_size)
+    image = pixels[..., :3].astype(np.float32)
+    image /= 255
+    if (pixels[..., 3] < 255).any():
+        image *= pixels[..., 3:].astype(np.float32) / np.float32(255)
+    return image
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of an image, pixels, from its header.
+
+    Raises
+    ------
+    InvalidInput
+        As for `read_image`, but what follows the header is not read.
+    """
+    with located(path):
+        return read_size(path, _FORMATS, _check_size)
+
+
+def _check_size(width: int, height: int) -> None:
+    if max(width, height) > MAX_SIDE or width * height > _MOST:
+        raise InvalidInput(
+            f"{width}x{height} pixels, expected at most {MAX_SIDE} each way and {_MOST} in all"
+        )
+
+
+def write_png(path: str | Path, image: NDArray) -> None:
+    """Write ``(H, W, 3)``, clipped to 0-1, at 8 bits; the file appears whole or not at all.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be written.
+    """
+    from PIL import Image
+
+    levels = np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
+    with atomic_writer(path) as file:
+        Image.fromarray(levels).save(file, "PNG")
+
+
+def output_names(cameras: Sequence[Camera]) -> list[str]:
+    """A file name, without suffix, for each camera's image.
+
+    Path separators and characters that are not printable become underscores. Names that several
+    cameras would have are numbered from 1, and a log message says so.
+    """
+    stems = [_output_stem(camera.name) for camera in cameras]
+    counts = Counter(stems)
+    taken, numbers = set(counts), Counter[str]()
+
+    def name_of(stem: str) -> str:
+        name = stem
+        while counts[stem] > 1 and name in taken:
+            numbers[stem] += 1
+            name = f"{stem}_{numbers[stem]}"
+        taken.add(name)
+        return name
+
+    names = [name_of(stem) for stem in stems]
+    shared = [name for name, stem in zip(names, stems, strict=True) if counts[stem] > 1]
+    if shared:
+        many = counted(len(shared), "camera")
+        log.warning("%s of equal names: their files are numbered, for example %s", many, shared[0])
+    return names
+
+
+def _output_stem(name: str) -> str:
+    letters = (c if c.isprintable() and c not in "/\\" else "_" for c in _stem(name))
+    return "".join(letters).lstrip(".") or "_"
+
+
+def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | None]:
+    """The image of each camera in a folder, as `seek_image` finds it by name.
+
+    Raises
+    ------
+    InvalidInput
+        As for `seek_image`, or if two cameras would have one image.
+    """
+    paths = [seek_image(folder, camera.name) for camera in cameras]
+    owners: dict[Path, int] = {}
+    for i, path in enumerate(paths):
+        if path is not None and owners.setdefault(path, i) != i:
+            names = " and ".join(f"'{cameras[k].name}'" for k in (owners[path], i))
+            raise InvalidInput(
+                f"{path}: image of cameras {owners[path]} and {i}, named {names}; "
+                "expected another photograph for each camera"
+            )
+    return paths
+
+
+def find_image(folder: str | Path, name: str) -> Path:
+    """Find a camera's image in a folder: its name, with its own suffix or another.
+
+    Raises
+    ------
+    InvalidInput
+        If there is none, or the name leads out of the folder.
+    """
+    path = seek_image(folder, name)
+    if path is None:
+        raise InvalidInput(f"{folder}: no image '{_stem(name)}' ({', '.join(_SUFFIXES)})")
+    return path
+
+
+def seek_image(folder: str | Path, name: str) -> Path | None:
+    """As `find_image`, but return None if the folder exists and has no such image."""
+    if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
+        raise InvalidInput(f"{folder}: image '{name}', expected a name that stays in the folder")
+    for inside in _names_inside(folder, name):
+        stem = _stem(inside)
+        others = [f"{stem}{suffix}" for suffix in (*_SUFFIXES, *map(str.upper, _SUFFIXES))]
+        for path in [Path(folder) / other for other in (inside, *others)]:
+            if os.path.isfile(path):
+                return path
+    if not os.path.isdir(folder):
+        raise InvalidInput(f"{folder}: no such folder, expected images")
+    return None
+
+
+def _names_inside(folder: str | Path, name: str) -> Iterator[str]:
+    """A name, and what is left of it within `folder` if its first folder is that.
+
+    Names in transforms.json begin with ``images``, where the photographs are, or may be smaller in
+    ``images_2``.
+    """
+    yield name
+    first, *others = PurePath(name).parts or ("",)
+    rest, own = PurePath(*others), os.path.basename(os.path.abspath(folder))
+    if others and not rest.anchor and re.fullmatch(rf"{re.escape(first)}(_\d+)?", own):
+        yield str(rest)
+
+
+def _stem(name: str) -> str:
+    stem, suffix = os.path.splitext(name)
+    return stem if suffix.lower() in _SUFFIXES else name
+
+
+def find_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path]:
+    """As `seek_images`, but an image that is missing is an error."""
+    paths = seek_images(folder, cameras)
+    return [
+        path or find_image(folder, camera.name) for path, camera in zip(paths, cameras, strict=True)
+    ]

@@ -1,0 +1,41 @@
+"""The camera that shows most of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.cameras.camera import Camera
+from gs_codec.scene import Scene
+
+#: Minimum opacity of the centres that count, as a logit: 0.3.
+_SOLID = -0.85
+
+#: Maximum number of these centres.
+_SAMPLES = 20_000
+
+
+def widest_view(scene: Scene, cameras: Sequence[Camera]) -> int:
+    """Index of the camera whose image has most of the scene's solid centres inside.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera
+        At least one; of those that show as many, the first is taken.
+    """
+    solid = np.isfinite(scene.positions).all(axis=0) & (scene.opacity[0] > _SOLID)
+    some = np.flatnonzero(solid)
+    some = some[:: max(1, len(some) // _SAMPLES)]
+    points = scene.positions[:, some].astype(np.float64)
+    return int(np.argmax([_inside(points, camera) for camera in cameras]))
+
+
+def _inside(points: NDArray[np.float64], camera: Camera) -> int:
+    """How many of these points ``(3, n)`` an image shows; lenses are taken as straight."""
+    x, y, z = camera.rotation @ (points - camera.position[:, None])
+    u, v = camera.fx * x + camera.cx * z, camera.fy * y + camera.cy * z
+    inside = (z > 0) & (u >= 0) & (u <= camera.width * z) & (v >= 0) & (v <= camera.height * z)
+    return int(inside.sum())

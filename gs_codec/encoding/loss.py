@@ -1,0 +1,185 @@
+"""The loss of a coded scene, measured in windows that did not choose its step sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.cameras.camera import Camera
+from gs_codec.codecs.adaptive.watched import Watched
+from gs_codec.guidance.calibrate import ABOVE_MEAN, QUANTILE
+from gs_codec.guidance.windows import (
+    ENOUGH,
+    MOST_LEFT,
+    MOST_SHOWN,
+    Part,
+    choose_windows,
+    draw_parts,
+    find_shown,
+    parts_of,
+    sample_of,
+    windows_of,
+)
+from gs_codec.report import NOMINAL_ERROR, RenderedLoss, psnr_loss
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.steps import Plan
+
+#: The worst window reported is this quantile of all: a few windows look out of a Gaussian's inside,
+#: where no camera ever was.
+_WORST = 0.95
+
+#: Smaller mean squared errors count as this: 120 dB.
+_LEAST = 1e-12
+
+
+class _Seen(NamedTuple):
+    """Windows; of each the Gaussians in it ``(n,)``, image ``(H, W, 3)``, mean transmittance."""
+
+    windows: list[Camera]
+    shown: list[NDArray[np.int64]]
+    images: list[NDArray[np.float32]]
+    left: list[float]
+
+    def errors(self, coded: Scene, shown: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
+        """Mean squared error of each window; it shows the Gaussians `shown` of the coded scene."""
+        drawn = _draw(coded, self.windows, shown)
+        pairs = zip(self.images, drawn, strict=True)
+        return np.array([np.mean((a - b) ** 2, dtype=np.float64) for a, (b, _) in pairs])
+
+
+def _draw(
+    scene: Scene, windows: Sequence[Camera], shown: Sequence[NDArray[np.int64]]
+) -> list[tuple[NDArray[np.float32], float]]:
+    parts: list[Part] = parts_of(windows, [len(own) for own in shown])
+    with np.errstate(all="ignore"):
+        return draw_parts(scene.take(np.concatenate([np.empty(0, np.int64), *shown])), parts)
+
+
+def _look(
+    scene: Scene,
+    windows: Sequence[Camera],
+    shown: Sequence[NDArray[np.int64]],
+    most_left: float = MOST_LEFT,
+) -> _Seen | None:
+    """The windows with a mean transmittance of at most `most_left`; None if they are too few."""
+    found = zip(windows, shown, strict=True)
+    usable = [(window, own) for window, own in found if len(own) <= MOST_SHOWN]
+    drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
+    rows = [
+        (window, own, image, left)
+        for (window, own), (image, left) in zip(usable, drawn, strict=True)
+        if left <= most_left
+    ]
+    return _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
+
+
+@dataclass(frozen=True)
+class Check:
+    """Windows on a scene, from likely camera places and from given cameras if there are any.
+
+    Given cameras measure the loss. Windows from likely places then show whether those cameras fit
+    the scene. `telling` is that of `Windows`.
+    """
+
+    scene: Scene
+    likely: _Seen | None
+    given: _Seen | None = None
+    telling: bool = True
+
+    @classmethod
+    def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
+        """Render a scene, which must be finite, in these windows."""
+        plain = replace(scene, extra={})
+        # Empty windows of given cameras count, as without loss. From likely places, they are holes.
+        return cls(
+            plain,
+            _look(plain, likely, find_shown(plain, likely)),
+            _look(plain, given, find_shown(plain, given), most_left=1.0),
+        )
+
+    @classmethod
+    def by_shown(
+        cls, scene: Scene, likely: Sequence[Camera], shown: Sequence[NDArray[np.int64]]
+    ) -> Check:
+        """As `of`; each window shows the Gaussians `shown` of the scene, which may lack others."""
+        return cls(scene, _look(scene, likely, shown))
+
+    @classmethod
+    def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:
+        """As `of`, with windows chosen by the scene, and those of a plan's given cameras."""
+        sample = sample_of(scene)
+        windows = choose_windows(sample, scene.count)
+        if plan is None or plan.estimates:
+            return cls.of(scene, windows.checking)
+        from gs_codec.preparation.pipeline import checking_cameras
+
+        given = windows_of(checking_cameras(scene, plan))
+        return replace(cls.of(scene, windows.checking, given), telling=windows.telling)
+
+    @property
+    def covered(self) -> float:
+        """Mean opacity of the windows of given cameras, 0-1; 1 without such cameras."""
+        return 1.0 if self.given is None else 1.0 - float(np.mean(self.given.left))
+
+    @property
+    def _seen(self) -> list[_Seen]:
+        return [seen for seen in (self.likely, self.given) if seen is not None]
+
+    @property
+    def windows(self) -> list[Camera]:
+        """All windows; none if too little is visible."""
+        return [window for seen in self._seen for window in seen.windows]
+
+    def watch(self) -> Watched | None:
+        """The Gaussians in the windows, whose decoded values an encoder is to keep."""
+        shown = [own for seen in self._seen for own in seen.shown]
+        return Watched.shown(self.scene, shown) if shown else None
+
+    def measure_watched(self, watched: Watched) -> RenderedLoss | None:
+        """The loss, from the decoded values that an encoder kept of those from `watch`."""
+        found = [watched.find(own) for seen in self._seen for own in seen.shown]
+        return self.measure_shown(watched.decoded(), found)
+
+    def measure_shown(
+        self, coded: Scene, shown: Sequence[NDArray[np.int64]]
+    ) -> RenderedLoss | None:
+        """The loss of coded Gaussians; `shown` are the indices that each of `windows` shows."""
+        left = iter(shown)
+        return self._loss(
+            [seen.errors(coded, [next(left) for _ in seen.windows]) for seen in self._seen]
+        )
+
+    def measure(self, coded: Scene) -> RenderedLoss | None:
+        """The loss of a coded scene in any order; None if too little is visible."""
+        plain = replace(coded, extra={})
+        return self.measure_shown(plain, find_shown(plain, self.windows))
+
+    def _loss(self, errors: list[NDArray[np.float64]]) -> RenderedLoss | None:
+        if not errors:
+            return None
+        away = None
+        if self.likely is not None:
+            of_likely = float(np.quantile(errors[0], QUANTILE)) / ABOVE_MEAN
+            if self.given is not None:
+                away = psnr_loss(of_likely)
+        error = of_likely if self.given is None else float(errors[-1].mean())
+        error, worst = max(error, _LEAST), float(np.quantile(errors[-1], _WORST))
+        return RenderedLoss(
+            psnr=-10 * float(np.log10(error)),
+            loss=psnr_loss(error),
+            worst=max(psnr_loss(worst), psnr_loss(error)),
+            windows=len(errors[-1]),
+            views="likely" if self.given is None else "given",
+            away=away,
+        )
+
+
+def error_of(loss: float) -> float:
+    """Mean squared error of views from their loss in dB: the inverse of `psnr_loss`."""
+    return NOMINAL_ERROR * (10 ** (loss / 10) - 1)

@@ -1,0 +1,1 @@
+"""Gaussians in glTF 2.0."""

@@ -1,0 +1,263 @@
+"""Gaussians in glTF 2.0 by the extension KHR_gaussian_splatting: `.glb` and `.gltf`.
+
+Centres, unit quaternions xyzw, linear scales, opacities 0-1 and SH are float32 attributes of
+points; readers accept the integers that the extension allows. y is up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
+from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
+from gs_codec.formats.extra_properties import left_out_of, say_degree_4
+from gs_codec.formats.gltf.file import GltfFile, numbers, open_gltf, pack_document, whole
+from gs_codec.formats.limits import check_count
+from gs_codec.formats.packed_values import (
+    Clipped,
+    check_finite,
+    sigmoid,
+    unit_quaternions,
+)
+from gs_codec.formats.similarity import move_scene, rotation_of
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.wording import counted
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
+
+_EXTENSION = "KHR_gaussian_splatting"
+_SYSTEM = OWN_SYSTEMS[".glb"]
+
+#: Maximum number of primitives that nodes show, for each node and primitive of the file.
+_SHOWN = 16
+
+_COLOUR_SPACES = ("srgb_rec709_display",)
+
+
+def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of a `.glb` or `.gltf` file; see `SceneFile.scene`."""
+    with located(path):
+        file = open_gltf(path, view)
+        placed = _placed_primitives(file)
+        count, degree = _total(file, placed)
+        # Buffers may lie in files beside it.
+        stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
+        check_count(count, degree, max(len(view), stored), max_bytes)
+        if any(_sh_name(4, 0) in each.primitive["attributes"] for each in placed):
+            say_degree_4(path)
+        return join_scenes([_scene_of(file, each, degree) for each in placed])
+
+
+def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
+    """Number of Gaussians and SH degree that the document states; raises as `read_gltf` does."""
+    with located(path):
+        file = open_gltf(path, view)
+        return _total(file, _placed_primitives(file))
+
+
+def _total(file: GltfFile, placed: list[_Placed]) -> tuple[int, int]:
+    """Number of Gaussians of all primitives, and their SH degree."""
+    sizes = [_size(file, each.primitive) for each in placed]
+    degrees = {degree for _, degree in sizes}
+    if len(degrees) > 1:
+        raise InvalidInput("glTF: primitives of several SH degrees, expected one")
+    return sum(count for count, _ in sizes), degrees.pop()
+
+
+class _Placed(NamedTuple):
+    """A primitive of Gaussians, and the matrix ``(4, 4)`` of its node and those above."""
+
+    primitive: dict[str, Any]
+    matrix: NDArray[np.float64]
+
+
+def _placed_primitives(file: GltfFile) -> list[_Placed]:
+    """Primitives of Gaussians, in the order of the nodes from the roots on."""
+    found = []
+    nodes, splats = file.items("nodes"), _Splats(file)
+    below = {child for node in nodes for child in _children(node)}
+    pending = deque((i, np.eye(4)) for i in range(len(nodes)) if i not in below)
+    for _ in range(len(nodes)):
+        if not pending:
+            break
+        index, above = pending.popleft()
+        node = file.item("nodes", index)
+        with np.errstate(over="ignore", invalid="ignore"):  # refused when the scene is placed
+            matrix = above @ _placement(node)
+        pending.extend((child, matrix) for child in _children(node))
+        if "mesh" in node:
+            found += [_Placed(each, matrix) for each in splats.of(node["mesh"])]
+            if len(found) > splats.most:
+                raise InvalidInput(
+                    f"glTF: nodes show more than {counted(splats.most, 'primitive')}"
+                )
+    if pending:
+        raise InvalidInput("glTF: a node has two parents")
+    if not found:
+        raise InvalidInput(f"glTF: no points with {_EXTENSION}, not a scene of Gaussians")
+    return found
+
+
+class _Splats:
+    """The primitives of Gaussians of each mesh, and the maximum that all nodes may show.
+
+    Several nodes may show one mesh. Without a maximum, a small file could take minutes.
+    """
+
+    def __init__(self, file: GltfFile) -> None:
+        self._file, self._known = file, dict[int, list[dict[str, Any]]]()
+        primitives = sum(len(_primitives(mesh)) for mesh in file.items("meshes"))
+        self.most = _SHOWN * (len(file.items("nodes")) + primitives)
+
+    def of(self, index: Any) -> list[dict[str, Any]]:
+        """Those of a mesh."""
+        mesh = self._file.item("meshes", index)
+        if index not in self._known:
+            self._known[index] = [each for each in _primitives(mesh) if _is_splats(each)]
+        return self._known[index]
+
+
+def _primitives(mesh: dict[str, Any]) -> list[Any]:
+    found = mesh.get("primitives")
+    return found if isinstance(found, list) else []
+
+
+def _children(node: dict[str, Any]) -> list[int]:
+    children = node.get("children", [])
+    if not isinstance(children, list) or not all(isinstance(each, int) for each in children):
+        raise InvalidInput("glTF: node.children is not a list of numbers")
+    return children
+
+
+def _placement(node: dict[str, Any]) -> NDArray[np.float64]:
+    """The matrix ``(4, 4)`` of a node."""
+    if "matrix" in node:
+        return np.array(numbers(node["matrix"], 16, "node.matrix")).reshape(4, 4).T
+    turn = numbers(node.get("rotation", [0, 0, 0, 1]), 4, "node.rotation")
+    scale = numbers(node.get("scale", [1, 1, 1]), 3, "node.scale")
+    shift = numbers(node.get("translation", [0, 0, 0]), 3, "node.translation")
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of(turn[3:] + turn[:3]) * scale
+    matrix[:3, 3] = shift
+    return matrix
+
+
+def _is_splats(primitive: Any) -> bool:
+    extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
+    if not isinstance(extensions, dict) or _EXTENSION not in extensions:
+        return False
+    splats = extensions[_EXTENSION]
+    if not isinstance(splats, dict) or not isinstance(primitive.get("attributes"), dict):
+        raise InvalidInput(f"glTF: {_EXTENSION} without attributes")
+    if more := splats.get("extensions"):
+        name = min(more) if isinstance(more, dict) else more
+        raise InvalidInput(f"glTF: {name!a:.80} is not read, expected plain attributes")
+    kernel, space = splats.get("kernel"), splats.get("colorSpace")
+    if kernel != "ellipse" or space not in _COLOUR_SPACES:
+        raise InvalidInput(
+            f"glTF: kernel {kernel!a:.40} in {space!a:.40}, expected ellipse in {_COLOUR_SPACES[0]}"
+        )
+    return True
+
+
+def _size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
+    """Number of Gaussians, and SH degree, of a primitive."""
+    attributes = primitive["attributes"]
+    degree = 0
+    while degree < 3 and _sh_name(degree + 1, 0) in attributes:
+        degree += 1
+    return file.count(attributes.get("POSITION")), degree
+
+
+def _sh_name(degree: int, coefficient: int) -> str:
+    return f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{coefficient}"
+
+
+def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
+    attributes = placed.primitive["attributes"]
+    count = file.count(attributes.get("POSITION"))
+
+    def planes(name: str, kind: str) -> NDArray[np.float32]:
+        values = file.values(attributes.get(name), kind, name)
+        if len(values) != count:
+            raise InvalidInput(f"glTF: {name} of {len(values)}, expected {count}")
+        return np.ascontiguousarray(values.T)
+
+    positions = planes("POSITION", "VEC3")
+    log_scale = log_scales_of(planes(f"{_EXTENSION}:SCALE", "VEC3"))
+    opacity = logits_of(planes(f"{_EXTENSION}:OPACITY", "SCALAR"))
+    rest = [
+        planes(_sh_name(band, number), "VEC3")
+        for band in range(1, degree + 1)
+        for number in range(2 * band + 1)
+    ]
+    f_rest = np.empty((3, len(rest), count), np.float32)
+    for k, colours in enumerate(rest):
+        f_rest[:, k] = colours
+    scene = Scene(
+        positions,
+        planes(_sh_name(0, 0), "VEC3"),
+        f_rest.reshape(-1, count),
+        opacity,
+        log_scale,
+        planes(f"{_EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
+        comments=stated_comments(_SYSTEM, False),
+    )
+    return move_scene(scene, placed.matrix)
+
+
+def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a `.glb` file, or, `as_text`, of a `.gltf`, and what it cannot hold, in words.
+
+    Colours without view dependence are there too, for programs that show points.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no Gaussians, a value is not finite, or a scale too large for a float32.
+    """
+    check_finite(scene, "glTF")
+    if not scene.count:
+        raise InvalidInput("no Gaussians, glTF has at least one")
+    turned = turn_axes(scene, _SYSTEM)
+    clipped = Clipped()
+    share = sigmoid(turned.opacity.astype(np.float64))
+    colours = np.concatenate([0.5 + SH_C0 * turned.f_dc.astype(np.float64), share])
+    planes = {
+        "POSITION": turned.positions,
+        "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
+        f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
+        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale.astype(np.float64), "glTF", clipped),
+        f"{_EXTENSION}:OPACITY": share,
+        _sh_name(0, 0): turned.f_dc,
+    }
+    rest = turned.f_rest.reshape(3, -1, scene.count)
+    for degree, band in enumerate(sh_bands(SH_COEFFICIENTS[scene.sh_degree]), 1):
+        for number, k in enumerate(band):
+            planes[_sh_name(degree, number)] = rest[:, k]
+    with np.errstate(under="ignore"):
+        arrays = {
+            name: np.ascontiguousarray(rows.T if rows.dtype == np.uint8 else rows.T.astype("<f4"))
+            for name, rows in planes.items()
+        }
+    primitive = {
+        "attributes": {name: number for number, name in enumerate(arrays)},
+        "mode": 0,
+        "extensions": {_EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOUR_SPACES[0]}},
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": "gs_codec"},
+        "extensionsUsed": [_EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+    }
+    lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
+    data = pack_document(document, arrays, as_text)
+    return data, (lost, *clipped.sentences(), *left_out_of(scene, flag=True))

@@ -1,0 +1,1 @@
+"""PLY files: the INRIA layout, its dialects, and PlayCanvas' packed properties."""

@@ -1,0 +1,220 @@
+"""Rows of the elements of PLY files, and the planes that the codec works on."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice, takewhile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.extra_properties import say_left_out
+from gs_codec.formats.limits import refusing
+from gs_codec.formats.ply.dialects import layout_names
+from gs_codec.formats.ply.header import Element, PlyHeader, read_header
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
+
+#: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
+_TILE = 4096
+_CHUNK = 1 << 16
+
+#: ``nan(ind)``, ``nan(snan)``, ``1.#QNAN``, ``1.#IND00``; ``1.#INF``.
+_NOT_A_NUMBER = re.compile(rb"\b(?:nan\(\w*\)|1\.#(?:[qs]nan|ind)\d*)", re.IGNORECASE)
+_INFINITY = re.compile(rb"\b1\.#inf\d*", re.IGNORECASE)
+
+
+def to_planes(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Planes ``(C, N)`` of rows ``(N, C)``."""
+    planes = empty((rows.shape[1], len(rows)), np.float32)
+
+    def gather(start: int, stop: int) -> None:
+        for channel, plane in enumerate(planes):
+            plane[start:stop] = rows[start:stop, channel]
+
+    _for_tiles(gather, len(rows))
+    return planes
+
+
+def to_rows(planes: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Rows ``(N, C)`` of C planes ``(N,)``."""
+    rows = np.empty((len(planes[0]), len(planes)), np.float32)
+
+    def scatter(start: int, stop: int) -> None:
+        for channel, plane in enumerate(planes):
+            rows[start:stop, channel] = plane[start:stop]
+
+    _for_tiles(scatter, len(rows))
+    return rows
+
+
+def _for_tiles(move: Callable[[int, int], None], count: int) -> None:
+    def run(start: int) -> None:
+        end = min(start + _CHUNK, count)
+        for tile in range(start, end, _TILE):
+            move(tile, min(tile + _TILE, end))
+
+    run_all(run, range(0, count, _CHUNK))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of an element, which are read tile by tile.
+
+    Attributes
+    ----------
+    dtype : numpy.dtype
+        Type of a row; its fields are the properties.
+    count : int
+        Number of rows.
+    read : callable
+        ``read(start, stop)`` returns these rows, ``(stop - start,)``.
+    """
+
+    dtype: np.dtype
+    count: int
+    read: Callable[[int, int], NDArray]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def for_tiles(self, use: Callable[[slice, NDArray], None]) -> None:
+        """Call ``use(place, rows)`` with all rows, tile by tile, from several threads."""
+        _for_tiles(lambda a, b: use(slice(a, b), self.read(a, b)), self.count)
+
+    def all(self) -> NDArray:
+        """All rows at once."""
+        return self.read(0, self.count)
+
+    def pick(self, index: slice | NDArray[np.int64]) -> Rows:
+        """The rows that `index` selects; a slice is of step 1."""
+        if isinstance(index, slice):
+            first, end, _ = index.indices(self.count)
+            size = max(end - first, 0)
+            return Rows(self.dtype, size, lambda a, b: self.read(first + a, first + b))
+
+        def read(start: int, stop: int) -> NDArray:
+            wanted = index[start:stop]
+            found = np.empty(len(wanted), self.dtype)
+            for tile in np.unique(wanted // _TILE).tolist():
+                own, first = wanted // _TILE == tile, tile * _TILE
+                rows = self.read(first, min(first + _TILE, self.count))
+                found[own] = rows[wanted[own] - first]
+            return found
+
+        return Rows(self.dtype, len(index), read)
+
+
+@dataclass(frozen=True)
+class Ply:
+    """A PLY file: `data` has all its bytes."""
+
+    path: Path
+    header: PlyHeader
+    data: FileBytes
+
+    def rows(self, name: str) -> Rows:
+        """Rows of an element; those of a text file are read at once.
+
+        Raises
+        ------
+        InvalidInput
+            If rows are missing, or have list properties.
+        """
+        element = self.header.elements[name]
+        if element.lists:
+            raise InvalidInput(
+                f"property '{next(iter(element.lists))}' is a list, expected a scalar"
+            )
+        before = list(takewhile(lambda other: other is not element, self.header.elements.values()))
+        if self.header.byte_order:
+            return self._binary_rows(element, before)
+        return self._text_rows(element, sum(e.count for e in before if e.types or e.lists))
+
+    def _binary_rows(self, element: Element, before: list[Element]) -> Rows:
+        start = self.header.size
+        for other in before:
+            if other.lists and other.count:
+                raise InvalidInput(
+                    f"element '{other.name}' with lists before '{element.name}', expected after"
+                )
+            start += other.count * other.dtype("<").itemsize
+        dtype = element.dtype(self.header.byte_order)
+        end = start + element.count * dtype.itemsize
+        if end > len(self.data):
+            there = max(len(self.data) - start, 0) // max(dtype.itemsize, 1)
+            raise InvalidInput(
+                f"element '{element.name}': {counted(element.count, 'row')}, but the "
+                f"file ends in row {there}"
+            )
+        if len(before) == len(self.header.elements) - 1 and end < len(self.data):
+            surplus = counted(len(self.data) - end, "byte")
+            say_left_out(self.path, others=[f"{surplus} after the last {element.name}"])
+
+        def read(first: int, last: int) -> NDArray:
+            data = np.empty((last - first) * dtype.itemsize, np.uint8)
+            self.data.read_into(data, start + first * dtype.itemsize)
+            return data.view(dtype) if dtype.itemsize else np.empty(last - first, dtype)
+
+        return Rows(dtype, element.count, read)
+
+    def _text_rows(self, element: Element, skipped: int) -> Rows:
+        body = _plain_numbers(bytes(self.data[self.header.size :]))
+        # A number takes at least a digit and a space.
+        if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
+            raise InvalidInput(
+                f"element '{element.name}': {counted(element.count, 'row')} of "
+                f"{counted(len(element.types), 'number')} after {skipped:,} of others, "
+                f"but {counted(len(body), 'byte')} of text"
+            )
+        lines = io.TextIOWrapper(io.BytesIO(body), "latin-1")
+        wanted = islice((line for line in lines if line.strip()), skipped, skipped + element.count)
+        table = np.empty((0, len(element.types)))
+        if element.count:
+            with refusing(f"element '{element.name}'"), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # no lines at all: reported below
+                table = np.loadtxt(wanted, np.float64, comments=None, ndmin=2, encoding="latin-1")
+        if table.shape != (element.count, len(element.types)):
+            raise InvalidInput(
+                f"element '{element.name}': {counted(len(table), 'row')} of "
+                f"{counted(table.shape[1], 'number')}, "
+                f"expected {element.count:,} of {len(element.types)}"
+            )
+        rows = _typed(table, element)
+        return Rows(rows.dtype, len(rows), lambda first, last: rows[first:last])
+
+
+def _plain_numbers(body: bytes) -> bytes:
+    """The rows of a text file, with infinity and NaN as C++ compilers of Microsoft spell them."""
+    if b"(" not in body and b"#" not in body:
+        return body
+    return _INFINITY.sub(b"inf", _NOT_A_NUMBER.sub(b"nan", body))
+
+
+def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
+    """Convert numbers read from text to rows of the types that the header states."""
+    rows = np.empty(len(table), element.dtype("<"))
+    for column, name in zip(table.T, element.types, strict=True):
+        with np.errstate(all="ignore"):
+            rows[name] = column
+        if rows.dtype[name].kind != "f" and not np.array_equal(rows[name], column):
+            raise InvalidInput(f"property '{name}': a number that is no {rows.dtype[name].name}")
+    return rows
+
+
+def ply_of(path: str | Path, data: FileBytes) -> Ply:
+    """Read the header of a PLY file from its bytes; raises as `read_header` does."""
+    with located(path):
+        header = read_header(data)
+        if "vertex" in header.elements:
+            vertex = header.elements["vertex"]
+            vertex.types = layout_names(vertex.types)
+    return Ply(Path(path), header, data)

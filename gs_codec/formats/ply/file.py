@@ -1,0 +1,287 @@
+"""PLY files of the INRIA layout: read with properties in any order, written in the trainer's."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import plyfile
+from numpy.typing import NDArray
+
+from gs_codec.config import Extra
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import CONVENTION
+from gs_codec.formats.extra_properties import refuse_beyond, say_degree_4, say_left_out
+from gs_codec.formats.limits import check_bytes
+from gs_codec.formats.ply.body import Ply, Rows, ply_of, to_rows
+from gs_codec.formats.ply.dialects import (
+    FILTER,
+    fuse_filter,
+    is_flat,
+    moving,
+    refuse_no_gaussians,
+    say_dialect,
+    with_flat,
+)
+from gs_codec.formats.ply.header import PlyHeader
+from gs_codec.formats.ply.packed import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
+from gs_codec.formats.rounding import Rounding
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located, opened
+from gs_codec.runtime.threads import work_behind
+from gs_codec.scene import (
+    DEGREE_4,
+    GROUPS,
+    NORMALS,
+    SH_C0,
+    SH_COEFFICIENTS,
+    Scene,
+    Shift,
+    coordinates_of,
+    is_extra_name,
+    offset_of,
+    property_names,
+    with_offset,
+)
+
+log = logging.getLogger(__name__)
+
+_COLOURS = ("red", "green", "blue")
+
+#: Rows written at once: 4 MB with SH of degree 3, memory that the C library keeps for the next.
+_ROWS = 1 << 14
+
+
+def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = None) -> Scene:
+    """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
+
+    The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
+
+    Parameters
+    ----------
+    path : str or Path
+    extra : {"keep", "drop", "error"}
+        What to do with properties beyond the INRIA layout, with normals that are not all zero, and
+        with elements other than ``vertex``. Such elements are never kept. A log message names what
+        is left out.
+    max_bytes : int, optional
+        Largest size of floats and kept properties; default: see `most_bytes`.
+
+    Raises
+    ------
+    InvalidInput
+        If the file is not a PLY, is truncated, lacks properties, or has some that `extra` refuses.
+    """
+    with opened(path) as data:
+        return scene_of(ply_of(path, data), extra, max_bytes)
+
+
+def scene_of(
+    ply: Ply,
+    extra: Extra = "keep",
+    max_bytes: int | None = None,
+    index: slice | NDArray[np.int64] = slice(None),
+    tell: bool = True,
+    shift: Shift | None = None,
+) -> Scene:
+    """The scene of an open PLY, or the Gaussians that `index` selects; see `read_ply`.
+
+    Centres in float64 are shifted before they are rounded; a comment has the offset.
+
+    Unless `tell`, nothing is logged of what the header shows to be left out.
+    """
+    path = ply.path
+    with located(path):
+        packed = is_packed(ply.header)
+        elements = _other_elements(ply, PACKED_ELEMENTS if packed else ("vertex",))
+        if packed:
+            return _read_packed(ply, elements, extra, max_bytes)
+        refuse_no_gaussians(ply.header.elements)
+        data = ply.rows("vertex").pick(index)
+    groups, colours = _find_groups(path, data.dtype)
+    wanted = [name for group in GROUPS for name in groups[group]]
+    row = 4 * len(wanted)
+    if extra == "keep":
+        row += sum(data.dtype[name].itemsize for name in set(data.dtype.names or ()) - {*wanted})
+    with located(path):
+        check_bytes(len(data) * row, len(data), len(ply.data), max_bytes)
+    used = {*wanted}
+    others = [n for n in data.dtype.names or () if n not in used and not n.startswith("f_rest_")]
+    normals = [*NORMALS] if set(NORMALS) <= set(others) else []
+    kept = [n for n in others if n == FILTER or (extra == "keep" and is_extra_name(n))]
+    system = coordinates_of(ply.header.comments) or CONVENTION
+    rounding = Rounding(wanted, shift, system)
+    planes, columns, given = _read_columns(path, data, kept, normals, rounding, len(wanted))
+    if not given:
+        others = [name for name in others if name not in normals]
+        columns = {name: column for name, column in columns.items() if name not in normals}
+    if colours:
+        planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0
+    bounds = np.cumsum([0] + [len(groups[group]) for group in GROUPS])
+    parts = {g: planes[a:b] for g, a, b in zip(GROUPS, bounds[:-1], bounds[1:], strict=True)}
+    if len(groups["log_scale"]) == 2:
+        parts["log_scale"] = with_flat(parts["log_scale"])
+    if FILTER in others:
+        fuse_filter(parts["log_scale"], parts["opacity"], columns.pop(FILTER))
+        others.remove(FILTER)
+    has_normals = bool(normals) and not set(normals) & set(columns)
+    with located(path):
+        if extra == "error":
+            refuse_beyond(others, elements)
+        if tell:
+            say_dialect(path, data.dtype.names or ())
+            if _rest_of(data.dtype.names or ()) == 3 * DEGREE_4:
+                say_degree_4(path)
+            told = {*columns, *moving(others)}
+            left_out = [name for name in others if name not in told]
+            say_left_out(path, left_out, elements, _lines(ply.header))
+        comments = ply.header.comments
+        if shift is not None:
+            before = offset_of(comments) or (0.0, 0.0, 0.0)
+            comments = with_offset(comments, np.subtract(before, shift))
+        return Scene(**parts, has_normals=has_normals, comments=comments, extra=columns)
+
+
+def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | None) -> Scene:
+    """The scene of PlayCanvas' layout, of which nothing beyond it is kept."""
+    properties = beyond_packed(ply.header)
+    if extra == "error":
+        refuse_beyond(properties, elements)
+    say_left_out(ply.path, properties, elements, _lines(ply.header))
+    return read_packed(ply, max_bytes)
+
+
+def _lines(header: PlyHeader) -> dict[str, int]:
+    """How many lines of a header are not kept, by their kind."""
+    return {"obj_info": header.obj_info, "comments that are not ASCII": header.odd_comments}
+
+
+def _other_elements(ply: Ply, used: tuple[str, ...]) -> list[str]:
+    """Elements with rows beside those that are used; refuses a file without Gaussians."""
+    if "vertex" not in ply.header.elements:
+        names = list(ply.header.elements)
+        found = ", ".join(f"'{name[:60]}'" for name in names[:4]) or "none"
+        found += ", ..." if len(names) > 4 else ""
+        raise InvalidInput(f"elements {found}, expected 'vertex'")
+    return [e.name for e in ply.header.elements.values() if e.name not in used and e.count]
+
+
+def _rest_of(names: Iterable[str]) -> int:
+    """Number of properties that are SH-AC."""
+    return sum(name.startswith("f_rest_") for name in names)
+
+
+def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]], bool]:
+    """Properties of each group, and whether colours are bytes instead of SH."""
+    names = dtype.names or ()
+    rest = _rest_of(names)
+    if rest not in [3 * k for k in (*SH_COEFFICIENTS, DEGREE_4)]:
+        raise InvalidInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
+    groups = property_names(min(rest // 3, SH_COEFFICIENTS[-1]))
+    if rest == 3 * DEGREE_4:
+        kept = [f"f_rest_{c * DEGREE_4 + k}" for c in range(3) for k in range(SH_COEFFICIENTS[-1])]
+        groups["f_rest"] = kept
+    if is_flat(names):
+        groups["log_scale"].remove("scale_2")
+    # Trainers without SH (nerfstudio) write colours as bytes.
+    colours = "f_dc_0" not in names and all(
+        name in names and dtype[name] == np.uint8 for name in _COLOURS
+    )
+    if colours:
+        groups["f_dc"] = list(_COLOURS)
+    missing = [n for group in GROUPS for n in groups[group] if n not in names]
+    if missing:
+        raise InvalidInput(f"{path}: missing property '{missing[0]}' ({len(missing)} missing)")
+    return groups, colours
+
+
+def _read_columns(
+    path: str | Path,
+    rows: Rows,
+    kept: list[str],
+    normals: list[str],
+    rounding: Rounding,
+    number: int,
+) -> tuple[NDArray[np.float32], dict[str, NDArray], bool]:
+    """Rounded planes, `number` of them, columns to keep, and whether there are normals; one pass.
+
+    Normals are written back as +0, so a -0 that is to be kept is one.
+    """
+    planes = empty((number, len(rows)), np.float32)
+    columns = {name: empty((len(rows),), rows.dtype[name].newbyteorder("=")) for name in kept}
+    given: list[bool | np.bool] = []
+
+    def use(place: slice, tile: NDArray) -> None:
+        rounding.fill([plane[place] for plane in planes], tile)
+        for name, column in columns.items():
+            column[place] = tile[name]
+        for name in normals:
+            with np.errstate(invalid="ignore"):
+                other = tile[name].any()
+            given.append(other or (name in columns and np.signbit(tile[name]).any()))
+
+    rows.for_tiles(use)
+    rounding.tell(path)
+    return planes, columns, any(given)
+
+
+def write_ply(path: str | Path, scene: Scene) -> tuple[()]:
+    """Write `scene` as little-endian binary PLY in the INRIA trainer's property order.
+
+    Returns
+    -------
+    tuple
+        What it cannot hold: nothing.
+    """
+    with atomic_writer(path) as file:
+        write_vertices(file, scene.count, [scene])
+    return ()
+
+
+def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
+    """Write a PLY of `count` Gaussians from slabs of the same layout, one after another.
+
+    If threads may be used, another one writes a slab while the next one is made.
+    """
+
+    def write(number: int, slab: Scene) -> None:
+        if not number:
+            file.write(ply_header(slab, count))
+        for start in range(0, slab.count, _ROWS):
+            file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
+
+    work_behind(write, slabs)
+
+
+def ply_header(scene: Scene, count: int) -> bytes:
+    """The header of a PLY of `count` Gaussians with the properties of the scene."""
+    row = np.zeros((), vertex_rows(scene.between(0, 0)).dtype)
+    element = plyfile.PlyElement.describe(np.broadcast_to(row, (count,)), "vertex")
+    header = plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header
+    return f"{header}\n".encode("ascii")
+
+
+def vertex_rows(scene: Scene) -> NDArray:
+    """Structured rows ``(N,)`` in the trainer's order; extra properties come last."""
+    groups = property_names(len(scene.f_rest) // 3)
+    names, planes = [], []
+    for group in GROUPS:
+        names += groups[group]
+        planes += [*getattr(scene, group)]
+        if group == "positions" and scene.has_normals:
+            names += NORMALS
+            planes += [np.zeros(scene.count, np.float32)] * 3
+    rows = to_rows(planes).view([(name, "<f4") for name in names])[:, 0]
+    if not scene.extra:
+        return rows
+    dtype = np.dtype(rows.dtype.descr + [(n, a.dtype.str) for n, a in scene.extra.items()])
+    full = np.empty(scene.count, dtype)
+    for name in names:
+        full[name] = rows[name]
+    for name, column in scene.extra.items():
+        full[name] = column
+    return full

@@ -1,0 +1,229 @@
+"""Streamed SOG: the tree of levels of detail of a `lod-meta.json`, and its finest level read.
+
+Each leaf of the tree has a run of Gaussians at each level, in SOG scenes beside `lod-meta.json`. A
+viewer draws each leaf at one level, which it chooses by how far away the leaf's box is. A zip of
+all files is an `.ssog`.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gs_codec.config import STREAMED
+from gs_codec.egs.header import FANOUT
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import check_count, refusing
+from gs_codec.formats.sog.files import Files, Unit, opened_files, opened_unit
+from gs_codec.formats.sog.scene import SPARE, scene_of_unit
+from gs_codec.formats.zip_file import ZIP, opened_zip
+from gs_codec.runtime.json_text import parse_json
+from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.scene import Scene, join_scenes
+
+log = logging.getLogger(__name__)
+
+_VERSION = 1
+
+#: Most bytes of a `lod-meta.json`, unless the file itself or its zip is larger.
+_LOD_META_BYTES = 1 << 22
+
+#: `SPARE` of all files together.
+_SPARE = 1 << 22
+
+#: Minimum of `SPARE` of each file.
+_LEAST_SPARE = 1 << 10
+
+
+@dataclass(frozen=True)
+class Run:
+    """Where the Gaussians of a leaf at a level are: in which file, from which, how many."""
+
+    file: int
+    offset: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """A leaf of the tree.
+
+    Attributes
+    ----------
+    low, high : sequence of float
+        The corners of its box.
+    runs : sequence of Run
+        Of each level, the finest first.
+    """
+
+    low: Sequence[float]
+    high: Sequence[float]
+    runs: Sequence[Run]
+
+
+def describe_levels(leaves: Sequence[Leaf], names: Sequence[str]) -> bytes:
+    """The `lod-meta.json` of at least one leaf, whose Gaussians are in the files `names`."""
+    levels = range(len(leaves[0].runs))
+    counts = [sum(leaf.runs[level].count for leaf in leaves) for level in levels]
+    described = {
+        "version": _VERSION,
+        "asset": {"generator": "gs_codec"},
+        "count": sum(counts),
+        "counts": counts,
+        "lodLevels": len(counts),
+        "filenames": list(names),
+        "tree": _tree([_node(leaf) for leaf in leaves]),
+    }
+    return json.dumps(described, separators=(",", ":")).encode()
+
+
+def _node(leaf: Leaf) -> dict[str, Any]:
+    runs = {str(level): vars(run) for level, run in enumerate(leaf.runs)}
+    return {"bound": {"min": list(leaf.low), "max": list(leaf.high)}, "lods": runs}
+
+
+def _tree(nodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """The root above nodes: four become one, as blocks of the levels of an `.egs` do."""
+    while len(nodes) > 1:
+        groups = (nodes[i : i + FANOUT] for i in range(0, len(nodes), FANOUT))
+        nodes = [{"bound": _around(group), "children": group} for group in groups]
+    return nodes[0]
+
+
+def _around(nodes: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
+    bounds = [node["bound"] for node in nodes]
+    return {
+        end: [of(values) for values in zip(*(bound[end] for bound in bounds), strict=True)]
+        for end, of in (("min", min), ("max", max))
+    }
+
+
+def is_streamed(path: Path, data: FileBytes) -> bool:
+    """Whether a file has the name of a `lod-meta.json`, or is a zip with one.
+
+    Raises
+    ------
+    InvalidInput
+        If it is a zip that is not valid.
+    """
+    if data[: len(ZIP)] != ZIP:
+        return path.name.lower() == STREAMED
+    with located(path), opened_zip(path) as archive:
+        return bool(archive.named(STREAMED))
+
+
+@contextmanager
+def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, list[str]]]:
+    """The files of a `lod-meta.json`, and the names of the SOG scenes of a level or of all."""
+    with located(path), opened_files(path, data) as (files, name):
+        # It takes far fewer bytes than the files that it describes.
+        text = files.read(name, max(len(data), _LOD_META_BYTES))
+        yield files.beside(name), _names(text, finest)
+
+
+def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
+    """Read the finest level of a `lod-meta.json`, and its environment; see `SceneFile.scene`."""
+    with _opened(path, data, finest=True) as (files, names):
+        sizes = [_size(files, name) for name in names]
+        file_bytes = len(data) + sum(stored for _, stored in sizes)
+        check_count(*_whole([stated for stated, _ in sizes]), file_bytes, max_bytes)
+        scenes: list[Scene] = []
+        seen: set[str] = set()
+        for name in names:
+            with located(name), opened_unit(files, name) as unit:
+                _check_unseen(seen, files, unit)
+                where, spare = f"{path}: {name}", _spare(names)
+                scenes.append(scene_of_unit(where, unit, file_bytes, max_bytes, spare))
+    if len({scene.antialiased for scene in scenes}) > 1:
+        log.warning("%s: only some parts are antialiased, read as the first part is", path)
+    return join_scenes(scenes)
+
+
+def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
+    """Read the files that hold coarser levels alone, too; raises as `read_streamed` does."""
+    with _opened(path, data, finest=True) as (_, finest):
+        pass
+    with _opened(path, data, finest=False) as (files, names):
+        for name in names:
+            if name not in finest:
+                with located(name), opened_unit(files, name) as unit:
+                    where, size = f"{path}: {name}", len(data) + unit.stored_bytes
+                    scene_of_unit(where, unit, size, max_bytes, _spare(names))
+
+
+def _spare(names: Sequence[str]) -> int:
+    """`SPARE` of each of these files: images hardly larger than their zip could take minutes."""
+    return min(SPARE, max(_SPARE // len(names), _LEAST_SPARE))
+
+
+def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:
+    """Refuse images of an earlier unit: thousands could have the same."""
+    if unit.files.archive is files.archive:
+        images = {str(unit.files.folder / image) for image in unit.images}
+        if seen & images:
+            shared = Path(min(seen & images)).name
+            raise InvalidInput(f"image {shared!a:.60} also belongs to another scene")
+        seen |= images
+
+
+def streamed_bytes(path: Path, data: memoryview) -> int:
+    """Size of `lod-meta.json` and of all files of all levels; of a zip, its size."""
+    with _opened(path, data, finest=False) as (files, names):
+        return len(data) + sum(_size(files, name)[1] for name in names)
+
+
+def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
+    """Number of Gaussians of the finest level, and SH degree."""
+    with _opened(path, data, finest=True) as (files, names):
+        return _whole([_size(files, name)[0] for name in names])
+
+
+def _whole(stated: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    counts, degrees = zip(*stated, strict=True)
+    return sum(counts), max(degrees)
+
+
+def _size(files: Files, name: str) -> tuple[tuple[int, int], int]:
+    """What a SOG scene states, and the size of its files; 0 in a zip."""
+    with located(name), opened_unit(files, name) as unit:
+        return unit.meta.stated_size, unit.stored_bytes
+
+
+def _names(text: bytes, finest: bool) -> list[str]:
+    with refusing(STREAMED, AttributeError):
+        meta = parse_json(text)
+        if not isinstance(meta, dict) or meta.get("version", _VERSION) != _VERSION:
+            raise InvalidInput(f"{STREAMED}: expected version {_VERSION} of streamed SOG")
+        wanted = list(meta["filenames"])
+        if finest:
+            used = {run["file"] for run in _finest_runs(meta["tree"])}
+            wanted = [wanted[index] for index in sorted(used)]
+        wanted += [meta["environment"]] if meta.get("environment") else []
+        wanted = list(_checked(wanted))
+    if not wanted or len(set(wanted)) != len(wanted):
+        raise InvalidInput(f"{STREAMED}: no files of the level, or one twice")
+    return wanted
+
+
+def _finest_runs(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    left = [tree]
+    while left:
+        node = left.pop()
+        left += node.get("children", ())
+        if "0" in node.get("lods", ()):
+            yield node["lods"]["0"]
+
+
+def _checked(names: Iterable[Any]) -> Iterator[str]:
+    """Names with slashes; refuses files that do not lie below the folder of `lod-meta.json`."""
+    for name in names:
+        plain = isinstance(name, str) and name.isprintable() and ":" not in name
+        parts = name.replace("\\", "/").split("/") if plain else [""]
+        if any(part.strip(".") == "" for part in parts):
+            raise InvalidInput(f"{STREAMED}: file {name!a:.60}, expected one beside it")
+        yield "/".join(parts)

@@ -1,0 +1,188 @@
+"""SOG version 2 written; see `sog` for the format."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.far import bring_nearer
+from gs_codec.coding.morton import spatial_order
+from gs_codec.config import UNBUNDLED
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.codebook import choose_colours, choose_levels, make_table
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.extra_properties import left_out_of
+from gs_codec.formats.images import write_webp
+from gs_codec.formats.packed_values import (
+    Clipped,
+    check_finite,
+    largest_omitted,
+    sigmoid,
+)
+from gs_codec.formats.sog.files import FIRST_TAG, PALETTE_COLUMNS
+from gs_codec.formats.sog.palette import fit_palette
+from gs_codec.formats.zip_file import write_zip
+from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
+from gs_codec.scene import Scene
+
+#: Most pixels along a side of an image.
+_LARGEST_SIDE = (1 << 14) - 4
+
+#: Far Gaussians are drawn to a box so many times as large as that of the others. Coordinates are
+#: logarithms, so that four times as large makes their steps a third to a half longer.
+REACH = 4.0
+
+#: Largest magnitude of SH: distances to rows of a palette are in float32.
+_LARGEST_SH = 2.0**12
+
+_BYTES = np.arange(256.0)
+
+#: What `meta.json` says of a group of attributes, and its images by name.
+_Group = tuple[dict[str, object], dict[str, NDArray[np.uint8]]]
+
+
+def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a `.sog` file, and what it cannot hold, in words; Gaussians in Morton order.
+
+    Parameters
+    ----------
+    scene : Scene
+    steps : AttributeSteps, optional
+        Values are as near as these ask, at few bits. By default as near as the format holds.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, or an image would have more pixels than WebP has.
+    """
+    check_finite(scene, ".sog")
+    order = spatial_order(scene.positions, scene.log_scale)
+    steps = AttributeSteps.least(scene) if steps is None else steps
+    nearer, moved = bring_nearer(scene, REACH)
+    files, (rounded, *lost) = sog_files_of(nearer.take(order), steps.take(order))
+    archive = io.BytesIO()
+    write_zip(archive, files)
+    return archive.getvalue(), (rounded, *moved, *lost)
+
+
+def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """The files of a scene by name, `meta.json` first, in the scene's order."""
+    check_finite(scene, ".sog")
+    if scene.count > _LARGEST_SIDE**2:
+        raise InvalidInput(f"{counted(scene.count, 'Gaussian')}, .sog holds {_LARGEST_SIDE**2:,}")
+    turned, clipped = turn_axes(scene), Clipped()
+    f_rest = clipped.limited("SH", turned.f_rest, -_LARGEST_SH, _LARGEST_SH)
+    turned = replace(turned, f_rest=f_rest)
+    meta: dict[str, object] = {"version": 2, "count": scene.count}
+    meta["asset"] = {"generator": "gs_codec"}
+    if scene.antialiased:
+        # By the specification, and as splat-transform reads it.
+        meta |= {"antialias": True, "model": "antialiased"}
+    images: dict[str, NDArray[np.uint8]] = {}
+    for name, pack in _GROUPS.items():
+        if name != "shN" or scene.sh_degree:
+            described, of_group = pack(turned, steps)
+            meta[name] = described | {"files": list(of_group)}
+            images |= of_group
+    written = run_all(write_webp, images.values())
+    files = {UNBUNDLED: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
+    lost = "centres rounded to 16 bits, other values to 8, SH to rows of a palette"
+    return files, (lost, *clipped.sentences(), *left_out_of(scene))
+
+
+def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:
+    """An image of a pixel for each Gaussian, of up to four bytes; bytes not given are 0, 0, 255."""
+    count = len(channels[0])
+    width = 4 * max(math.ceil(math.sqrt(count) / 4), 1)
+    height = 4 * max(math.ceil(count / width / 4), 1)
+    pixels = np.zeros((height * width, 4), np.uint8)
+    pixels[:, 3] = 255
+    for channel, values in enumerate(channels):
+        pixels[:count, channel] = values
+    return pixels.reshape(height, width, 4)
+
+
+def _centres(scene: Scene, steps: AttributeSteps) -> _Group:
+    def pack(axis: int) -> tuple[float, float, NDArray, NDArray]:
+        values = scene.positions[axis].astype(np.float64)
+        logarithm = np.copysign(np.log1p(np.abs(values)), values)
+        ends = logarithm if len(values) else np.zeros(1)
+        least, most = float(ends.min()), float(ends.max())
+        unit = (most - least) / 65535 or 1.0
+        share = (logarithm - least) / unit
+        high = np.rint(share).astype(np.int64) >> 8
+        # A step of the logarithm is longer far away.
+        wanted = steps.positions / (1 + np.abs(values)) / unit
+        return least, most, choose_levels(share - (high << 8), wanted, _BYTES), high
+
+    mins, maxs, low, high = zip(*run_all(pack, range(3)), strict=True)
+    images = {"means_l.webp": _image(low), "means_u.webp": _image(high)}
+    return {"mins": mins, "maxs": maxs}, images
+
+
+def _scales(scene: Scene, steps: AttributeSteps) -> _Group:
+    table = make_table(scene.log_scale.ravel(), steps.log_scale.ravel())
+    levels = _levels(scene.log_scale, steps.log_scale, table)
+    return {"codebook": numbers(table)}, {"scales.webp": _image(levels)}
+
+
+def _rotations(scene: Scene, steps: AttributeSteps) -> _Group:
+    three, largest = largest_omitted(scene.rot)
+    by_unit = 255 * math.sqrt(0.5)
+    exact = by_unit * three + 127.5
+    levels = np.array(_levels(exact, [by_unit * steps.rot] * 3, _BYTES))
+    # Rounded coarsely, they may leave nothing for the largest: readers take the root of the rest.
+    long = ((levels - 127.5) ** 2).sum(axis=0) > by_unit**2
+    levels[:, long] = np.rint(exact[:, long])
+    return {}, {"quats.webp": _image([*levels, FIRST_TAG + largest])}
+
+
+def _colours(scene: Scene, steps: AttributeSteps) -> _Group:
+    table = make_table(scene.f_dc.ravel(), np.tile(steps.f_dc, 3))
+    share = sigmoid(scene.opacity[0].astype(np.float64))
+    alpha = choose_levels(255 * share, 255 * share * (1 - share) * steps.opacity, _BYTES)
+    colours = choose_colours(scene.f_dc.T[:, :, None], steps.f_dc[:, None], table)
+    return {"codebook": numbers(table)}, {"sh0.webp": _image([*colours[:, :, 0].T, alpha])}
+
+
+def _sh(scene: Scene, steps: AttributeSteps) -> _Group:
+    palette = fit_palette(scene.f_rest, steps.f_rest)
+    rows, coefficients = len(palette.levels), len(scene.f_rest) // 3
+    height = -(-rows // PALETTE_COLUMNS)
+    pixels = np.zeros((height * PALETTE_COLUMNS, coefficients, 4), np.uint8)
+    pixels[..., 3] = 255
+    pixels[:rows, :, :3] = palette.levels.reshape(rows, 3, coefficients).transpose(0, 2, 1)
+    images = {
+        "shN_centroids.webp": pixels.reshape(height, -1, 4),
+        "shN_labels.webp": _image([palette.labels & 255, palette.labels >> 8]),
+    }
+    described = {"count": rows, "bands": scene.sh_degree, "codebook": numbers(palette.table)}
+    return described, images
+
+
+def _levels(
+    planes: NDArray[np.floating], steps: Sequence[NDArray] | NDArray, table: NDArray
+) -> list[NDArray[np.uint8]]:
+    return run_all(lambda i: choose_levels(planes[i], steps[i], table), range(3))
+
+
+def numbers(table: NDArray[np.float32]) -> list[float]:
+    """The shortest numbers that are these when rounded to float32."""
+    return [float(str(value)) for value in table]
+
+
+_GROUPS: Mapping[str, Callable[[Scene, AttributeSteps], _Group]] = {
+    "means": _centres,
+    "scales": _scales,
+    "quats": _rotations,
+    "sh0": _colours,
+    "shN": _sh,
+}

@@ -1,0 +1,1 @@
+"""`.spz` files of Niantic."""

@@ -1,0 +1,230 @@
+"""Gaussians in OpenUSD: `.usd`, `.usda`, `.usdc`, `.usdz`, by ParticleField3DGaussianSplat.
+
+Centres, unit quaternions, linear scales, opacities 0-1, and SH that follow one another for each
+Gaussian, SH-DC first, in the trainer's order and signs; halves are read too. Needs usd-core.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
+from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
+from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
+from gs_codec.formats.extra_properties import left_out_of, say_degree_4
+from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
+from gs_codec.formats.packed_values import (
+    Clipped,
+    check_finite,
+    sigmoid,
+    unit_quaternions,
+)
+from gs_codec.formats.similarity import move_scene
+from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
+from gs_codec.formats.zip_file import ZIP, write_zip
+from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.programs import Limits, run_on_files
+from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
+
+#: First bytes of a text layer.
+TEXT = b"#usda"
+
+#: First bytes of a binary layer.
+CRATE = b"PXR-USDC"
+
+#: Suffixes of what may be read: layers, and zips of them.
+SUFFIXES = (*LAYERS, ".usdz")
+
+_SYSTEM = OWN_SYSTEMS[".usd"]
+_SYSTEM_Z_UP = "RFU"
+
+#: Files in a `.usdz` begin at multiples of so many bytes.
+_MULTIPLE = 64
+
+#: Standard deviations that a Gaussian reaches in the extent of the scene.
+_REACH = 3.0
+
+#: What the process that reads runs; its first argument is where gs_codec lies. OpenUSD leaves
+#: reports of crashes in `TMPDIR`, here the process's own folder.
+_READ = """
+import os, sys
+os.environ |= {"TMPDIR": os.getcwd(), "PXR_WORK_THREAD_LIMIT": "1"}  # others wait busily
+sys.path[0] = sys.argv.pop(1)
+from gs_codec.formats.usd.stage import main
+main()
+"""
+
+#: Maximum address space of that process without a scene, bytes.
+_SPACE = 4 << 30
+
+#: Further address space for each byte of the scene's floats.
+_TIMES_FLOATS = 4
+
+#: Further address space for each byte of the file.
+_TIMES_FILE = 64
+
+#: Maximum time of that process without a scene, seconds.
+_SECONDS = 20
+
+#: One more second for this many bytes of the file.
+_BYTES_A_SECOND = 1 << 20
+
+
+def require_usd_core(suffix: str = ".usd") -> None:
+    """`MissingTool` if files with this suffix need usd-core, and it is not installed."""
+    if suffix in SUFFIXES and find_spec("pxr") is None:
+        raise MissingTool(f"usd-core is not installed: {pip_install('usd')}")
+
+
+def is_usdz(data: FileBytes) -> bool:
+    """Whether the first entry of a zip file is a layer of USD."""
+    name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
+    return name.lower().endswith(tuple(suffix.encode() for suffix in LAYERS))
+
+
+def read_usd(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of a USD file; see `SceneFile.scene`."""
+    with located(path):
+        found = _read_apart(view, most_bytes(len(view), max_bytes))
+        check_count(*_total(found), len(view), max_bytes)
+        if found["has_degree_4"]:
+            say_degree_4(path)
+        with refusing("USD"):
+            return join_scenes(_scenes(found))
+
+
+def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
+    """Number of Gaussians and SH degree that the stage has; raises as `read_usd` does."""
+    with located(path):
+        return _total(_read_apart(view, -1))
+
+
+def _read_apart(view: memoryview, most: int) -> dict[str, NDArray]:
+    """What `usd_stage.main` finds; sizes alone if the floats take more than `most` bytes."""
+    require_usd_core()
+    suffix = {TEXT: ".usda", CRATE: ".usdc", ZIP: ".usdz"}
+    name = "scene" + next((s for begin, s in suffix.items() if view[: len(begin)] == begin), ".usd")
+    package = Path(__file__).parents[2]
+    command = [sys.executable, "-c", _READ, str(package), name, "found.npz", str(most)]
+    floats, size = max(most, 0), len(view)
+    seconds = _SECONDS + size // _BYTES_A_SECOND
+    space = _SPACE + _TIMES_FLOATS * min(floats, EXPANSION * size) + _TIMES_FILE * size
+    # Beside floats, a matrix for each prim, whose text takes no less.
+    limits = Limits(10.0 * seconds, seconds, space)
+    try:
+        packed = run_on_files(command, {name: view}, "found.npz", limits, floats + size + (1 << 20))
+    except ToolFailed as error:
+        raise InvalidInput(f"USD: damaged: reading it {error}") from error
+    with refusing("USD"), np.load(io.BytesIO(packed)) as file:
+        found = {each: file[each] for each in file.files}
+    if "refused" in found:
+        raise InvalidInput(f"USD: {found['refused']}")
+    return found
+
+
+def _total(found: dict[str, NDArray]) -> tuple[int, int]:
+    """Number of Gaussians of all prims, and their SH degree."""
+    degrees = set(found["sizes"][:, 1].tolist())
+    if len(degrees) > 1:
+        raise InvalidInput("USD: prims of several SH degrees, expected one")
+    return int(found["sizes"][:, 0].sum()), degrees.pop()
+
+
+def _scenes(found: dict[str, NDArray]) -> list[Scene]:
+    """The scene of each prim, where the stage puts it."""
+    comments = stated_comments(_SYSTEM_Z_UP if found["z_up"] else _SYSTEM, False)
+    count, degree = _total(found)
+    sh = (
+        found["radiance:sphericalHarmonicsCoefficients"]
+        .reshape(count, SH_COEFFICIENTS[degree] + 1, 3)
+        .transpose(2, 1, 0)
+    )
+    whole = Scene(
+        np.ascontiguousarray(found["positions"].T),
+        np.ascontiguousarray(sh[:, 0]),
+        sh[:, 1:].reshape(3 * SH_COEFFICIENTS[degree], count),
+        np.ascontiguousarray(logits_of(found["opacities"].T)),
+        np.ascontiguousarray(log_scales_of(found["scales"].T)),
+        found["orientations"].T[[3, 0, 1, 2]],
+        comments=comments,
+    )
+    ends = np.cumsum(found["sizes"][:, 0]).tolist()
+    return [
+        move_scene(whole.between(start, end), matrix)
+        for start, end, matrix in zip([0, *ends], ends, found["matrices"], strict=False)
+    ]
+
+
+def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a file with a suffix of `SUFFIXES`, and what it cannot hold, in words.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, or a scale too large for a float32.
+    MissingTool
+        If usd-core is not installed.
+    """
+    require_usd_core()
+    check_finite(scene, "USD")
+    clipped = Clipped()
+    stage = _stage(turn_axes(scene, _SYSTEM), clipped)
+    name = f"scene{'.usdc' if suffix == '.usdz' else suffix}"
+    with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
+        path = Path(folder, name)
+        stage.GetRootLayer().Export(str(path))
+        data = path.read_bytes()
+    if suffix == ".usdz":
+        zipped = io.BytesIO()
+        write_zip(zipped, {name: data}, _MULTIPLE)
+        data = zipped.getvalue()
+    lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
+    return data, (lost, *clipped.sentences(), *left_out_of(scene, flag=True))
+
+
+def _stage(scene: Scene, clipped: Clipped) -> Any:
+    """A stage with the scene as its only prim."""
+    from pxr import Usd, UsdGeom, UsdVol, Vt
+
+    if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
+        raise MissingTool(WITHOUT_GAUSSIANS + pip_install("usd"))
+
+    def rows(planes: NDArray) -> NDArray[np.float32]:
+        with np.errstate(under="ignore"):
+            return np.ascontiguousarray(planes.T, np.float32)
+
+    stage = Usd.Stage.CreateInMemory("scene.usdc")
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Scene")
+    stage.SetDefaultPrim(splats.GetPrim())
+    scales = linear_scales(scene.log_scale.astype(np.float64), "USD", clipped)
+    splats.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(rows(scene.positions)))
+    rotations = rows(unit_quaternions(scene.rot)[[1, 2, 3, 0]])
+    splats.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(rotations))
+    splats.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(rows(scales)))
+    share = sigmoid(scene.opacity[0].astype(np.float64))
+    splats.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(rows(share)))
+    coefficients = SH_COEFFICIENTS[scene.sh_degree]
+    f_rest = scene.f_rest.reshape(3, coefficients, scene.count)
+    sh = np.concatenate([scene.f_dc[:, None], f_rest], axis=1)
+    colours = Vt.Vec3fArray.FromNumpy(rows(sh).reshape(-1, 3))
+    radiance = UsdGeom.Primvar(splats.CreateRadianceSphericalHarmonicsCoefficientsAttr(colours))
+    radiance.SetElementSize(1 + coefficients)
+    radiance.SetInterpolation(UsdGeom.Tokens.vertex)
+    splats.CreateRadianceSphericalHarmonicsDegreeAttr(scene.sh_degree)
+    if scene.count:
+        reach, most = _REACH * scales.max(axis=0), np.finfo(np.float32).max
+        ends = [(scene.positions - reach).min(axis=1), (scene.positions + reach).max(axis=1)]
+        extent = np.clip(ends, -most, most).astype(np.float32)
+        splats.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(extent))
+    return stage

@@ -1,0 +1,184 @@
+"""What reads the stage of a USD file, in a process of its own: native code that may crash.
+
+Run by `usd.py`; takes the file, the file to write, and the most bytes of floats. Writes arrays of
+NumPy by name, with all Gaussians one after another; or why it refused, as ``refused``.
+"""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import sys
+import zipfile
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom, UsdVol
+
+from gs_codec.errors import GsCodecError, InvalidInput, one_line
+from gs_codec.formats.limits import FAILURES
+from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
+from gs_codec.runtime.lazy import pip_install
+from gs_codec.scene import SH_COEFFICIENTS, float_bytes
+
+_QUOTES = "'\" "
+_COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
+_DEGREE = "radiance:sphericalHarmonicsDegree"
+
+#: Attributes that a stage may leave out, and what Gaussians then have; grey, of SH.
+_MISSING = {
+    "orientations": (0, 0, 0, 1),
+    "scales": (1, 1, 1),
+    "opacities": (1,),
+    _COEFFICIENTS: (0, 0, 0),
+}
+
+#: Where an attribute that changes in time is read.
+_TIME = Usd.TimeCode.EarliestTime()
+
+#: What a file may be refused with; errors of OpenUSD are RuntimeErrors.
+_REFUSALS: tuple[type[Exception], ...] = (GsCodecError, zipfile.BadZipFile, *FAILURES)
+
+
+def main() -> None:
+    """Read the file that the arguments name."""
+    source, target, most = sys.argv[1:]
+    try:
+        arrays: dict[str, Any] = _arrays(source, int(most))
+    except _REFUSALS as error:
+        arrays = {"refused": np.array(_why(error))}
+    np.savez(target, **arrays)
+
+
+def _why(error: Exception) -> str:
+    """Why a file was refused; of OpenUSD's errors, which name places in its source, the reason."""
+    if isinstance(error, GsCodecError):
+        return str(error)
+    try:
+        reason = one_line(error).replace(f"{os.getcwd()}/", "").rpartition(" : ")[2]
+        return f"damaged: {reason.strip(_QUOTES)[:100]}"
+    except UnicodeDecodeError:  # it quotes the file
+        return "damaged: text that is not UTF-8"
+
+
+def _arrays(source: str, most: int) -> dict[str, NDArray]:
+    """What `main` writes; sizes alone if the floats take more than `most` bytes."""
+    if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
+        raise InvalidInput(WITHOUT_GAUSSIANS + pip_install("usd"))
+    _check_alone(source)
+    stage = Usd.Stage.Open(source)
+    every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    prims = [prim for prim in every if _is_splats(prim)]
+    if not prims:
+        raise InvalidInput("no ParticleField3DGaussianSplat, not a scene of Gaussians")
+    positions, sizes, total = [], [], 0
+    degrees = [_degree(prim) for prim in prims]
+    for prim, degree in zip(prims, degrees, strict=True):
+        rows = _rows(prim, "positions", 3)
+        if rows is None:
+            raise InvalidInput("no positions, expected those of all Gaussians")
+        sizes.append((len(rows), min(degree, 3)))
+        total += float_bytes(*sizes[-1])
+        if total <= most:
+            positions.append(rows)
+    found = {"sizes": np.array(sizes), "z_up": UsdGeom.GetStageUpAxis(stage) == "Z"}
+    found["has_degree_4"] = np.array(4 in degrees)
+    if total > most or len({degree for _, degree in sizes}) > 1:
+        return found
+    found["positions"] = np.concatenate(positions)
+    for name, missing in _MISSING.items():
+        found[name] = np.concatenate([
+            _first_rows(prim, name, missing, count, degree if name == _COEFFICIENTS else 0)
+            for prim, (count, _), degree in zip(prims, sizes, degrees, strict=True)
+        ])  # fmt: skip
+    found["matrices"] = np.array([_placed(prim) for prim in prims])
+    return found
+
+
+def _check_alone(source: str) -> None:
+    """Refuse a file that refers to others; layers in a `.usdz` may refer to one another."""
+    inside: list[str] = []
+    if source.endswith(".usdz"):
+        with zipfile.ZipFile(source) as archive:
+            inside = [name for name in archive.namelist() if _is_layer(name)]
+    for name in inside or [""]:
+        layer = Sdf.Layer.FindOrOpen(f"{source}[{name}]" if name else source)
+        if not layer:
+            raise InvalidInput(f"damaged: {name or 'the file'!a:.80} is no layer")
+        for other in _named(layer):
+            if posixpath.normpath(posixpath.join(posixpath.dirname(name), other)) not in inside:
+                raise InvalidInput(f"refers to {other!a:.80}, expected all of it in this file")
+
+
+def _is_layer(name: str) -> bool:
+    """Whether an entry of a zip is a layer of USD, at a place inside."""
+    plain = posixpath.normpath(name) == name and not name.startswith(("/", ".."))
+    return plain and "\\" not in name and name.endswith(LAYERS)
+
+
+def _named(layer: Any) -> Iterator[str]:
+    """The files that a layer is composed of."""
+    yield from filter(None, layer.GetCompositionAssetDependencies())  # empty: this layer itself
+    paths: list[Any] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    prims = [
+        layer.GetPrimAtPath(path)
+        for path in paths
+        if path.IsPrimPath() or path.IsPrimVariantSelectionPath()
+    ]
+    if any(prim and prim.HasInfo("clips") for prim in prims):
+        yield "value clips"
+
+
+def _is_splats(prim: Any) -> bool:
+    if not prim.IsA(UsdVol.ParticleField3DGaussianSplat):
+        return False
+    above = prim
+    while above:
+        space = above.GetAttribute("colorSpace:name").Get()
+        if isinstance(space, str) and space.startswith("lin"):
+            raise InvalidInput(f"colours in {space!a:.40}, expected sRGB")
+        above = above.GetParent()
+    return True
+
+
+def _rows(prim: Any, name: str, width: int) -> NDArray[np.float32] | None:
+    """Rows of an attribute, in halves if there are no floats; None if it is absent."""
+    for each in (name, f"{name}h"):
+        value = prim.GetAttribute(each).Get(_TIME)
+        if value is not None:
+            with np.errstate(over="ignore"):  # reported later, as of a PLY
+                return np.asarray(value, np.float32).reshape(-1, width)
+    return None
+
+
+def _first_rows(
+    prim: Any, name: str, missing: Sequence[float], count: int, degree: int
+) -> NDArray[np.float32]:
+    """The first rows of an attribute for so many Gaussians, or of what is there without it.
+
+    Those of a Gaussian are up to SH degree 3, of an attribute of `degree`.
+    """
+    each = (degree + 1) ** 2
+    rows = _rows(prim, name, len(missing))
+    if rows is None:
+        rows = np.full((each * count, len(missing)), missing, np.float32)
+    if len(rows) < each * count:
+        raise InvalidInput(f"{name} of {len(rows)}, expected {each * count}")
+    kept = min(each, 1 + SH_COEFFICIENTS[-1])
+    rows = rows[: each * count].reshape(count, each, len(missing))[:, :kept]
+    return rows.reshape(kept * count, len(missing))
+
+
+def _degree(prim: Any) -> int:
+    degree = prim.GetAttribute(_DEGREE).Get(_TIME)
+    if not isinstance(degree, int) or not 0 <= degree <= 4:
+        raise InvalidInput(f"SH degree {degree!a:.20}, expected 0 to 4")
+    return degree
+
+
+def _placed(prim: Any) -> NDArray[np.float64]:
+    """Matrix ``(4, 4)`` that takes columns of the prim to the stage's."""
+    return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(_TIME)).T

@@ -1,0 +1,1 @@
+"""Several Gaussians merged into one: covariances, pairs, rounds of merging."""

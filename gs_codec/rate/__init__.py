@@ -1,0 +1,1 @@
+"""Rate targets: the step sizes and pruning that give a size or a loss."""

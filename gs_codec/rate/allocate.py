@@ -1,0 +1,245 @@
+"""Rate control: one number, the coarseness, scales all step sizes of a scene.
+
+Profiles `l`, `m` and `s` give each parameter of each Gaussian the step size at which it adds the
+same error, so that one more bit reduces the error equally everywhere. The coarseness sets that
+error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gs_codec.coding.clean import clean_scene
+from gs_codec.config import Config, RateTarget
+from gs_codec.errors import InvalidInput
+from gs_codec.preparation.balance import ADDED, StepError
+from gs_codec.preparation.pipeline import choose_views, guiding_views
+from gs_codec.preparation.prune import keep_highest, leave_one_out
+from gs_codec.preparation.reference_views import ViewSplit
+from gs_codec.preparation.steps import Plan
+from gs_codec.rate.search import COARSEST, FINEST, search, search_recoloured
+from gs_codec.rate.trials import RateSearch, Seen, Trials
+from gs_codec.report import EncodeReport, Progress
+from gs_codec.scene import Scene
+
+#: A file may be smaller than asked for by at most this share.
+_SIZE_TOLERANCE = 0.02
+
+#: A loss may be smaller than asked for by at most this, dB.
+_DROP_TOLERANCE = 0.02
+
+#: Approximate change of log2 of the size when the steps double.
+_SIZE_SLOPE = -0.45
+
+#: Approximate change of log2 of the loss when the steps double.
+_DROP_SLOPE = 1.7
+
+#: About how many times smaller SH compaction makes a file, for the first guess.
+_COMPACTION_SAVES = 1.08
+
+#: About how many times larger the refit of colours then makes it.
+_REFIT_ADDS = 1.01
+
+#: Share of the Gaussians that a round of pruning removes.
+_PART = 0.2
+
+#: Maximum number of these rounds.
+_MOST_PARTS = 10
+
+
+def encode_to_target(
+    scene: Scene,
+    original: Scene,
+    ply_bytes: int,
+    config: Config,
+    target: RateTarget,
+    plan: Plan | None = None,
+    progress: Progress | None = None,
+    views: ViewSplit | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene at the coarseness that meets a target, which is relative to the original.
+
+    With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
+    against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
+    that are chosen from the scene. `views` are the plan's, if they are known.
+
+    Raises
+    ------
+    InvalidInput
+        If the target is unreachable; the error gives the range.
+    """
+    limit = target.limit(original.count, ply_bytes)
+    seen = references = None
+    if limit is None or target.allow_prune:
+        plan = plan or Plan()
+        views = views or choose_views(original, plan, progress)
+        seen = Seen(views, views.held_out.errors(original, progress), progress)
+    if plan is not None:
+        known_views = None if views is None else views.renders
+        references = guiding_views(scene, plan, known_views, progress)
+    clean, changed = clean_scene(scene, config)
+    asked = RateSearch(config, target, limit, references, seen, progress)
+    if seen is not None and target.allow_prune:
+        trials = _meet_pruning(clean, asked, seen)
+    else:
+        trials = Trials(clean, asked)
+        _meet(trials, 0.0)
+    data, report = trials.last
+    rate = trials.rate_report(clean.count - trials.scene.count)
+    return data, replace(report, **changed, seconds=asked.times.seconds, rate=rate)
+
+
+def step_error_for(
+    scene: Scene,
+    ply_bytes: int,
+    config: Config,
+    target: RateTarget,
+    views: ViewSplit,
+    progress: Progress | None = None,
+) -> StepError:
+    """The error of the steps that would meet a target with a pruned scene; see `Balance`."""
+    limit = target.limit(scene.count, ply_bytes)
+    if limit is None:
+        references = views.references
+        before = references.error(scene, progress)
+        allowed = references.error_for(float(target.psnr_drop or 0), before) - before
+        return lambda size, left: max(allowed - left, 0.0) / ADDED
+    clean, _ = clean_scene(scene, config)
+    guiding = None if views.renders.origin == "anywhere" else views.renders
+    trials = Trials(clean, RateSearch(config, target, limit, guiding, None, progress))
+    if guiding is not None:
+        trials.compact(0.0)
+    whole = trials.size(0.0)
+
+    def error(size: float, left: float) -> float:
+        octaves = math.log2(limit / (whole * size)) / _SIZE_SLOPE
+        profile = replace(config, coarseness=2.0 ** min(max(octaves, FINEST), COARSEST))
+        return profile.adaptive_profile().error
+
+    return error
+
+
+class _OutOfReach(InvalidInput):
+    """No steps meet a target."""
+
+
+class _TooLarge(_OutOfReach):
+    """All files are too large; with fewer Gaussians one may be small enough."""
+
+
+def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
+    """Meet a target with the number of Gaussians that gives the least loss, or the smallest file.
+
+    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays.
+    """
+    best: Trials | None = None
+    refused: _OutOfReach | None = None
+    least, octaves = math.inf, 0.0
+    for part in range(1, _MOST_PARTS + 1):
+        trials = Trials(scene, asked)
+        try:
+            _meet(trials, octaves)
+        except _OutOfReach as refusal:
+            refused, cost = refusal, math.inf
+            if not isinstance(refusal, _TooLarge):
+                break
+        else:
+            size = len(trials.last[0])
+            cost = size if asked.limit is None else seen.loss(trials.decoded())
+            octaves = trials.octaves
+        if cost < least:
+            best, least = trials, cost
+        elif best is not None:
+            break
+        removed = int(_PART * scene.count)
+        if not removed:
+            break
+        with asked.times.stage("prune"):
+            scores = leave_one_out(scene, seen.views.renders, f"part {part}", asked.progress)
+            scene = scene.take(keep_highest(scores, removed))
+    if best is None:
+        assert refused is not None
+        raise refused
+    return best
+
+
+def _meet(trials: Trials, start: float) -> None:
+    """Meet the target with all Gaussians of a scene; the search begins at `start` octaves."""
+    asked = trials.asked
+    if asked.limit is not None:
+        _meet_size(trials, asked.limit, start)
+    else:
+        assert asked.seen is not None
+        _meet_drop(trials, float(asked.target.psnr_drop or 0), asked.seen)
+
+
+def _meet_size(trials: Trials, limit: int, start: float) -> None:
+    """Search for steps at which the file is just within the limit."""
+    interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
+    if trials.guidance is None:
+        found = search(trials.size, *interval, start, _SIZE_SLOPE)
+    else:
+        # Current colours, then compacted ones, are quick and give most of the final size.
+        before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
+        plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
+        search(trials.size, *plain, start, _SIZE_SLOPE)
+        search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
+        trials.settle(trials.octaves)
+        if not before[0] <= trials.size(trials.octaves) <= before[1]:
+            # Compaction does not pay at these steps, so it is left out.
+            search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
+        trials.predicted_bytes = round(len(trials.last[0]) * _REFIT_ADDS)
+        start = trials.octaves
+        found = search_recoloured(trials.refit, trials.size, interval, start, _SIZE_SLOPE)
+    if found is None:
+        least, most = (trials.size(end) for end in (COARSEST, FINEST))
+        if most > limit:
+            kind = _TooLarge if least > limit else _OutOfReach
+            raise kind(_beyond(trials.asked.target, limit, least, most))
+    trials.at_end = found is None
+
+
+def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:
+    """That a size of so many bytes is out of reach, in the words of the target."""
+    if target.ratio is not None:
+        wanted, unit = f"{target.ratio:g}", "times smaller"
+        ends = [f"{target.ratio * limit / size:.4g}" for size in (most, least)]
+    elif target.bits is not None:
+        wanted, unit = f"{target.bits:g}", "bits per Gaussian"
+        ends = [f"{target.bits * size / limit:.4g}" for size in (least, most)]
+    else:
+        wanted, unit = f"{limit:,}", "bytes"
+        ends = [f"{size:,}" for size in (least, most)]
+    return f"target {wanted} {unit}: {ends[0]} to {ends[1]} {unit} are in reach"
+
+
+def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
+    """Search for steps at which the loss of views is just within the limit."""
+    measured, before = seen.views.held_out, float(np.mean(seen.before))
+
+    def drop(octaves: float) -> float:
+        if trials.guidance is not None:
+            # Colours that were refitted for other rounded shapes are worse than none.
+            trials.refit(octaves)
+        trials.size(octaves)
+        trials.loss = seen.loss(trials.decoded())
+        return trials.loss
+
+    allowed = measured.error_for(limit, before) - before
+    at_once = trials.config_at(0.0).adaptive_profile().error
+    start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
+    interval = (limit - _DROP_TOLERANCE, limit)
+    found = search(drop, *interval, start, _DROP_SLOPE)
+    if found is None and trials.guidance is not None:
+        # Compaction may cost held-out views more than the limit, even at its weakest.
+        trials.compacting = False
+        found = search(drop, *interval, start, _DROP_SLOPE)
+    if found is None:
+        least, most = (drop(end) for end in (FINEST, COARSEST))
+        if most > limit:
+            raise _OutOfReach(f"target {limit:g} dB: {least:.4f} to {most:.4f} dB are in reach")
+    trials.predicted_drop = measured.drop(before + at_once * 4.0**trials.octaves, before)
+    trials.at_end = found is None

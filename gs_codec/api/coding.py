@@ -71,7 +71,8 @@ def read(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is an `.egs` file that is damaged, or newer than this version.
     MissingTool, ToolFailed
-        If its points are coded by G-PCC, and ``tmc3`` is not installed or does not decode them.
+        If Open3D is not installed; or if its points are coded by G-PCC, and ``tmc3`` is not
+        installed or does not decode them.
 
     Notes
     -----
@@ -281,7 +282,8 @@ def decode(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the stream is damaged, decodes to more than `max_bytes`, or is newer than this version.
     MissingTool, ToolFailed
-        If points are coded by G-PCC, and its program is not installed or does not decode them.
+        If Open3D is not installed; or if points are coded by G-PCC, and its program is not
+        installed or does not decode them.
 
     Examples
     --------

@@ -43,6 +43,8 @@ def to_octree(cloud: PointCloud, depth: int) -> Octree:
         If the depth is not 1-16, an attribute is missing, the cloud is empty, a centre or SH-DC
         is not finite, or all centres are together so far from the origin that 64-bit floats have
         no cells there.
+    MissingTool
+        If Open3D is not installed.
 
     Notes
     -----

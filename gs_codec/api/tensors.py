@@ -43,6 +43,8 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     ------
     InvalidInput
         If a tensor is missing or not known, has another shape, or is not of floats.
+    MissingTool
+        If Open3D is not installed.
 
     Examples
     --------

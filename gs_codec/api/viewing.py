@@ -228,6 +228,8 @@ def prepare(
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
         As for `read`; or if there are no cameras, or nothing would be left.
+    MissingTool
+        If Open3D is not installed.
 
     Examples
     --------

@@ -25,7 +25,7 @@ from gs_codec.rendering.project import NEAR, camera_arguments, rotated
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
-from gs_codec.runtime.lazy import needed
+from gs_codec.runtime.lazy import check_installed
 from gs_codec.scene import Scene
 from gs_codec.views.find import find_cameras
 
@@ -101,10 +101,13 @@ def find_floaters(
     ------
     InvalidInput
         If cameras cannot be read, or there are none.
+    MissingTool
+        If cameras are given, and scipy is not installed.
     """
     if str(cameras) == "auto":
         raise InvalidInput("cameras 'auto': estimated ones tell nothing new, expected given ones")
     if cameras is not None:
+        check_installed("scipy", "remove-floaters with cameras")
         cameras = find_cameras(cameras, scene)
     finite, labels = in_place_order(scene), np.zeros(scene.count, np.uint8)
     if not len(finite):
@@ -186,7 +189,8 @@ def _outside(
     asked: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
     """Indices of those Gaussians asked for that are far from cameras and what they see."""
-    spatial = needed("scipy.spatial", "remove-floaters with cameras")
+    from scipy import spatial
+
     asking = np.flatnonzero(asked)
     points = np.concatenate([[camera.position for camera in cameras], scene.positions.T[seen]])
     if not len(asking) or not seen.any():
@@ -255,6 +259,8 @@ def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None 
     ------
     InvalidInput
         If cameras cannot be read, or there are none.
+    MissingTool
+        If cameras are given, and scipy is not installed.
 
     Examples
     --------

@@ -357,6 +357,21 @@ def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
 
 
 @in_browser
+def test_a_page_that_ends_within_its_data_says_that_it_is_incomplete(files, tmp_path):
+    whole, cut = tmp_path / "whole.html", tmp_path / "cut.html"
+    share([files.folder / "a.egs"], whole, files.folder / "cameras.json")
+    cut.write_bytes(whole.read_bytes()[:-60_000])
+    shown = "document.getElementById('told').checkVisibility()"
+    jobs = [Job(cut.as_uri(), []), Job(whole.as_uri(), [("drawn",)])]
+    for job in jobs:
+        job.steps.append(("value", shown))
+    incomplete, complete = open_pages(*jobs)
+    assert incomplete.values[-1] is True
+    assert "the page is incomplete: download it again" in incomplete.status
+    assert complete.values[-1] is False
+
+
+@in_browser
 def test_a_damaged_block_is_named_and_the_others_are_drawn(files, tmp_path):
     data = (files.folder / "a.egs").read_bytes()
     damaged = flipped(data, 8 * read_file(data).table[SectionId.OPACITY, 2].position)

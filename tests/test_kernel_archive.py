@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from scenes import thorough
 
-from gs_codec.runtime import kernel_archive
+from gs_codec.runtime import kernel_archive, kernel_build
 from gs_codec.runtime.kernel_archive import Archive, target_of
 from gs_codec.runtime.kernel_list import LIST, entry_of, read_list
 
@@ -93,6 +93,7 @@ def test_the_list_has_every_kernel_once_for_its_types():
     }
     assert {entry[:2] for entry in LISTED} == found, "see .ci/record_kernels.py"
     assert sorted(set(LISTED)) == LISTED
+    assert found >= kernel_build._WIDE, "compiled for AVX-512, too"
     assert LIST.read_text().endswith("\n")
 
 

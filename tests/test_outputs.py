@@ -123,7 +123,8 @@ def piped(*arguments: str, given: bytes = b"") -> subprocess.CompletedProcess[by
 def test_dash_is_stdin_and_stdout(folder, trio):
     coded = piped("encode", "-", "-", "-p", "paper-m", given=trio.ply.read_bytes())
     assert (coded.returncode, coded.stdout) == (0, trio.egs.read_bytes())
-    assert coded.stderr.startswith(b"-: 1,500 Gaussians, 355.48 kB -> ")
+    # After lines on progress, if the machine is slow.
+    assert b"\n-: 1,500 Gaussians, 355.48 kB -> " in b"\n" + coded.stderr
     back = piped("decode", "-", "-", given=coded.stdout)
     assert (back.returncode, back.stdout) == (0, trio.decoded.read_bytes())
     assert not Path("-").exists()

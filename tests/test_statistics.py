@@ -396,7 +396,9 @@ def test_inspect_refuses_what_has_no_effect(folder):
     assert "--max-bytes" in folder.refuse("inspect", "scene.egs", "--max-bytes", "1000000")
     assert folder.run("inspect", "scene.egs", "--histogram", "--max-bytes", "1000000").status == 0
     for file in ("scene.egs", "scene.ply"):
-        assert "1000" in folder.refuse("inspect", file, "--histogram", "--max-bytes", "1000")
+        error = folder.refuse("inspect", file, "--histogram", "--max-bytes", "1000")
+        assert "354,000 bytes" in error
+        assert "1,000" in error
     assert "--channels" in folder.refuse("inspect", "scene.ply", "--histogram", "--channels")
     out = folder.run("inspect", "scene.egs", "--histogram", "--channels").out
     assert {"f_rest_44", "longest scale"} <= {

@@ -62,7 +62,18 @@ def opens(driver: Driver) -> dict:
     driver.wait(lambda: said(driver)[0].startswith("file:"))
     found["pasted"] = enter(driver, "")
     driver.rest()
+    odd = str(driver.folder / os.fsdecode(b"\xff.ply"))
+    viewer.loading.open(odd)
+    driver.rest()
     found["scenes"] = [scene.name for scene in viewer.stage.scenes]
+    found["captions"] = [label.text for label in viewer.stage.captions]
+    viewer.loading.ask_recent()
+    found["recent"] = said(driver)
+    driver.key("Escape")
+    driver.wait(lambda: not said(driver))
+    viewer.fail(OSError(2, "No such file or directory", odd))
+    found["odd"] = said(driver)
+    viewer.dismiss()
     return found
 
 

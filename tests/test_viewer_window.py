@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -115,6 +116,7 @@ def files(display, folder) -> dict:
     (folder / "empty.ply").touch()
     (folder / "damaged.ply").write_bytes((folder / "a.ply").read_bytes()[:5000])
     os.mkfifo(folder / "pipe.ply")
+    shutil.copy(folder / "a.ply", folder / os.fsdecode(b"\xff.ply"))
     return drive("drive_files.py", display, folder)
 
 
@@ -145,7 +147,14 @@ def test_a_damaged_file_is_told_after_the_dialog(files, folder):
 
 def test_the_address_of_a_file_is_pasted_and_opened(files):
     assert files["pasted"] == []
-    assert files["scenes"] == ["a.ply"]
+    assert files["scenes"][0] == "a.ply"
+
+
+def test_names_that_are_not_unicode_are_shown_escaped(files):
+    assert files["scenes"][1] == "\\udcff.ply"
+    assert files["captions"][1] == " B: \\udcff.ply"
+    assert files["recent"][-1].endswith("\\udcff.ply")
+    assert "udcff.ply" in files["odd"][1]
 
 
 def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files, folder):

@@ -10,6 +10,7 @@ import numpy as np
 
 import gs_codec
 from gs_codec.cameras.image_files import find_image, seek_images
+from gs_codec.errors import printable
 from gs_codec.formats.cloud import check_cloud
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.lazy import check_installed
@@ -231,7 +232,7 @@ class Actions:
         seek_images(images, found)
         self._visualizer.remove_geometry(self._frustums)
         self.cameras, self._images = found, Path(images)
-        self._frustums = f"{Path(cameras).name}: cameras"
+        self._frustums = f"{printable(Path(cameras).name)}: cameras"
         self._process_colours(False)
         from viewer.window.pane import camera_lines
 

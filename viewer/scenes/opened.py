@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import gs_codec
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import ADAPTIVE_PROFILES
-from gs_codec.errors import one_line
+from gs_codec.errors import one_line, printable
 from gs_codec.files.scenes import (
     gaussian_bits_of_file,
     gaussian_classes_of_file,
@@ -275,7 +275,7 @@ def open_scene(
         info = None
     path, system = Path(source), system_of(scene)
     size = os.path.getsize(path)
-    return Opened(path.name, cloud, size, info, system, path, shown.comments, written)
+    return Opened(printable(path.name), cloud, size, info, system, path, shown.comments, written)
 
 
 def modified(path: Path | str) -> int | None:

@@ -164,7 +164,7 @@ def suggested(folder: Path, scene: Path, suffix: str, mark: str = "") -> str:
     mark : str
         What comes before the suffix.
     """
-    stem = SCENES.named(SAVED_SCENES.named(scene.name, ""), "") or "scene"
+    stem = printable(SCENES.named(SAVED_SCENES.named(scene.name, ""), "")) or "scene"
     numbers = chain([""], (f"-{k}" for k in count(2)))
     names = (f"{stem}{mark}{number}{suffix}" for number in numbers)
     return next(name for name in names if not os.path.lexists(folder / name))

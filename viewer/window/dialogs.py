@@ -10,6 +10,8 @@ from typing import Any
 
 from open3d.visualization import gui
 
+from gs_codec.errors import printable
+
 #: Longest line of a dialog, characters.
 _WIDTH = 76
 
@@ -177,6 +179,7 @@ def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]
 
 def shortened(path: str, most: int) -> str:
     """The end of a path, at most so many characters."""
+    path = printable(path)
     return path if len(path) <= most else "..." + path[3 - most :]
 
 
@@ -188,6 +191,11 @@ def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
 
 
 def folded(text: str, width: int) -> list[str]:
-    """The lines of a text, wrapped to at most `width` characters."""
-    lines = (textwrap.wrap(line, width, break_on_hyphens=False) for line in text.splitlines())
+    """The lines of a text, wrapped to at most `width` characters.
+
+    What is not printable is escaped: widgets refuse names that are not Unicode.
+    """
+    lines = (
+        textwrap.wrap(printable(line), width, break_on_hyphens=False) for line in text.splitlines()
+    )
     return [part for parts in lines for part in parts or [""]]

@@ -10,10 +10,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
+from viewer.pictures.picture import picture
 from viewer.scenes.request import Request
 from viewer.window.dialogs import inside
 from viewer.window.x11 import Keyboard
@@ -102,6 +104,18 @@ def saves(driver: Driver) -> dict:
     return found
 
 
+def resized(driver: Driver) -> float:
+    """Share of the pixels of a pane that are not those of its picture, after a resize."""
+    stage = driver.viewer.stage
+    driver.viewer.window.size = gui.Size(620, 300)
+    driver.tick(10, redraw=True)
+    screen, frame = driver.rest(), stage.panes[0].widget.frame
+    drawn = picture(stage.views, stage.scenes[0], stage.pose, *stage.picture_size, stage.shown, 1)
+    shown = screen[frame.y : frame.get_bottom(), frame.x : frame.get_right()]
+    apart = np.abs(shown - np.rint(255 * drawn[:, : shown.shape[1]])).max(axis=2)
+    return float((apart > 2).mean())
+
+
 def notices(driver: Driver) -> list[str]:
     """What the window says over its panes while it is empty, and while kernels are compiled."""
     notice = driver.viewer.notice.label
@@ -123,4 +137,5 @@ if __name__ == "__main__":
     driver = Driver(folder, request=Request(None, size=(480, 360)))
     driver.tick(5, redraw=True)
     driver.move(100, 100)
-    tell({"notices": notices(driver)} | opens(driver) | saves(driver))
+    found = {"notices": notices(driver)} | opens(driver) | saves(driver)
+    tell(found | {"resized": resized(driver)})

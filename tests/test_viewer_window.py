@@ -189,3 +189,7 @@ def test_exact_splats_are_those_of_render_whatever_draws_the_window(switched):
     shader, exact = (text.splitlines()[0] for text in switched["told"])
     assert shader == "splats: Open3D's shader"
     assert exact == "splats: our rasteriser, on the CPU"
+
+
+def test_panes_are_drawn_anew_after_the_window_is_resized(files):
+    assert files["resized"] < 0.05  # the outline of the frame

@@ -333,6 +333,8 @@ class Stage:
         """Put the panes into a part of the window, each below its caption."""
         line = self.caption_height
         below, high = top + line, max(height - line, 1)
+        if self.size != (width, high):
+            self.painter.move()
         self.size, self._left = (width, high), left
         visible, columns = self.visible, self.columns
         for pane in self.panes:

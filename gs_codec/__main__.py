@@ -1,6 +1,7 @@
 """The commands' entry point; ``python -m gs_codec`` is ``gs-codec``."""
 
 import gc
+import os
 import sys
 from importlib import import_module
 
@@ -16,6 +17,7 @@ def main() -> None:
 def start(program: str, module: str) -> None:
     """Run `main` of a module; Ctrl-C ends the program in one line, also while modules load."""
     gc.set_threshold(_OBJECTS)
+    _open_standard_streams()
     try:
         import_module(module).main()
     except BaseException as error:
@@ -26,6 +28,13 @@ def start(program: str, module: str) -> None:
     finally:
         # When Python ends, it looks once more through all that was imported: 0.1 s, for nothing.
         gc.freeze()
+
+
+def _open_standard_streams() -> None:
+    """Open the null device where a stream is closed, so that no file gets its number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

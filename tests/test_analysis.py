@@ -473,7 +473,7 @@ def test_odd_scenes_are_drawn(name):
 
 
 def test_no_gaussians_are_refused():
-    with pytest.raises(InvalidInput, match=r"^x: Gaussians: 0, expected at least 1"):
+    with pytest.raises(InvalidInput, match=r"^x: no Gaussians to analyse$"):
         analyse_scene(random_scene(0), "x")
     scene = random_scene(3, 0)
     bad = replace(scene, opacity=np.full_like(scene.opacity, np.nan))
@@ -637,7 +637,7 @@ def test_command_refuses_what_it_cannot_use(folder):
     write_ply(folder.path / "empty.ply", random_scene(0))
     write_ply(folder.path / "scene.ply", random_scene(50, 0))
     (folder.path / "file").write_text("")
-    assert "0, expected at least 1" in folder.refuse("analyze", "empty.ply", "--out", "report")
+    assert "no Gaussians to analyse" in folder.refuse("analyze", "empty.ply", "--out", "report")
     assert "missing.ply" in folder.refuse("analyze", "missing.ply", "--out", "report")
     assert "--out" in folder.refuse("analyze", "scene.ply")
     for option, value in (("--sample", "1"), ("--seed", "-1")):

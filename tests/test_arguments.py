@@ -201,7 +201,7 @@ def test_nothing_overwrites_unless_asked():
         if call is None:
             continue
         path.write_bytes(b"before")
-        with pytest.raises(InvalidInput, match=f"{path}: exists, expected another name"):
+        with pytest.raises(InvalidInput, match=f"{path}: already exists; choose another name"):
             call(path)
         assert path.read_bytes() == b"before"
         call(path, overwrite=True)

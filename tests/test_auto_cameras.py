@@ -267,7 +267,7 @@ def test_noise_does_not_tell_where_cameras_were(degree, caplog):
     plan = Plan(Steps(), "auto")
     assert encode_planned(scene, Config("m"), plan)[0] == encode_scene(scene, Config("m"))[0]
     assert [record.getMessage() for record in caplog.records] == [
-        "cameras 'auto': the scene does not show where they were, encoded camera-free"
+        "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
     ]
 
 

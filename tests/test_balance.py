@@ -139,5 +139,5 @@ def test_profiles_without_steps_prune_as_the_default():
 def test_pruning_twice_is_refused(seen):
     scene, plan = seen
     target = RateTarget(bits=60, allow_prune=True)
-    with pytest.raises(InvalidInput, match="refine prunes for a target"):
+    with pytest.raises(InvalidInput, match="not needed with refine"):
         encode_by_plan(scene, 1, Config(), plan, target)

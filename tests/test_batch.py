@@ -317,7 +317,7 @@ def test_keys_of_a_store_do_not_lead_out_of_the_folder(folder):
 
 def test_scene_is_not_written_over_itself(folder):
     Path("in/a.egs").write_bytes(b"")
-    assert "a.egs: the source itself" in folder.refuse("batch", "in/a.egs", "in")
+    assert "a.egs: input and output are the same file" in folder.refuse("batch", "in/a.egs", "in")
 
 
 def test_other_file_is_not_taken_for_a_report(folder):
@@ -429,10 +429,14 @@ def test_without_resume_the_report_begins_anew(folder):
 
 def test_what_an_earlier_batch_wrote_is_refused_unless_it_may_go(folder):
     assert folder.run("batch", "in/a.ply", "out").status == 0
-    assert "out/a.egs: exists, expected --resume or" in folder.refuse("batch", "in/a.ply", "out")
+    assert "out/a.egs: already exists; pass --resume or" in folder.refuse(
+        "batch", "in/a.ply", "out"
+    )
     os.unlink("out/a.egs")
-    assert "report.jsonl: exists, expected --resume or" in folder.refuse("batch", "in", "out")
-    assert "expected one of them" in folder.refuse("batch", "in", "out", "--resume", "--overwrite")
+    assert "report.jsonl: already exists; pass --resume or" in folder.refuse("batch", "in", "out")
+    assert "expected only one of them" in folder.refuse(
+        "batch", "in", "out", "--resume", "--overwrite"
+    )
 
 
 def test_half_written_files_go(folder):

@@ -327,9 +327,9 @@ def test_zero_quaternions_are_reported(folder):
 
 def test_an_existing_file_is_refused_in_the_words_of_its_caller(folder):
     (folder.path / "b.egs").touch()
-    with pytest.raises(InvalidInput, match=r"b\.egs: exists, .* or overwrite=True$"):
+    with pytest.raises(InvalidInput, match=r"b\.egs: already exists; .* overwrite=True$"):
         encode_file("scene.ply", "b.egs")
-    assert folder.refuse("encode", "scene.ply", "b.egs").endswith(" or --overwrite\n")
+    assert folder.refuse("encode", "scene.ply", "b.egs").endswith(" --overwrite\n")
     refused = folder.refuse("convert", "scene.ply", "c.egs", "--filter", "x>1e9")
     assert refused.startswith("gs-codec: error: scene.ply: --filter x>1e9: no Gaussian is left")
 
@@ -675,9 +675,9 @@ REFUSED = {
     "encode to directory": ("encode scene.ply some.dir", "some.dir: a directory"),
     "decode to directory": ("decode scene.egs some.dir", "some.dir: a directory"),
     "encode to device": ("encode scene.ply /dev/null", "not a regular file"),
-    "encode to source": ("encode scene.ply scene.ply", "the source itself"),
-    "encode to link": ("encode scene.ply link.ply", "the source itself"),
-    "decode to source": ("decode scene.egs ./scene.egs", "the source itself"),
+    "encode to source": ("encode scene.ply scene.ply", "input and output are the same file"),
+    "encode to link": ("encode scene.ply link.ply", "input and output are the same file"),
+    "decode to source": ("decode scene.egs ./scene.egs", "input and output are the same file"),
     "encode to long name": (f"encode scene.ply {'x' * 300}.egs", "name too long"),
     "no such option": ("encode scene.ply out.egs --best", "--best"),
     "no such command": ("squeeze scene.ply", "squeeze"),

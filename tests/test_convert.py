@@ -60,7 +60,7 @@ def test_what_spz_declares_stays_with_the_scene(suffix, spz, tmp_path, caplog):
     exact = ["-p", "lossless", "--keep-order"] if suffix == ".egs" else []
     out, err = run("convert", spz, target, "--coordinates", "keep", *exact)
     assert out.startswith(f"{target}: 40 Gaussians, SH degree 2, ")
-    assert "coordinates RUB, as they were" in err
+    assert "coordinates unchanged (RUB)" in err
     scene, back = (read_scene(path, coordinates=None) for path in (spz, target))
     assert_same_bits(scene, back)
     assert (back.coordinates, back.antialiased) == ("RUB", True)
@@ -134,7 +134,7 @@ def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
     line = "left out: SH of degrees 1 to 2; comments (2); properties label, Weight_2"
     assert line in report["lost"]
     assert f"{tmp_path / 'a.splat'}: {line}" in caplog.messages
-    assert "coordinates RDF, as they were" in err
+    assert "coordinates unchanged (RDF)" in err
 
 
 def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
@@ -188,7 +188,7 @@ def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, capsys):
 
 def test_converting_a_file_to_itself_is_refused(ply):
     before = ply.read_bytes()
-    with pytest.raises(InvalidInput, match="the source itself"):
+    with pytest.raises(InvalidInput, match="input and output are the same file"):
         convert_file(ply, ply)
     assert ply.read_bytes() == before
 
@@ -280,7 +280,7 @@ def test_ply_and_splat_come_out_right_down_forward(spz, tmp_path):
         ["a.egs", "-p", "lossless", "--keep-order"],
     ):
         _, err = run("convert", spz, tmp_path / name, *exact)
-        assert "coordinates turned from RUB to RDF" in err
+        assert "coordinates converted from RUB to RDF" in err
         positions = read_scene(tmp_path / name, coordinates=None).positions
         np.testing.assert_array_equal(positions, stored.positions * flip)
     encode_file(spz, tmp_path / "b.egs", Config("lossless", keep_order=True))
@@ -303,15 +303,15 @@ def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, t
             convert_file(spz, target, coordinates=system)
     assert not target.exists()
     _, err = run("convert", ply, target, "--coordinates", "rub")
-    assert "coordinates turned from RDF to RUB" in err
+    assert "coordinates converted from RDF to RUB" in err
     assert read_ply(target, "keep").coordinates == "RUB"
     _, err = run("convert", spz, target, "--coordinates", "luf:rdf", "--overwrite")
-    assert "coordinates turned from LUF to RDF" in err
+    assert "coordinates converted from LUF to RDF" in err
     flip = np.array([[-1], [-1], [1]], np.float32)
     stored = read_scene(spz, coordinates=None)
     np.testing.assert_array_equal(read_ply(target).positions, stored.positions * flip)
     _, err = run("convert", spz, target, "--coordinates", "RDF:RDF", "--overwrite")
-    assert "coordinates RDF, as they were" in err
+    assert "coordinates unchanged (RDF)" in err
     np.testing.assert_array_equal(read_ply(target).positions, stored.positions)
     # Where a file is sorted by places that are others then, its comment goes.
     encode_file(spz, tmp_path / "a.egs")

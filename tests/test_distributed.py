@@ -329,7 +329,7 @@ def test_files_of_others_in_the_folder_stay(tmp_path):
 
 def test_two_runs_do_not_work_in_one_folder(tmp_path):
     where = tmp_path / "a.egs"
-    other = pytest.raises(InvalidInput, match=r"a\.egs\.parts: another run works there")
+    other = pytest.raises(InvalidInput, match=r"a\.egs\.parts: another run is using it")
     with work_folder(where, {}), other, work_folder(where, {}):
         pass
     assert not list(tmp_path.iterdir())
@@ -359,7 +359,7 @@ def test_memory_of_a_worker_says_how_much_a_task_holds():
         (Config("paper-m"), "profile 'paper-m', expected l, m, s"),
         (Config("lossless"), "profile 'lossless', expected l, m, s"),
         (Config("m", format="spz"), "expected l, m, s of an .egs"),
-        (Config("m", depths={"opacity": 8}), "not with depths"),
+        (Config("m", depths={"opacity": 8}), "cannot be combined with depths"),
         (Config("m", extra="keep"), "extra properties are not kept"),
     ],
 )
@@ -370,7 +370,7 @@ def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
 
 
 def test_levels_are_decoded_by_one_process(tmp_path):
-    with pytest.raises(InvalidInput, match="dask: not with a level or a view"):
+    with pytest.raises(InvalidInput, match="dask: cannot be combined with a level or a view"):
         decode_distributed(tmp_path / "a.egs", tmp_path / "b.ply", Part(level=1))
 
 
@@ -384,16 +384,22 @@ def test_levels_are_decoded_by_one_process(tmp_path):
             ["encode", "cameras.json", "b.egs"],
             "cameras.json: only .egs and binary PLY of floats are read in parts",
         ),
-        (["encode", "scene.ply", "b.egs", "--cameras", "auto"], "--dask: not with views"),
-        (["encode", "scene.ply", "b.egs", "--target-size", "9kB"], "--dask: not with views"),
-        (["encode", "scene.ply", "b.egs", "--scale", "2"], "--dask: not with views"),
+        (
+            ["encode", "scene.ply", "b.egs", "--cameras", "auto"],
+            "--dask: cannot be combined",
+        ),
+        (
+            ["encode", "scene.ply", "b.egs", "--target-size", "9kB"],
+            "--dask: cannot be combined",
+        ),
+        (["encode", "scene.ply", "b.egs", "--scale", "2"], "--dask: cannot be combined"),
         (["encode", "scene.ply", "b.egs", "--max-bytes", "9"], "--max-bytes has no effect"),
-        (["encode", "scene.ply", "scene.egs"], "scene.egs: exists"),
+        (["encode", "scene.ply", "scene.egs"], "scene.egs: already exists"),
         (["decode", "scene.egs", "-"], "-: a pipe, expected a file with --dask"),
         (["decode", "scene.egs", "b.ply", "--max-bytes", "9"], "--max-bytes has no effect"),
-        (["decode", "scene.egs", "decoded.ply"], "decoded.ply: exists"),
-        (["decode", "scene.egs", "b.ply", "--level", "1"], "--level is not there with --dask"),
-        (["decode", "scene.egs", "b.ply", "--view", "none"], "--view is not there with --dask"),
+        (["decode", "scene.egs", "decoded.ply"], "decoded.ply: already exists"),
+        (["decode", "scene.egs", "b.ply", "--level", "1"], "--level has no effect with --dask"),
+        (["decode", "scene.egs", "b.ply", "--view", "none"], "--view has no effect with --dask"),
     ],
 )
 def test_command_refuses_what_has_no_effect(folder, arguments, expected):

@@ -54,7 +54,7 @@ def test_actions_are_done_in_the_order_typed(folder):
     gone = scene.count - first.count, first.count - edited.count
     assert lines[0] == f"crop-box -1,-1,-1,1,1,1: removed {gone[0]:,} of 1,500 Gaussians"
     assert lines[1] == f"crop-box -1,-1,-1,1,1,1: removed {gone[1]:,} of {first.count:,} Gaussians"
-    assert lines[2:] == ["coordinates RDF, as they were"]
+    assert lines[2:] == ["coordinates unchanged (RDF)"]
     folder.run("convert", "scene.ply", "p.ply", *there[::-1])
     assert_same_bits(read_ply("p.ply"), expected(scene, *there[::-1]))
     assert read_ply("p.ply").count != edited.count
@@ -86,7 +86,7 @@ def test_several_inputs_are_merged(folder):
     assert kept.coordinates == "RUB"
     np.testing.assert_array_equal(kept.positions[1, 50:], -scene.positions[1])
     line = folder.refuse("convert", "scene.ply", "o.ply", "o.ply", "--overwrite")
-    assert "o.ply: the source itself" in line
+    assert "o.ply: input and output are the same file" in line
 
 
 def test_errors_name_the_scene(folder):

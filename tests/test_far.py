@@ -577,7 +577,7 @@ def test_inspect_says_how_many_are_far(tmp_path, monkeypatch, capsys):
         assert not ended.value.code
         told.append(capsys.readouterr().out)
     assert "version 2, profile m with far Gaussians, 5,000 Gaussians" in told[0]
-    assert f"far Gaussians: {number:,}, whose centres are stored as they are" in told[0]
+    assert f"far Gaussians: {number:,}, with exact centres" in told[0]
     found = json.loads(told[1])
     assert (found["far"], found["version"], found["grid"]["has_far"]) == (number, 2, True)
 

@@ -313,7 +313,7 @@ def test_existing_frames_are_kept_unless_they_may_go(files, tmp_path, here):
     inode = folder.stat().st_ino
     status, _, err = here(*asked, "--frames", "3")
     assert status == 2
-    assert "not empty, expected another folder or --overwrite" in err
+    assert "not empty; choose another folder or pass --overwrite" in err
     assert len(os.listdir(folder)) == 5
     assert here(*asked, "--frames", "3", "--overwrite")[0] == 0
     assert sorted(os.listdir(folder)) == ["00000.png", "00001.png", "00002.png"]
@@ -410,7 +410,7 @@ def test_the_command_writes_a_film(files, tmp_path, here, ffmpeg):
     assert ffmpeg.count_frames_and_secs(str(out)) == (5, pytest.approx(1, abs=0.01))
     status, _, err = here(*asked)
     assert status == 2
-    assert f"{out}: exists, expected another name or --overwrite" in err
+    assert f"{out}: already exists; choose another name or pass --overwrite" in err
     assert here(*asked, "--overwrite")[0] == 0
 
 

@@ -366,7 +366,7 @@ def test_a_loss_of_a_fixed_format_is_met_by_pruning(seen):
     ],
 )
 def test_pruning_is_not_asked_for_twice(plan, target, seen):
-    with pytest.raises(InvalidInput, match="says how many stay"):
+    with pytest.raises(InvalidInput, match="sets the number of Gaussians"):
         encode_by_plan(seen[0], 1, Config(format="splat"), plan, target)
 
 

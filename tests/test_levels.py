@@ -275,8 +275,8 @@ def test_a_box_of_a_level():
         ({"view": FAR, "budget": 0}, "budget 0"),
         ({"view": FAR, "tolerance": -1.0}, "tolerance -1.0"),
         ({"view": FAR, "tolerance": float("nan")}, "tolerance nan"),
-        ({"view": FAR, "level": 1}, "level: not with a view"),
-        ({"view": FAR, "box": (0.0, 0, 0, 1, 1, 1)}, "box: not with a view"),
+        ({"view": FAR, "level": 1}, "level: cannot be combined with a view"),
+        ({"view": FAR, "box": (0.0, 0, 0, 1, 1, 1)}, "box: cannot be combined with a view"),
     ],
 )
 def test_parts_that_make_no_sense_are_refused(fields, message):
@@ -539,7 +539,7 @@ def test_commands(folder, tmp_path, monkeypatch, capsys):
         (["--view", "CAMERAS:#2"], "#2: none of 2 cameras, expected one by its name or number"),
         (["--view", "SAME:b"], "2 of 2 cameras, expected one by its name or number"),
         (["--view", "none.json:c"], "none.json: no such file"),
-        (["--view", "CAMERAS:b", "--level", "1"], "level: not with a view"),
+        (["--view", "CAMERAS:b", "--level", "1"], "level: cannot be combined with a view"),
     ],
 )
 def test_commands_refuse(folder, tmp_path, options, message, monkeypatch, capsys):

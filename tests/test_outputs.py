@@ -88,7 +88,7 @@ def test_empty_folder_is_taken(folder):
 
 def test_link_that_leads_nowhere_exists(folder):
     Path("link.egs").symlink_to("nowhere.egs")
-    assert "link.egs: exists" in folder.refuse("encode", "scene.ply", "link.egs")
+    assert "link.egs: already exists" in folder.refuse("encode", "scene.ply", "link.egs")
 
 
 def test_functions_replace_if_told_to(folder):
@@ -104,7 +104,7 @@ def test_functions_replace_if_told_to(folder):
     }
     for name, write in writers.items():
         Path(name).write_text("old")
-        with pytest.raises(InvalidInput, match=f"^{name}: exists"):
+        with pytest.raises(InvalidInput, match=f"^{name}: already exists"):
             write(name)
         assert Path(name).read_text() == "old"
         write(name, overwrite=True)
@@ -171,7 +171,7 @@ def test_the_format_of_stdin_may_be_said(folder, command):
     assert folder.run(*command.split(), "--input-format", "splat").status == 0
     given(b"ply\n" + SPLAT)
     line = folder.refuse(*command.split(), "--input-format", "splat")
-    assert line.endswith("error: -: its content is ply, expected splat\n")
+    assert line.endswith("error: -: content is ply, expected splat\n")
     typed = command.replace("-", "scene.ply", 1).split()
     line = folder.refuse(*typed, "--input-format", "splat")
     assert line.endswith("--input-format: has no effect on scene.ply, expected - or a pipe\n")
@@ -205,3 +205,22 @@ def test_warnings_say_what_goes_to_stdout(folder, trio):
 def test_scene_is_not_written_to_a_terminal(folder):
     folder.monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert "-: stdout is a terminal" in folder.refuse("encode", "scene.ply", "-")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell closes the streams")
+@pytest.mark.parametrize(
+    ("typed", "status", "error"),
+    [
+        ("--version >&-", 0, ""),
+        ("inspect nope.ply >&- 2>&- <&-", 2, ""),
+        ("encode nope.ply - >&-", 2, "-: stdout is closed, expected a pipe or a file"),
+    ],
+)
+def test_closed_streams_are_as_the_null_device(typed, status, error, tmp_path):
+    command = ["sh", "-c", f"'{sys.executable}' -m gs_codec {typed}"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (status, "")
+    assert done.stderr == (error and f"gs-codec: error: {error}\n")

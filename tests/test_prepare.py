@@ -285,7 +285,7 @@ def test_refinement_is_left_out_where_nothing_is_to_win(scene, caplog):
     assert same is scene
     assert report.steps[-1].details["left_out"]
     assert report.steps[-1].details["iterations"] == 0
-    assert "refine: nothing is to win, so it is left out" in caplog.text
+    assert "refine: skipped, because there is nothing to gain" in caplog.text
 
 
 def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog, monkeypatch):
@@ -294,7 +294,7 @@ def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog, monkeyp
     pruned, refined = report.steps[-2:]
     assert refined.details["left_out"]
     assert refined.quality == pruned.quality
-    assert "refine: held-out views would lose " in caplog.text
+    assert "refine: skipped, because held-out views would lose " in caplog.text
 
 
 def test_refinement_that_costs_held_out_views_is_kept_where_asked_for(scene, caplog, monkeypatch):
@@ -474,7 +474,7 @@ REFUSALS = {
         "prepare scene.ply out.txt --rectify 7",
         "suffix '.txt', expected .egs, .spz, ",
     ),
-    "itself": ("prepare scene.ply scene.ply --rectify 7", "the source itself"),
+    "itself": ("prepare scene.ply scene.ply --rectify 7", "input and output are the same file"),
     "fraction": ("prepare scene.ply o.ply --prune 0.3", "expected percent, half of all is 50"),
     "cameras": ("prepare scene.ply o.ply --rectify 7 --cameras none", "none: no such file"),
     "photographs": (
@@ -541,7 +541,7 @@ def test_number_of_gaussians(folder):
         assert encoded(Steps(gaussians=number)) == left
     # Refinement then chooses no other number.
     assert encoded(Steps(gaussians=390, refine=5)) == 390
-    with pytest.raises(InvalidInput, match="gaussians: prune says how many, too"):
+    with pytest.raises(InvalidInput, match="gaussians and prune both set"):
         Steps(prune=0, gaussians=5)
 
 

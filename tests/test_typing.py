@@ -94,7 +94,7 @@ def test_shares_that_may_be_fractions_are_refused(folder):
 
 
 def test_decode_names_its_output(folder):
-    assert "scene.ply: exists" in folder.refuse("decode", "scene.egs")
+    assert "scene.ply: already exists" in folder.refuse("decode", "scene.egs")
     Path("scene.ply").unlink()
     status, out, _ = folder.run("decode", "scene.egs")
     assert (status, out.split(":")[0]) == (0, "scene.ply")

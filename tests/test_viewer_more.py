@@ -505,7 +505,7 @@ def test_panes_are_drawn_while_it_encodes_and_cancel_leaves_what_was_there(rated
 def test_an_unreachable_target_tells_what_is_in_reach(rated):
     title, text = rated["refused"]
     assert title == "Not possible"
-    assert re.search(r"target 1,000 bytes: [\d,]+ to [\d,]+ bytes are in reach$", text)
+    assert re.search(r"target 1,000 bytes: unreachable, expected [\d,]+ to [\d,]+ bytes$", text)
 
 
 def test_any_two_tries_are_compared_from_where_one_is(rated):

@@ -456,7 +456,7 @@ def test_scenes_of_two_coordinate_systems_are_seen_in_one(folder, pair, tmp_path
     result = run("compare", folder / "a.ply", tmp_path / "rub.ply", *options)
     report = json.loads(result.stdout)
     assert report["coordinates"] == ["RDF", "RUB"]
-    assert "coordinates RDF in A, RUB in B: turned to one system" in result.stderr
+    assert "coordinates RDF in A, RUB in B: converted to one system" in result.stderr
     assert {view["between"]["psnr"] for view in report["views"]} == {None}  # equal
     same = run("compare", folder / "a.ply", folder / "a.ply", *options)
     assert "turned" not in same.stderr

@@ -896,7 +896,7 @@ def test_cameras_are_estimated_without_a_file(files, tmp_path):
     ("arguments", "message"),
     [
         (["a.egs", "--out", "page.txt"], "page.txt: expected a .html file or a folder"),
-        (["a.egs", "--out", "taken.html"], "taken.html: exists"),
+        (["a.egs", "--out", "taken.html"], "taken.html: already exists"),
         (["a.egs", "--out", "taken"], "taken: not empty"),
         (["none.egs", "--out", "page.html"], "none.egs: No such file"),
         (["a.egs", "--out", "nowhere/page.html"], "nowhere"),

@@ -110,7 +110,9 @@ def test_lenses_are_reported_where_they_are_lost(tmp_path, caplog):
     cameras = read_cameras(every_source(tmp_path)["lens"])
     path = tmp_path / "out.json"
     write_cameras(path, cameras)
-    assert caplog.messages == [f"{path}: without the lenses of 2 cameras, for undistorted images"]
+    assert caplog.messages == [
+        f"{path}: lens distortion of 2 cameras not written: use undistorted images"
+    ]
     assert [camera.lens for camera in read_cameras(path)] == [None, None]
     caplog.clear()
     write_cameras(path, read_cameras(path), overwrite=True)
@@ -190,7 +192,7 @@ def test_render_converts_cameras_with_their_split_and_width(folder):
 def test_render_replaces_cameras_with_overwrite_alone(folder):
     Path("out.json").write_text("old")
     command = ("render", "scene.ply", "--cameras", "cameras.json", "--out", "out.json")
-    assert "out.json: exists" in folder.refuse(*command)
+    assert "out.json: already exists" in folder.refuse(*command)
     assert folder.run(*command, "--overwrite").status == 0
     assert len(read_cameras("out.json")) == 1
     Path("folder.json").mkdir()

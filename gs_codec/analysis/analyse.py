@@ -171,8 +171,8 @@ def analyse_scene(
     """
     scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"), whole=False)
     if not scene.count:
-        left = f"all {dropped:,} hold NaN or infinity" if dropped else "0"
-        raise InvalidInput(f"{name}: Gaussians: {left}, expected at least 1 to analyse")
+        why = f": all {dropped:,} hold NaN or infinity" if dropped else ""
+        raise InvalidInput(f"{name}: no Gaussians to analyse{why}")
     views = []
     if cameras is not None:
         views = evenly(find_cameras(cameras, scene, "held-out", width, VIEWS), VIEWS)

@@ -76,7 +76,7 @@ def to_octree(cloud: PointCloud, depth: int) -> Octree:
             raise InvalidInput(f"{name}: not finite in {counted(bad, 'Gaussian')}")
     cube = Cube.around(scene.positions)
     if not cube.is_divisible(depth):
-        raise InvalidInput("positions: too close together, so far from the origin, to be divided")
+        raise InvalidInput("positions: too close together for float32 this far from the origin")
     codes, positions = cube.divide(scene.positions, depth)
     cells = np.unique(codes, return_inverse=True)[1]
     colours = np.clip(0.5 + SH_C0 * scene.f_dc.astype(np.float64), 0, 1)

@@ -147,7 +147,9 @@ def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
     config = as_config(config)
     if config.format != EGS or config.lod:
         name = "lod" if config.lod else f"format '{config.format}'"
-        raise InvalidInput(f"{name}: not from tensors, expected .egs without coarser levels")
+        raise InvalidInput(
+            f"{name}: cannot be encoded from tensors, expected .egs without coarser levels"
+        )
     tensors = {
         "means": splats.means, "quats": splats.quats, "scales": splats.log_scales,
         "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],

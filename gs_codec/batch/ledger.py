@@ -123,7 +123,7 @@ def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Itera
             raise InvalidInput(f"{path}: exists and is not a report of gs-codec batch")
         if not resume:
             if content and not overwrite:
-                raise InvalidInput(f"{path}: exists, expected --resume or --overwrite")
+                raise InvalidInput(f"{path}: already exists; pass --resume or --overwrite")
             content = b""
         # A last line without a line end was cut off when its process died.
         content = content[: content.rfind(b"\n") + 1]

@@ -108,7 +108,7 @@ class Pool:
         if task not in self._tried:
             self._tried.add(task)
             self._again.append(task)
-            self._watcher.said(f"{task.name}: its process {ended}; tried again later, alone")
+            self._watcher.said(f"{task.name}: its process {ended}; will be tried again alone")
             return None
         text = f"{task.shown[0]}: its process {ended}, twice; it may need more memory than there is"
         return Record(*task.shown, error={"kind": "WorkerLost", "text": text})

@@ -197,7 +197,7 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
 def _refuse_existing(tasks: Sequence[Task], targets: Storage) -> None:
     for task in tasks:
         if targets.stamp(task.target) is not None:
-            raise InvalidInput(f"{task.shown[1]}: exists, expected --resume or --overwrite")
+            raise InvalidInput(f"{task.shown[1]}: already exists; pass --resume or --overwrite")
 
 
 def _default_report(targets: Storage) -> str:

@@ -170,7 +170,7 @@ def find_tasks(
             both = f"{taken[shown[1]]} and {shown[0]}"
             raise InvalidInput(f"{both} would both be written to {shown[1]}")
         if shown[0] == shown[1]:
-            raise InvalidInput(f"{shown[1]}: the source itself")
+            raise InvalidInput(f"{shown[1]}: input and output are the same file")
         taken[shown[1]] = shown[0]
         try:
             stamp = sources.stamp(location) or Stamp(-1, "")

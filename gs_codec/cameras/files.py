@@ -142,7 +142,7 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
     distorted = sum(camera.lens is not None for camera in cameras)
     if distorted:
         many = counted(distorted, "camera")
-        log.warning("%s: without the lenses of %s, for undistorted images", path, many)
+        log.warning("%s: lens distortion of %s not written: use undistorted images", path, many)
 
 
 def _entries(path: Path) -> _Entries:

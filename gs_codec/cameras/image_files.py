@@ -126,7 +126,7 @@ def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | No
             names = " and ".join(f"'{cameras[k].name}'" for k in (owners[path], i))
             raise InvalidInput(
                 f"{path}: image of cameras {owners[path]} and {i}, named {names}; "
-                "expected another photograph for each camera"
+                "expected a different photograph for each camera"
             )
     return paths
 

@@ -99,7 +99,7 @@ def command(
     The exit status is 1 if any failed.
     """
     if resume and asked["overwrite"]:
-        raise InvalidInput("--overwrite: --resume replaces what has changed, expected one of them")
+        raise InvalidInput("--overwrite and --resume: expected only one of them")
     config, rate = config_of(asked), target_of(asked)
     plain = asked["format"] if f".{asked['format']}" in PLAIN else None
     if plain is not None:
@@ -109,7 +109,7 @@ def command(
         plan = plan_of(asked, config)
     check_actions(asked.actions, plan, asked["max_memory"] is not None, plain is None)
     if plain is None and (plan is not None or rate is not None):
-        asked.refuse(["max_memory"], "does not go with views, preparation, or a target to meet")
+        asked.refuse(["max_memory"], "cannot be combined with views, preparation or a target")
     from gs_codec.batch.redaction import redact_process, without_secrets
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options

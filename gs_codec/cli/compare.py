@@ -98,7 +98,7 @@ def _print_attributes(comparison: Comparison) -> None:
 
 def _say_systems(systems: tuple[str, str]) -> None:
     if systems[0] != systems[1]:
-        print_status("coordinates {} in A, {} in B: turned to one system".format(*systems))
+        print_status("coordinates {} in A, {} in B: converted to one system".format(*systems))
 
 
 def _print_views(comparison: Comparison) -> None:

@@ -102,6 +102,6 @@ def _say_what_changed(done: ConvertReport) -> None:
     if done.dropped:
         print_status(f"dropped {counted(done.dropped, 'Gaussian')} with NaN or infinity")
     if done.turned_from:
-        print_status(f"coordinates turned from {done.turned_from} to {done.coordinates}")
+        print_status(f"coordinates converted from {done.turned_from} to {done.coordinates}")
     else:
-        print_status(f"coordinates {done.coordinates}, as they were")
+        print_status(f"coordinates unchanged ({done.coordinates})")

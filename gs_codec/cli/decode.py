@@ -75,7 +75,7 @@ def command(
 
     if asked["dask"] is not None:
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
-        asked.refuse(["level", "view"], "is not there with --dask, which decodes whole scenes")
+        asked.refuse(["level", "view"], "has no effect with --dask, which decodes whole scenes")
         check_no_pipes("--dask", source, target)
         part = Part(box, sh_degree, budget=budget, tolerance=tolerance)
         from gs_codec.distributed.decoding import decode_distributed

@@ -59,7 +59,9 @@ def command(
     plan = plan_of(asked, config)
     if asked["dask"] is not None:
         if plan is not None or rate is not None or asked.actions:
-            raise InvalidInput("--dask: not with views, preparation, actions, or a target to meet")
+            raise InvalidInput(
+                "--dask: cannot be combined with views, preparation, actions or a target"
+            )
         asked.refuse(["max_bytes", "input_format"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
         _tell(source, target, config, asked, _encode_distributed(source, target, config, asked))
@@ -130,7 +132,10 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
     if report.rate is not None:
         _print_rate(report.rate)
     elif report.coarseness != 1 and (report.rendered is None or report.rendered.remedy is None):
-        print_text(f"steps {report.coarseness:.2f} times the profile's")
+        print_text(
+            f"step sizes {report.coarseness:.2f}x those of profile {config.profile} "
+            "(chosen automatically)"
+        )
     if config.profile == LOSSLESS:
         return
     if report.rate is not None and report.rate.psnr_drop is not None:
@@ -147,7 +152,7 @@ def _print_rate(rate: RateReport) -> None:
     """What a target led to."""
     text = counted(rate.encodings, "encoding")
     if rate.coarseness != 1:
-        text = f"steps {rate.coarseness:.3f} times the profile's, after {text}"
+        text = f"step sizes {rate.coarseness:.3f}x those of the profile, after {text}"
     if rate.pruned or rate.target.allow_prune:
         text += f"; {counted(rate.pruned, 'Gaussian')} pruned"
     if rate.predicted_bytes is not None:
@@ -156,5 +161,5 @@ def _print_rate(rate: RateReport) -> None:
         asked = rate.target.psnr_drop
         text += f"; held-out views lose {rate.psnr_drop:.3f} dB (asked: at most {asked:g})"
     if rate.at_end:
-        text += f"; there are no {'coarser' if rate.psnr_drop is not None else 'finer'} steps"
+        text += f"; there are no {'coarser' if rate.psnr_drop is not None else 'finer'} step sizes"
     print_text(text)

@@ -43,7 +43,7 @@ def command(
 ) -> None:
     """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
     if asked["json"]:
-        asked.refuse(["channels"], "has no effect: --json has them anyway")
+        asked.refuse(["channels"], "has no effect: --json always has them")
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
 
     with piped_source(file, asked["input_format"]) as path:
@@ -198,7 +198,7 @@ def _print_info(file: Path, info: Info) -> None:
     if info.coder.startswith("torchac"):
         print_text(f"attributes: coded by '{info.coder}'")
     if info.far:
-        print_text(f"far Gaussians: {info.far:,}, whose centres are stored as they are")
+        print_text(f"far Gaussians: {info.far:,}, with exact centres")
     print_table(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],

@@ -147,7 +147,9 @@ def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> 
         text += f"; away from the cameras {loss_text(loss.away)}"
     print_text(text)
     if loss.remedy is not None:
-        print_text(f"finer steps ({loss.remedy}), because rendered views lost too much at first")
+        print_text(
+            f"finer step sizes ({loss.remedy}), because rendered views lost too much at first"
+        )
 
 
 def loss_text(loss: float) -> str:

@@ -268,7 +268,7 @@ def plan_of(asked: Asked, config: Config) -> Plan | None:
     steps = asked.build(Steps)
     if not steps.refine:
         asked.refuse(["checkpoint"], "needs --refine, whose state it keeps")
-        asked.refuse(["device"], "needs --refine, which it does")
+        asked.refuse(["device"], "needs --refine")
         asked.refuse(["keep_refined"], "needs --refine, whose result it keeps")
     if not steps.wanted and not _goes_by_views(asked, config):
         return None

@@ -44,7 +44,7 @@ def _check_content(file: Path, form: str) -> None:
 
     with open_scene(file) as opened:
         if opened.format != form:
-            raise InvalidInput(f"{file}: its content is {opened.format}, expected {form}")
+            raise InvalidInput(f"{file}: content is {opened.format}, expected {form}")
 
 
 def _check_format(sources: Sequence[Path], form: str | None) -> None:
@@ -63,7 +63,7 @@ def piped(
     Raises
     ------
     InvalidInput
-        If two sources are ``-``, or the target is and stdout is a terminal.
+        If two sources are ``-``, or the target is and stdout is closed or a terminal.
     """
     if list(map(str, sources)).count("-") > 1:
         raise InvalidInput("-: stdin is one scene, expected '-' once")
@@ -76,6 +76,8 @@ def piped(
         if not is_stdout(target):
             yield files, target
             return
+        if getattr(sys.stdout, "name", None) == os.devnull:
+            raise InvalidInput(f"{target}: stdout is closed, expected a pipe or a file")
         if sys.stdout.isatty():
             raise InvalidInput(f"{target}: stdout is a terminal, expected a pipe or a file")
         stdout = sys.stdout.buffer

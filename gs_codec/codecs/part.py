@@ -76,7 +76,9 @@ class Part:
             return
         if self.level or self.box is not None:
             name = "level" if self.level else "box"
-            raise InvalidInput(f"{name}: not with a view, which selects blocks of all levels")
+            raise InvalidInput(
+                f"{name}: cannot be combined with a view, which selects blocks of all levels"
+            )
         if self.budget is not None and self.budget < 1:
             raise InvalidInput(f"budget {self.budget}: expected at least 1 Gaussian")
         if self.tolerance is not None and not 0 <= self.tolerance < math.inf:

@@ -48,15 +48,14 @@ class DaskWorkers:
             return
         if future.status in ("cancelled", "lost"):
             raise InvalidInput(
-                f"{self._name}: the scheduler is gone; the same command goes on where this one was"
+                f"{self._name}: lost the scheduler; run the same command again to continue"
             )
         error = future.exception()
         if isinstance(error, GsCodecError):
             raise error
         if isinstance(error, distributed.KilledWorker):
             raise InvalidInput(
-                f"{self._name}: {stage}: workers were lost again and again, expected a smaller "
-                "max-memory"
+                f"{self._name}: {stage}: workers kept failing; choose a smaller max-memory"
             )
         raise InvalidInput(f"{self._name}: {stage}: {one_line(error) or type(error).__name__}")
 

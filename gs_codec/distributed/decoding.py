@@ -71,7 +71,9 @@ def decode_distributed(
     check_target([source], target, (".ply",), overwrite)
     part, paths = part or Part(), (Path(source).absolute(), Path(target).absolute())
     if part.level or part.view is not None:
-        raise InvalidInput("dask: not with a level or a view, which one process decodes")
+        raise InvalidInput(
+            "dask: cannot be combined with a level or a view, which one process decodes"
+        )
     with opened_slabs(source, part, among=()) as slabs:
         degree, least = slabs.sh_degree, slabs.chosen.file.header.block_size
     with using_threads(threads), workers_at(dask, progress) as workers:

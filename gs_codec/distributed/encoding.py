@@ -114,7 +114,7 @@ def _check(config: Config) -> None:
         known = ", ".join(ADAPTIVE_PROFILES)
         raise InvalidInput(f"dask: profile '{config.profile}', expected {known} of an .egs")
     if config.depths:
-        raise InvalidInput("dask: not with depths, which need the whole scene")
+        raise InvalidInput("dask: cannot be combined with depths, which need the whole scene")
     if config.extra == "keep":
         raise InvalidInput('dask: extra properties are not kept, expected extra="drop"')
 

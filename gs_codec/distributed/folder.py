@@ -134,5 +134,5 @@ def _locked(folder: Path) -> int | None:
         return None
     if not try_lock(descriptor):
         os.close(descriptor)
-        raise InvalidInput(f"{folder}: another run works there, expected to wait for it")
+        raise InvalidInput(f"{folder}: another run is using it; wait until it ends")
     return descriptor

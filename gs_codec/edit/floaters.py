@@ -105,7 +105,9 @@ def find_floaters(
         If cameras are given, and scipy is not installed.
     """
     if str(cameras) == "auto":
-        raise InvalidInput("cameras 'auto': estimated ones tell nothing new, expected given ones")
+        raise InvalidInput(
+            "cameras 'auto': estimated cameras do not help here, expected given ones"
+        )
     if cameras is not None:
         check_installed("scipy", "remove-floaters with cameras")
         cameras = find_cameras(cameras, scene)

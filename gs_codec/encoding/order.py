@@ -162,7 +162,7 @@ def _check_target(scene: Scene, config: Config, target: RateTarget, plan: Plan |
     if not scene.count:
         raise InvalidInput("target: the scene has no Gaussians")
     if target.allow_prune and plan is not None and plan.steps.balanced:
-        raise InvalidInput("allow_prune: refine prunes for a target without it")
+        raise InvalidInput("allow_prune: not needed with refine, which prunes to meet a target")
 
 
 def encode_planned(
@@ -193,7 +193,9 @@ def encode_planned(
         # Where estimated cameras need much finer steps, they may save nothing.
         free = _camera_free(scene, config, progress)
         if len(free[0]) <= len(guided[0]):
-            log.warning("cameras 'auto': they save nothing here, encoded camera-free")
+            log.warning(
+                "cameras 'auto': estimated cameras save nothing for this scene; encoded camera-free"
+            )
             return free
     return guided
 

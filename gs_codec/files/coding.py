@@ -99,7 +99,7 @@ def encode_file(
     config = config_for(target, as_config(config))
     finest = keeps_rounding([source], suffix, config, by_profile)
     if max_memory is not None and (plan is not None or rate is not None):
-        raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+        raise InvalidInput("max-memory: cannot be combined with views, preparation or a target")
     check_levels(config, rate, max_memory)
     if max_memory is not None and config.format != EGS:
         raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")

@@ -78,7 +78,7 @@ def check_target(
     """The suffix of a target; refuses one that cannot be written, before the work is done."""
     for source in sources:
         if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
-            raise InvalidInput(f"{target}: the source itself")
+            raise InvalidInput(f"{target}: input and output are the same file")
     check_writable(target, overwrite)
     suffix = suffix_of(target, known)
     if suffix.startswith(".usd"):

@@ -109,7 +109,11 @@ def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
     rank = re.compile(r"_rank(\d+)\.")
     other = path.with_name(rank.sub(lambda m: f"_rank{int(m[1] == '0')}.", path.name))
     if other != path and other.exists():
-        log.warning("%s: of several, such as %s, which have the other Gaussians", path, other.name)
+        log.warning(
+            "%s: one of several files; others, such as %s, hold the rest of the scene",
+            path,
+            other.name,
+        )
     return scene
 
 

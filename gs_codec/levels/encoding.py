@@ -37,9 +37,9 @@ def check_levels(config: Config, rate: object = None, max_memory: int | None = N
     InvalidInput
     """
     if config.lod and rate is not None:
-        raise InvalidInput("lod: not with a target, which levels would exceed by a third")
+        raise InvalidInput("lod: cannot be combined with a target: coarser levels add a third")
     if config.lod and max_memory is not None:
-        raise InvalidInput("lod: with max-memory only if dask is given, too")
+        raise InvalidInput("lod: with max-memory, dask is needed too")
 
 
 def add_levels(

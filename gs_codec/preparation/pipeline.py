@@ -194,7 +194,9 @@ def guiding_views(
     """
     known = references or _split(scene, plan, progress)
     if known.origin == "anywhere":
-        log.warning("cameras 'auto': the scene does not show where they were, encoded camera-free")
+        log.warning(
+            "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
+        )
         return None
     if isinstance(known, ReferenceViews):
         own = plan.steps.refine or known.source is scene
@@ -299,9 +301,11 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
     )
     if plan.steps.keep_refined:
         return None, fitted, details
-    against = _against(scene, fitted, context) if details["iterations"] else "nothing is to win"
+    against = (
+        _against(scene, fitted, context) if details["iterations"] else "there is nothing to gain"
+    )
     if against:
-        log.warning("refine: %s, so it is left out", against)
+        log.warning("refine: skipped, because %s", against)
         return None, scene, {**details, "left_out": True}
     return None, fitted, details
 

@@ -148,7 +148,9 @@ class Steps:
         if self.prune is not None and 0 < self.prune < 1:
             raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
         if self.prune is not None and self.gaussians is not None:
-            raise InvalidInput("gaussians: prune says how many, too; expected one of them")
+            raise InvalidInput(
+                "gaussians and prune both set the number of Gaussians, expected one of them"
+            )
 
     @property
     def wanted(self) -> bool:

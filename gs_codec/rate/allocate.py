@@ -213,7 +213,7 @@ def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:
     else:
         wanted, unit = f"{limit:,}", "bytes"
         ends = [f"{size:,}" for size in (least, most)]
-    return f"target {wanted} {unit}: {ends[0]} to {ends[1]} {unit} are in reach"
+    return f"target {wanted} {unit}: unreachable, expected {ends[0]} to {ends[1]} {unit}"
 
 
 def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
@@ -240,6 +240,8 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         if most > limit:
-            raise _OutOfReach(f"target {limit:g} dB: {least:.4f} to {most:.4f} dB are in reach")
+            raise _OutOfReach(
+                f"target {limit:g} dB: unreachable, expected {least:.4f} to {most:.4f} dB"
+            )
     trials.predicted_drop = measured.drop(before + at_once * 4.0**trials.octaves, before)
     trials.at_end = found is None

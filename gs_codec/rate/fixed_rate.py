@@ -45,7 +45,9 @@ def meet_target(
     steps = Plan().steps if plan is None else plan.steps
     if target.allow_prune or (steps.by_leave_one_out and not steps.balanced):
         what = "allow_prune" if target.allow_prune else "pruning"
-        raise InvalidInput(f"{what}: a target for format '{config.format}' says how many stay")
+        raise InvalidInput(
+            f"{what}: a target for format '{config.format}' sets the number of Gaussians"
+        )
     limit = target.limit(scene.count, ply_bytes)
     if limit is None:
         return _meet_drop(encode, scene, config, target, plan or Plan(), progress)

@@ -35,7 +35,7 @@ def check_writable(path: str | Path, overwrite: bool = True) -> None:
     if os.path.exists(target) and not target.is_file():
         raise InvalidInput(f"{target}: not a regular file")
     if os.path.lexists(target) and not overwrite:
-        raise InvalidInput(f"{target}: exists, expected another name or overwrite=True")
+        raise InvalidInput(f"{target}: already exists; choose another name or pass overwrite=True")
     if not target.parent.is_dir():
         raise InvalidInput(f"{target}: no directory '{target.parent}'")
     if not os.access(target.parent, os.W_OK):
@@ -45,7 +45,7 @@ def check_writable(path: str | Path, overwrite: bool = True) -> None:
 def check_folder(path: str | Path, overwrite: bool = True) -> None:
     """Check that a folder for results is empty, unless files may be overwritten."""
     if not overwrite and os.path.isdir(path) and os.listdir(path):
-        raise InvalidInput(f"{path}: not empty, expected another folder or overwrite=True")
+        raise InvalidInput(f"{path}: not empty; choose another folder or pass overwrite=True")
 
 
 def make_folder(path: str | Path) -> Path:

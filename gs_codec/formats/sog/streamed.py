@@ -140,7 +140,7 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
                 where, spare = f"{path}: {name}", _spare(names)
                 scenes.append(scene_of_unit(where, unit, file_bytes, max_bytes, spare))
     if len({scene.antialiased for scene in scenes}) > 1:
-        log.warning("%s: only some parts are antialiased, read as the first part is", path)
+        log.warning("%s: only some parts are antialiased; all are read like the first", path)
     return join_scenes(scenes)
 
 

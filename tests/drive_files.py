@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from drive_viewer import Driver, tell
+from drive_viewer import Driver, grab, tell
 from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
@@ -116,6 +116,19 @@ def resized(driver: Driver) -> float:
     return float((apart > 2).mean())
 
 
+def ghosts(driver: Driver) -> int:
+    """How many values of the screen differ after a dialog was open in an empty window."""
+    driver.tick(10, redraw=True)
+    before = grab(driver.viewer.window)
+    driver.key("h")
+    driver.wait(lambda: bool(said(driver)))
+    driver.tick(10, redraw=True)
+    driver.key("Escape")
+    driver.wait(lambda: not said(driver))
+    driver.tick(20, redraw=True)
+    return int((grab(driver.viewer.window) != before).sum())
+
+
 def notices(driver: Driver) -> list[str]:
     """What the window says over its panes while it is empty, and while kernels are compiled."""
     notice = driver.viewer.notice.label
@@ -137,5 +150,5 @@ if __name__ == "__main__":
     driver = Driver(folder, request=Request(None, size=(480, 360)))
     driver.tick(5, redraw=True)
     driver.move(100, 100)
-    found = {"notices": notices(driver)} | opens(driver) | saves(driver)
+    found = {"ghosts": ghosts(driver), "notices": notices(driver)} | opens(driver) | saves(driver)
     tell(found | {"resized": resized(driver)})

@@ -193,3 +193,7 @@ def test_exact_splats_are_those_of_render_whatever_draws_the_window(switched):
 
 def test_panes_are_drawn_anew_after_the_window_is_resized(files):
     assert files["resized"] < 0.05  # the outline of the frame
+
+
+def test_nothing_is_left_of_a_dialog_in_an_empty_window(files):
+    assert files["ghosts"] == 0

@@ -105,7 +105,8 @@ class Stage:
         # Both at once: Open3D cannot remove them, and goes to the first tab when it gets one.
         self._both = [Pane(window) for _ in range(2)]
         for pane in self._both:
-            pane.widget.visible = False
+            # Open3D does not clear what no widget covers: an empty window would keep old dialogs.
+            pane.widget.visible = pane is self._both[0]
             window.add_child(pane.widget)
             self.mouse.attach(pane)
         self.size, self._left = (1, 1), 0
@@ -337,6 +338,8 @@ class Stage:
             self.painter.move()
         self.size, self._left = (width, high), left
         visible, columns = self.visible, self.columns
+        if not self.panes:
+            self._both[0].widget.frame = gui.Rect(left, below, width, high)
         for pane in self.panes:
             if pane not in visible:
                 pane.widget.frame = gui.Rect(left + width - 1, top, *HIDDEN)

@@ -144,7 +144,7 @@ def test_largest_values_are_removed_wherever_the_scene_lies():
         ("encode scene.ply o.egs --preset entropygs -p m", "--preset codes by paper-l, paper-m"),
         ("prepare scene.ply o.ply --preset entropygs -p l", "not by profile 'l'"),
         ("batch scene.ply out --preset entropygs -p lossless", "not by profile 'lossless'"),
-        ("bench paper scene.ply --out . --refine 4", "not empty, expected another folder"),
+        ("bench paper scene.ply --out . --refine 4", "not empty; choose another folder"),
         ("bench paper scene.ply ./scene.ply --out out", "scene.ply: named 'scene', as scene.ply"),
         ("bench paper none.ply --out out", "none.ply: No such file"),
     ],

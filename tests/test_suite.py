@@ -338,7 +338,7 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
         (["a/scene.ply", "--width", "0"], "width 0: expected"),
         (["a/scene.ply", "--skip", "lunch"], "--skip lunch: expected one of codecs, curves, "),
         (["a/scene.ply", "--out", "file"], "file"),
-        (["a/scene.ply", "--out", "taken"], "taken: not empty, expected another folder"),
+        (["a/scene.ply", "--out", "taken"], "taken: not empty; choose another folder"),
         (["a/scene.ply", "--out", "taken", "--overwrite"], "taken/suite.jsonl: a directory"),
     ],
 )

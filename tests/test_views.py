@@ -332,7 +332,7 @@ def test_photographs_of_cameras_of_one_name_are_refused(pair, tmp_path):
     views = [camera("a"), camera("frame"), camera("frame", position=(1.0, 0.0, -4.0))]
     for name in ("a", "frame"):
         Image.new("RGB", (40, 30)).save(tmp_path / f"{name}.png")
-    message = r"frame.png: image of cameras 1 and 2, named 'frame' and 'frame'; expected another"
+    message = r"frame.png: image of cameras 1 and 2, named 'frame' and 'frame'; expected a"
     with pytest.raises(InvalidInput, match=message):
         compare_views(*pair, views, tmp_path)
     with pytest.raises(InvalidInput, match=message):

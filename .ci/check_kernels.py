@@ -1,8 +1,8 @@
 """Check that a wheel with compiled kernels compiles nothing: `check_kernels.py WHEEL [PYTHON]`.
 
 Installs the wheel into a clean venv of PYTHON, makes it read-only, and runs the commands of
-README.md and COMMANDS.md without a home; if this is root, as the user `nobody`. Names all kernels
-that were compiled, by numba's events, and the commands that did it.
+README.md and COMMANDS.md without a home; if this is root, as the user `nobody`, where that user can
+run PYTHON. Names all kernels that were compiled, by numba's events, and the commands that did it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def main() -> int:
         work = folder / "work"
         work.mkdir()
         user = {}
-        if os.geteuid() == 0:
+        # Others cannot run a Python in a folder that is root's alone.
+        if os.geteuid() == 0 and all(p.stat().st_mode & 1 for p in Path(python).resolve().parents):
             shutil.chown(work, "nobody")
             user = {"user": "nobody", "extra_groups": []}
         compiled = work / "compiled.txt"

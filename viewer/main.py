@@ -40,7 +40,9 @@ app = typer.Typer(
 
 
 #: Panels of the help.
-_INPUT, _SHOWN, _OUTPUT = "What to open", "What to show", "Pictures and films; no display is needed"
+_INPUT = "What to open"
+_SHOWN = "What to show"
+_OUTPUT = "Pictures and films; no display is needed"
 _BROWSER = "In a browser, in place of a window"
 
 #: What may be asked for with ``--web``.

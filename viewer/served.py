@@ -27,8 +27,11 @@ from gs_codec.report import Progress
 #: This machine alone.
 _HOST = "127.0.0.1"
 
-#: Seconds that a connection may be silent; most connections at once, of which a browser has six.
-_SILENT, _CONNECTIONS = 10.0, 64
+#: Maximum time without data on a connection, seconds.
+_SILENT = 10.0
+
+#: Maximum number of connections; a browser opens six.
+_CONNECTIONS = 64
 
 
 class Page(ThreadingHTTPServer):

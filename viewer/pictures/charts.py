@@ -17,15 +17,29 @@ from viewer.pictures.ticks import axis_ticks
 if TYPE_CHECKING:
     from gs_codec.edit import AttributeStatistics
 
-#: Size of text; margins around a chart: left, top, right, bottom; pixels.
-_TEXT, _MARGINS = 13, (64, 26, 16, 22)
+#: Height of text, pixels.
+_TEXT = 13
 
-#: Colours of scenes A and B, which the colour-blind tell apart; of text, of lines, of a range.
+#: Margins around a chart: left, top, right, bottom; pixels.
+_MARGINS = (64, 26, 16, 22)
+
+#: Colours of scenes A and B, which colour-blind people can distinguish.
 _SCENES = ((86, 180, 233), (230, 159, 0))
-_WHITE, _GREY, _RANGE = (235, 235, 235), (120, 120, 125), (75, 75, 60)
 
-#: Most values below a histogram, and left of bars.
-_TICKS, _LINES = 8, 4
+#: Colour of text.
+_WHITE = (235, 235, 235)
+
+#: Colour of lines.
+_GREY = (120, 120, 125)
+
+#: Colour of a range.
+_RANGE = (75, 75, 60)
+
+#: Maximum number of values below a histogram.
+_TICKS = 8
+
+#: Maximum number of values left of bars.
+_LINES = 4
 
 #: Height of the names of views below their pictures, pixels.
 _LINE = 22

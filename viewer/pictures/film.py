@@ -18,9 +18,17 @@ from viewer.scenes.request import Request, find_views, first_view
 from viewer.scenes.turntable import turntable
 from viewer.scenes.viewpoints import COUNT, find_viewpoints
 
-#: Frames of a film, and how many a second, by default; the ranges of both.
-FRAMES, FPS = 180, 24
-_FRAMES, _FPS = range(2, 100_000), range(1, 121)
+#: Default number of frames of a film.
+FRAMES = 180
+
+#: Default number of frames a second.
+FPS = 24
+
+#: Range of the number of frames.
+_FRAMES = range(2, 100_000)
+
+#: Range of the number of frames a second.
+_FPS = range(1, 121)
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,11 @@ SELECTED = (1.0, 0.25, 0.95)
 #: Edges of a box.
 EDGES = 12
 
-#: The scale of errors: from a quarter of a level of 255 to 64 levels, in eight doublings.
-_LEAST_ERROR, _DOUBLINGS = 0.25 / 255, 8
+#: Start of the scale of errors: a quarter of a level of 255.
+_LEAST_ERROR = 0.25 / 255
+
+#: Its length, in doublings: to 64 levels.
+_DOUBLINGS = 8
 
 
 @dataclass(frozen=True)

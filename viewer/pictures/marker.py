@@ -11,8 +11,11 @@ from gs_codec.rendering.pixel import splat_outline
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 
-#: An outline is nowhere nearer to its centre than this, pixels; the radius of the centre's own.
-_LEAST, _CENTRE = 7.0, 3.0
+#: Minimum distance of an outline from its centre, pixels.
+_LEAST = 7.0
+
+#: Radius of the mark of the centre, pixels.
+_CENTRE = 3.0
 
 #: Widths of the dark line and of the light one on it, pixels, and their RGB, 0-1.
 LINES = ((5.0, (0.0, 0.0, 0.0)), (2.0, (1.0, 1.0, 1.0)))

@@ -19,8 +19,17 @@ from viewer.pictures.picture import (
 )
 from viewer.scenes.opened import Pruned
 
-#: Least width, pixels; heights of the caption, of a reason, and of a legend.
-_WIDTH, _CAPTION, _REASON, _LEGEND = 400, 30, 18, 56
+#: Minimum width, pixels.
+_WIDTH = 400
+
+#: Height of the caption, pixels.
+_CAPTION = 30
+
+#: Height of a reason, pixels.
+_REASON = 18
+
+#: Height of a legend, pixels.
+_LEGEND = 56
 
 
 def draw_notes(

@@ -21,9 +21,12 @@ from viewer.scenes.opened import Opened, thinned
 #: Most cells that are drawn as cubes; more are drawn as points in their middles.
 MOST_CUBES = 100_000
 
-#: Side of the cubes of the emptiest and the fullest cells, relative to that of a cell: few
-#: Gaussians, as those that float before the scene, hide little of what is behind them.
-_LEAST, _MOST = 0.3, 0.94
+#: Side of the cube of the emptiest cell, relative to the cell: a few Gaussians that float in front
+#: of the scene hide little of it.
+_LEAST = 0.3
+
+#: Side of the cube of the fullest cell.
+_MOST = 0.94
 
 #: Quantiles of the Gaussians' bits that get the first and the last colour.
 _BITS = (0.02, 0.98)

@@ -44,8 +44,12 @@ LINE_COLOUR = (0.85, 0.85, 0.85)
 
 #: RGB behind charts.
 BACKGROUND = (0.07, 0.07, 0.08)
-#: Height of text and length of the bar of a legend, pixels.
-TEXT, _BAR = 13, 200
+
+#: Height of text, pixels.
+TEXT = 13
+
+#: Length of the bar of a legend, pixels.
+_BAR = 200
 
 
 @dataclass(frozen=True)

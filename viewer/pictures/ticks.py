@@ -13,8 +13,13 @@ _FACTORS = (1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 20, 50, 100, 1000, 10.0**75)
 #: Digits of a logarithmic axis, from many to few.
 _DIGITS = ((1, 2, 5), (1, 3), (1,))
 
-#: Marks of a scale; least marks of a logarithmic one, and how much of it the range should fill.
-MARKS, LEAST = 5, 3
+#: Number of marks on a scale.
+MARKS = 5
+
+#: Minimum number on a logarithmic scale.
+LEAST = 3
+
+#: Share of a logarithmic scale that the range should fill.
 _FILLED = 0.7
 
 
@@ -75,5 +80,8 @@ def axis_ticks(low: float, high: float, most: int, log: bool = False) -> NDArray
     return np.array([low, high])
 
 
-#: Rounding errors that are passed over: of values, and of numbers of steps.
-_MORE, _LESS = 1 + 1e-9, 1e-9
+#: Factor for rounding errors of values.
+_MORE = 1 + 1e-9
+
+#: Rounding errors of numbers of steps.
+_LESS = 1e-9

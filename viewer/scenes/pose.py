@@ -12,14 +12,20 @@ from gs_codec.cameras.camera import facing
 from gs_codec.cameras.up import UPS
 from viewer.scenes.opened import thinned
 
-#: Default camera: focal length in heights of the frame (60 degrees vertically); frame in pixels.
-_FOCAL, _FRAME = 0.866, (600, 400)
+#: Focal length of the default camera, in heights of the frame: 60 degrees vertically.
+_FOCAL = 0.866
+
+#: Its frame, pixels.
+_FRAME = (600, 400)
 
 #: Wider frames are measured at this width, pixels, because the trainer shrinks photographs to it.
 _MEASURED_WIDTH = 1600
 
-#: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
-_AHEAD, _SAMPLES = 0.25, 20_000
+#: Half the width of the region straight ahead, relative to depth.
+_AHEAD = 0.25
+
+#: Maximum number of centres to find it by.
+_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)

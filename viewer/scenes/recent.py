@@ -9,8 +9,11 @@ from pathlib import Path
 from gs_codec.errors import GsCodecError
 from gs_codec.runtime.atomic import atomic_writer
 
-#: Most files that are remembered, and most bytes that their list is read from.
-MOST, _BYTES = 8, 1 << 16
+#: Maximum number of files that are remembered.
+MOST = 8
+
+#: Maximum length of their list, bytes.
+_BYTES = 1 << 16
 
 
 def _list() -> Path:

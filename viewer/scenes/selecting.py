@@ -16,7 +16,9 @@ from gs_codec.edit.shares import SHARES, members
 from viewer.scenes.opened import Opened, Progress, Pruned
 
 #: Rules beside the shares of statistics.
-_FLOATERS, _APART, _PRUNED = "floaters", "outside the largest cluster", "pruned by "
+_FLOATERS = "floaters"
+_APART = "outside the largest cluster"
+_PRUNED = "pruned by "
 
 
 def quantity(scene: Opened, name: str) -> NDArray:

@@ -23,14 +23,23 @@ _INWARD = 0.5
 #: Widest angle without cameras, degrees, of a scene that was captured from all around.
 _GAP = 140.0
 
-#: Steepest view of the middle, and steepest look around from inside, degrees.
-_STEEPEST, _LEVEL = 80.0, 20.0
+#: Steepest view of the centre, degrees.
+_STEEPEST = 80.0
 
-#: Share of the angles between cameras that a sway takes; its least sizes across and up, degrees.
-_SHARE, _LEAST = 0.8, (5.0, 2.5)
+#: Steepest look around from inside, degrees.
+_LEVEL = 20.0
 
-#: Centres that say how much room there is around a place, and the share that may be nearer.
-_SAMPLES, _NEARER = 20_000, 0.01
+#: Share of the angles between cameras that a sway takes.
+_SHARE = 0.8
+
+#: Minimum sway across and up, degrees.
+_LEAST = (5.0, 2.5)
+
+#: Number of centres by which the room around a place is measured.
+_SAMPLES = 20_000
+
+#: Share of them that may be nearer.
+_NEARER = 0.01
 
 #: Phases of a loop that are tried for its start.
 _PHASES = 360

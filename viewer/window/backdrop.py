@@ -10,8 +10,11 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-#: Numbers of the pictures that became textures; how many bits of them a colour holds.
-_NUMBERS, _BITS = count(), 8
+#: Numbers of the pictures that became textures.
+_NUMBERS = count()
+
+#: Bits of such a number in each channel of a colour.
+_BITS = 8
 
 
 class Backdrop:

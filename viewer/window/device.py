@@ -13,8 +13,11 @@ import gs_codec
 #: VkPhysicalDeviceType of a device that is a CPU.
 _CPU = 4
 
-#: Byte offset of the type in VkPhysicalDeviceProperties; bytes enough for the whole structure.
-_TYPE_AT, _PROPERTIES = 16, 4096
+#: Byte offset of the type in VkPhysicalDeviceProperties.
+_TYPE_AT = 16
+
+#: More bytes than this structure has.
+_PROPERTIES = 4096
 
 
 class NoDisplay(gs_codec.GsCodecError):

@@ -11,8 +11,17 @@ from open3d.visualization import gui
 from viewer.pictures.picture import LINE_COLOUR
 from viewer.window.canvas import Canvas
 
-#: Dots that show that the line can be dragged: number, size and distance in pixels; grey level.
-_DOTS, _DOT, _STEP, _DOT_COLOUR = 5, 4, 9, 0.2
+#: Number of dots that show that the line can be dragged.
+_DOTS = 5
+
+#: Size of a dot, pixels.
+_DOT = 4
+
+#: Distance between dots, pixels.
+_STEP = 9
+
+#: Grey level of a dot.
+_DOT_COLOUR = 0.2
 
 
 def make_divider(window: gui.Window, slide: Callable[[int], None]) -> Canvas:

@@ -17,8 +17,11 @@ from viewer.window.pane import HIDDEN
 from viewer.window.survey import Survey
 from viewer.window.worker import Stale
 
-#: Share of the window's height, and most pixels.
-_SHARE, _HIGHEST = 0.25, 170
+#: Share of the window's height.
+_SHARE = 0.25
+
+#: Maximum height, pixels.
+_HIGHEST = 170
 
 
 class Dock:

@@ -13,14 +13,23 @@ from viewer.scenes.paths import UP, Kind, check_readable, listed, suggested, to_
 from viewer.window.dialogs import Modal, folded, shortened
 from viewer.window.x11 import BACKSPACE, Keyboard
 
-#: Width of the dialog, in font sizes; characters of a line in it, for each font size.
-_WIDTH, _CHARACTERS = 34.0, 2.0
+#: Width of the dialog, in font sizes.
+_WIDTH = 34.0
 
-#: Rows of the list: most of them, and those that all else in the dialog takes the height of.
-_ROWS, _OTHERS = 12, 11
+#: Characters of a line for each font size of width.
+_CHARACTERS = 2.0
 
-#: Frames in which a text field ends to be edited, and in which it takes a key.
-_ENDS, _TAKES = 2, 1
+#: Maximum number of rows in the list.
+_ROWS = 12
+
+#: Height of everything else in the dialog, in rows.
+_OTHERS = 11
+
+#: Frames until a text field stops being edited.
+_ENDS = 2
+
+#: Frames until it takes a key.
+_TAKES = 1
 
 #: Lines for what is wrong.
 _LINES = 3

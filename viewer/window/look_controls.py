@@ -10,8 +10,11 @@ from viewer.scenes.choice import Appearance
 from viewer.window.navigation import field_of_view
 from viewer.window.widgets import Widgets
 
-#: Vertical field of view, degrees; factor on the axes of splats.
-_ANGLES, _SCALES = (10, 120), (0.05, 2.0)
+#: Range of the vertical field of view, degrees.
+_ANGLES = (10, 120)
+
+#: Range of the factor on the axes of splats.
+_SCALES = (0.05, 2.0)
 
 
 class LookControls:

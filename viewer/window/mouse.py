@@ -12,8 +12,11 @@ from open3d.visualization import gui
 from viewer.window.navigation import DragKind
 from viewer.window.pane import Pane
 
-#: Pixels that the mouse may move in a click; seconds between the clicks of a double click.
-_STILL, _DOUBLE = 3, 0.4
+#: Maximum movement of the mouse in a click, pixels.
+_STILL = 3
+
+#: Maximum time between the clicks of a double click, seconds.
+_DOUBLE = 0.4
 
 #: A pixel of a pane's picture.
 Place = tuple[float, float]

@@ -26,8 +26,11 @@ _NEARER = 0.9
 #: Least distance, relative to the first; at it, the wheel also moves the point ahead.
 _LEAST = 0.02
 
-#: Least opacity of centres that a frame has to show; quantiles of their coordinates that it shows.
-_SEEN, _MOST_OF = 0.1, (0.02, 0.98)
+#: Minimum opacity of the centres that a frame has to show.
+_SEEN = 0.1
+
+#: Quantiles of their coordinates that it shows.
+_MOST_OF = (0.02, 0.98)
 
 
 #: What a drag does: turn about the point ahead, look around from where the camera is, or shift it.

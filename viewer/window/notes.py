@@ -11,8 +11,11 @@ from viewer.window.backdrop import picture_of
 #: Open3D's flag of windows that stay before others.
 _TOPMOST = 2
 
-#: Distance from the corner of the other window, and height of the menu, pixels.
-_AWAY, _MENU = 12, 32
+#: Distance from the corner of the other window, pixels.
+_AWAY = 12
+
+#: Height of the menu, pixels.
+_MENU = 32
 
 
 class NotesWindow:

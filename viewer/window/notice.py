@@ -9,8 +9,11 @@ from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
 
-#: Compiling that takes less is not spoken of; afterwards the line stays so long, seconds.
-_SHORT, _STAYS = 0.5, 1.0
+#: Minimum time of compiling that the line reports, seconds.
+_SHORT = 0.5
+
+#: The line stays for this time after it, seconds.
+_STAYS = 1.0
 
 #: What an empty window says.
 _EMPTY = "O opens a scene. H lists the keys."

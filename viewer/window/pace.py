@@ -8,9 +8,14 @@ from dataclasses import dataclass
 #: Seconds without a move after which it rests, if nobody says so before.
 REST = 0.25
 
-#: Seconds that a draft may take; after so many slower ones in a row the next are coarser, and
-#: after so many that take less than a third of it, finer.
-_BUDGET, _SLOW, _QUICK = 0.1, 2, 3
+#: Maximum time of a draft, seconds.
+_BUDGET = 0.1
+
+#: Drafts become coarser after this many slower ones in a row.
+_SLOW = 2
+
+#: Drafts become finer after this many in a row that take less than a third of it.
+_QUICK = 3
 
 #: A full picture that takes less is drawn without a draft before it, seconds.
 _AT_ONCE = 0.4
@@ -18,9 +23,11 @@ _AT_ONCE = 0.4
 #: Sizes of drafts and the Gaussians they are of, each step about half the work of the one before.
 _STEPS = ((1, 1), (2, 1), (2, 2), (2, 4), (2, 8), (3, 8), (3, 16), (4, 16), (6, 32))
 
-#: A scene is thinned to no fewer Gaussians: then it is the pixels that take time. The first draft
-#: is of at most so many.
-_FEWEST, _FIRST = 50_000, 300_000
+#: Minimum number of Gaussians in a draft: with fewer, the pixels take the time.
+_FEWEST = 50_000
+
+#: Maximum number of Gaussians in the first draft.
+_FIRST = 300_000
 
 
 @dataclass(frozen=True)

@@ -28,15 +28,21 @@ from viewer.scenes.pose import Pose, of_camera
 from viewer.window.backdrop import Backdrop
 from viewer.window.lines import line_mesh
 
-#: Near and far plane, relative to the farthest depth of the scene.
-_NEAR, _BEYOND = 1e-4, 1.1
+#: Near plane, relative to the farthest depth of the scene.
+_NEAR = 1e-4
+
+#: Far plane, likewise.
+_BEYOND = 1.1
 
 #: Size of a hidden picture, pixels. Pictures are made this small instead of being removed, because
 #: Open3D would draw them all the same.
 HIDDEN = 1, 1
 
-#: Depths of the frame's outline, and of dark and light lines, relative to the near plane.
-_OUTLINED, _LINED = 1.5, (1.4, 1.3)
+#: Depth of the frame's outline, relative to the near plane.
+_OUTLINED = 1.5
+
+#: Depths of dark and light lines, likewise.
+_LINED = (1.4, 1.3)
 
 #: How far the middle of the outline is inside the frame: half of its width, pixels.
 _IN = 0.75
@@ -48,8 +54,11 @@ _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
 #: this, Open3D would go on showing them instead of anything else.
 _STUCK = 4
 
-#: Size of cameras, relative to the median distance from their middle; their RGB.
-_FRUSTUM, _FRUSTUM_COLOUR = 0.05, (1.0, 0.6, 0.0)
+#: Size of cameras, relative to their median distance from their centre.
+_FRUSTUM = 0.05
+
+#: RGB of cameras.
+_FRUSTUM_COLOUR = (1.0, 0.6, 0.0)
 
 #: Most tiles of the picture that Open3D's splat shader lets a splat cover: all of them.
 _MOST_TILES = 1 << 16

@@ -19,8 +19,11 @@ from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
 from viewer.window.widgets import Widgets
 
-#: Width of the panel, and of its text, in font sizes and characters.
-EMS, _COLUMNS = 21, 38
+#: Width of the panel, in font sizes.
+EMS = 21
+
+#: Width of its text, in characters.
+_COLUMNS = 38
 
 
 #: Values of a legend.

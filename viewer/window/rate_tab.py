@@ -20,17 +20,28 @@ from viewer.window.widgets import Widgets
 #: Wishes as the tab names them.
 _WISHES = ("steps, times the profile's", "size, MB", "bits / Gaussian", "loss of views, dB")
 
-#: Ends of the slider: of steps and losses; of sizes, as shares of the raw scene's.
-_STEPS, _LOSSES, _SHARES = (0.25, 4.0), (0.01, 1.0), (1 / 200, 1 / 4)
+#: Range of step sizes, in units of the profile's.
+_STEPS = (0.25, 4.0)
 
-#: What is asked for at first: the profile's own steps, a share of the raw size, a loss.
-_STEP, _SHARE, _LOSS = 1.0, 1 / 20, 0.05
+#: Range of losses, dB.
+_LOSSES = (0.01, 1.0)
+
+#: Range of sizes, as shares of the raw scene's.
+_SHARES = (1 / 200, 1 / 4)
+
+#: Initial step sizes, share of the raw size, and loss, dB.
+_STEP = 1.0
+_SHARE = 1 / 20
+_LOSS = 0.05
 
 #: Values that differ by less, relatively, are the same: widgets round to float32.
 _SAME = 1e-5
 
-#: Characters of a line, and lines of the list.
-_COLUMNS, _LINES = 38, 9
+#: Characters in a line.
+_COLUMNS = 38
+
+#: Lines in the list.
+_LINES = 9
 
 
 @dataclass

@@ -12,8 +12,11 @@ from viewer.scenes.paths import POSES
 from viewer.scenes.pose import Pose
 from viewer.window.worker import Stale
 
-#: Seconds of a flight from one pose to the next, and its poses in a second.
-_LEG, _RATE = 2.0, 30
+#: Time of a flight from one pose to the next, seconds.
+_LEG = 2.0
+
+#: Poses a second of a flight.
+_RATE = 30
 
 
 class Saved:

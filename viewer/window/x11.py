@@ -11,9 +11,12 @@ import time
 from typing import Any, NamedTuple
 
 #: Numbers of X.h and keysymdef.h.
-_KEY_PRESS, _KEY_RELEASE, _SELECTION = 2, 3, 31
+_KEY_PRESS = 2
+_KEY_RELEASE = 3
+_SELECTION = 31
 _KEY_PRESS_MASK = 1
-_SHIFT, _CONTROL = 1, 4
+_SHIFT = 1
+_CONTROL = 4
 _POINTER_ROOT = 1
 _KEYS = {"Tab": 0xFF09, "End": 0xFF57, "Return": 0xFF0D, "KP_Enter": 0xFF8D, "Insert": 0xFF63}
 
@@ -23,8 +26,11 @@ BACKSPACE = "\b"
 #: Keys that paste, with the one held.
 _PASTES = {(ord("v"), _CONTROL), (ord("V"), _CONTROL), (_KEYS["Insert"], _SHIFT)}
 
-#: Longest text that is pasted, bytes; how long to wait for the program that has it, seconds.
-_MOST, _PATIENCE = 1 << 16, 0.5
+#: Maximum length of pasted text, bytes.
+_MOST = 1 << 16
+
+#: Maximum wait for the program that has the text, seconds.
+_PATIENCE = 0.5
 
 
 class _KeyEvent(ctypes.Structure):

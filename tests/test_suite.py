@@ -220,7 +220,7 @@ def test_what_a_device_would_do_is_absent_without_one(suite):
     if any("absent" not in line for line in found):
         pytest.skip("a device is here")
     assert [(line["scene"], line["work"]) for line in found] == [
-        ("plain", "coding"),
+        ("plain", "decoding"),
         ("plain", "refining"),
     ]
     report = (suite[2] / "report.md").read_text()

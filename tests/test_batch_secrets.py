@@ -174,7 +174,7 @@ def test_files_without_an_end_are_given_up(server, tmp_path, monkeypatch, name, 
     monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 10_000}))
     place = storage_of(f"{server.url}/{name}")
     ((_, file),) = place.find()
-    with pytest.raises(InvalidInput, match=f"/{name}: more than {most} bytes received"):
+    with pytest.raises(InvalidInput, match=f"/{name}: more than {most:,} bytes received"):
         place.fetch(file, tmp_path)
 
 

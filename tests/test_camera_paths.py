@@ -242,7 +242,7 @@ BAD_SETTINGS: dict[str, tuple[Any, str]] = {
     "no times": ({"animTracks": [{"keyframes": {"values": {}}}]}, "no 'times'"),
     "too few positions": (keyframes(position=[0, 0]), "position .*expected 3 numbers"),
     "too many targets": (keyframes(target=[0] * 6), "target .*expected 3 numbers"),
-    "too few fields of view": (keyframes(fov=[]), "fov .*expected 1 numbers"),
+    "too few fields of view": (keyframes(fov=[]), "fov .*expected 1 number"),
     "cameras of a number": ({"animTracks": [], "cameras": 1}, "cameras 1, expected a list"),
     "camera without a pose": ({"animTracks": [], "cameras": [{}]}, "cameras 0: no 'initial'"),
     "camera of a list": (

@@ -164,7 +164,9 @@ def test_devices_that_are_not_there_are_refused(monkeypatch):
 def test_what_tensors_are_not_encoded_to_is_refused():
     splats = gs_codec.decode_tensors(sample("m"), "cpu")
     for config, name in ((Config(lod=True), "lod"), (Config(format="spz"), "format 'spz'")):
-        with pytest.raises(InvalidInput, match=f"{name}: not from tensors, expected .egs"):
+        with pytest.raises(
+            InvalidInput, match=f"{name}: cannot be encoded from tensors, expected .egs"
+        ):
             gs_codec.encode_tensors(splats, config)
     with pytest.raises(InvalidInput, match="tensor 'quats': shape"):
         gs_codec.encode_tensors(replace(splats, quats=splats.quats[:, :3]))

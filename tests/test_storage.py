@@ -249,7 +249,7 @@ def test_a_size_that_is_none_is_refused(files, monkeypatch, capsys):
 
 
 def test_views_and_targets_need_the_whole_scene(files):
-    with pytest.raises(InvalidInput, match="max-memory: not with"):
+    with pytest.raises(InvalidInput, match="max-memory: cannot be combined with"):
         encode_file(*files, rate=RateTarget(ratio=5), max_memory=10**10, overwrite=True)
 
 

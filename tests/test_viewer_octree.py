@@ -106,7 +106,7 @@ def test_cells_are_the_leaves_of_to_octree(files, depth):
     order = np.lexsort(cells.middles.T[::-1])
     np.testing.assert_allclose(cells.middles[order], leaves[:, :3], atol=1e-5)
     most = leaves[:, 3].max()
-    marks = scale_marks(1, most, "log")
+    marks = scale_marks(1, max(most, 4), "log")
     colours = heat(np.log(leaves[:, 3]), 0, np.log(marks[-1]))
     np.testing.assert_allclose(cells.colours[order], colours, atol=1e-6)
     assert cells.legend.marks[0] == "1"

@@ -198,7 +198,10 @@ def test_measuring_stops(tries):
 
 
 def test_an_unreachable_target_tells_the_range(tries):
-    with pytest.raises(gs_codec.InvalidInput, match=r"target 50 bytes: [\d,]+ to [\d,]+ bytes are"):
+    with pytest.raises(
+        gs_codec.InvalidInput,
+        match=r"target 50 bytes: unreachable, expected [\d,]+ to [\d,]+ bytes",
+    ):
         tries.encode(Asked("m", "size", 50.0))
     assert files(tries)
 

@@ -120,6 +120,11 @@ def files(display, folder) -> dict:
     return drive("drive_files.py", display, folder)
 
 
+def ends(path: Path, shown: str) -> bool:
+    """Whether a path is shown, of a long one the end."""
+    return str(path).endswith(shown.removeprefix("..."))
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -131,13 +136,10 @@ def files(display, folder) -> dict:
 )
 def test_a_dialog_says_what_is_wrong_with_a_path(files, folder, name, said):
     wrong = f"{folder / name}: {said}"
-    told = "".join("".join(files[name]).split())  # lines are wrapped
-    assert told == f"{name}Openascene{folder}{wrong}Open".replace(" ", "")
-
-
-def ends(path: Path, shown: str) -> bool:
-    """Whether a path is shown, of a long one the end."""
-    return str(path).endswith(shown.removeprefix("..."))
+    typed, title, listed, *told = files[name]
+    assert (typed, title) == (name, "Open a scene")
+    assert ends(folder, listed)
+    assert "".join("".join(told).split()) == f"{wrong}Open".replace(" ", "")  # lines are wrapped
 
 
 def test_a_folder_that_is_typed_is_listed(files, folder):

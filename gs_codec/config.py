@@ -418,7 +418,7 @@ class Config:
     )
     block_size: int = option(
         1 << 14,
-        "Most Gaussians in a block that is decoded alone, 1024-65536.",
+        "Maximum Gaussians per independent block, 1024-65536.",
         kind=int, low=1 << 10, high=1 << 16,
     )  # fmt: skip
     keep_order: bool = option(

@@ -57,7 +57,7 @@ def command(
         ),
     ] = None,
 ) -> None:
-    """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
+    """Compare two versions of a scene: by attribute, or in rendered views."""
     if cameras is None:
         asked.refuse((*_OF_VIEWS, "gt_images", "images", "lpips", "overwrite"), "needs --cameras")
     elif images is None:

@@ -40,9 +40,7 @@ NAMES = {
     "inspect": (
         "Show what a file holds: an .egs from its header alone, other scenes once they are read."
     ),
-    "compare": (
-        "Show how far two versions of a scene are apart: by attribute, or in rendered views."
-    ),
+    "compare": "Compare two versions of a scene: by attribute, or in rendered views.",
     "render": (
         "Draw a scene from each camera as the 3DGS rasteriser does, or write the cameras alone."
     ),

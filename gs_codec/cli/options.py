@@ -48,7 +48,7 @@ OPTIONS = {
     "input_format": Option(
         "Format of stdin or a pipe; splat, ksplat and gltf need it.", metavar="NAME", values=READ,
     ),
-    "overwrite": Option("Replace what exists; without it, that is an error.", bool),
+    "overwrite": Option("Overwrite existing output.", bool),
     "json": Option("Print the report as JSON.", bool),
     "quiet": Option("Print no progress and no reports, except results.", bool),
     "verbose": Option("Print the time of each stage, and the memory used.", bool),

@@ -105,7 +105,7 @@ class Steps:
     prune: float | None = option(
         None,
         "Prune this percentage: Gaussians whose removal changes the views least.",
-        shown="0, with --refine as many as pay",
+        shown="0; automatic with --refine",
         **_PERCENT,
     )
     gaussians: int | None = option(
@@ -120,7 +120,7 @@ class Steps:
     )  # fmt: skip
     refine: int = option(
         0,
-        "Refine all attributes with N iterations of Adam, 1000 if N is left out.",
+        "Refine all attributes with N iterations of Adam (1000 without N).",
         metavar="[N]", shown="none", alone=1000, **_ITERATIONS,
     )  # fmt: skip
     keep_refined: bool = option(
@@ -238,12 +238,12 @@ class Plan:
     )
     checkpoint: str | Path | None = option(
         None,
-        "File that keeps the state of --refine, which goes on from there.",
+        "File that saves and resumes --refine.",
         kind=Path, metavar="FILE",
     )  # fmt: skip
     device: Device = option(
         "cpu",
-        "Draw or refine on cpu, on cuda with gsplat, or auto: cuda where possible.",
+        "Device for rendering and refinement; cuda needs gsplat, auto uses it where possible.",
         values=get_args(Device),
     )
 

@@ -124,7 +124,7 @@ def test_batch_from_server_to_server(server):
     assert done.returncode == 0, done.stderr
     one = server.folder / "one.egs"
     for name in ("a", "sub/b #1", "sub/c?"):
-        encode_file(server.folder / f"in/{name}.ply", one)
+        encode_file(server.folder / f"in/{name}.ply", one, overwrite=True)
         assert (server.folder / f"out/{name}.egs").read_bytes() == one.read_bytes()
     # The report of places elsewhere is here.
     found = sorted(record["input"] for record in records(server.folder))

@@ -117,6 +117,12 @@ def heading_anchors(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
+def test_no_merge_is_left_unfinished(name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    assert not re.search("^(<{7} |={7}$|>{7} )", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
 def test_links_lead_to_files_and_headings(name):
     path = ROOT / name
     for link in re.findall(r"\]\(([^)\s]+)\)", SHOWN.sub("", path.read_text())):

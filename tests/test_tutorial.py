@@ -99,7 +99,7 @@ def _agrees(shown: str, printed: str) -> bool:
 
 def _is_near(wanted: str, found: str) -> bool:
     try:
-        a, b = (float(word.replace(",", "").rstrip("%")) for word in (wanted, found))
+        a, b = (float(word.replace(",", "").rstrip("%x")) for word in (wanted, found))
     except ValueError:
         return wanted == found
     return a == b or math.isclose(a, b, rel_tol=TOLERANCE)

@@ -70,7 +70,7 @@ def _tell(done: threading.Event) -> None:
         if _Compiled.told is None:
             _tell_first()
         else:
-            seconds = _Compiled.seconds + time.monotonic() - (_Compiled.begun or time.monotonic())
+            seconds = elapsed() or _Compiled.seconds  # it may end just now
             log.info("compiling kernels: %d so far, %.0f s", _Compiled.kernels, seconds)
         _Compiled.told, wait = time.monotonic(), _PAUSE
 

@@ -146,7 +146,8 @@ def load(function: Callable, types: Any, target: Any) -> CompileResult | None:
     """A kernel for these types; None if it has to be compiled."""
     name = " ".join(entry_of(function, types))
     for archive in _found()[0]:
-        if archive.stamps.get(name) == stamp_text(function) and (part := archive.part(name)):
+        stamped = archive.stamps.get(name)
+        if stamped and stamped == stamp_text(function) and (part := archive.part(name)):
             return _Opened.result(part, target)
     return None
 
@@ -265,6 +266,6 @@ def _parts(library: Any) -> tuple[str, bytes, bytes, set[str]]:
     """What `_Library.opened` takes."""
     name, _, (code, bitcode) = library.serialize_using_object_code()
     module = library._get_module_for_linking()
-    defined = (each for each in (*module.functions, *module.global_variables))
-    symbols = {each.name for each in defined if not each.is_declaration}
+    known = (*module.functions, *module.global_variables)
+    symbols = {each.name for each in known if not each.is_declaration}
     return name, code, zlib.compress(bitcode, 9), symbols

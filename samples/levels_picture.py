@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from gs_codec.codecs import decode_part, encode_parts
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config
-from gs_codec.levels.encoding import add_levels
-from gs_codec.metrics.images import compare_images
+from gs_codec.levels.adding import add_levels
+from gs_codec.metrics.image_quality import compare_images
 from samples.generate import generate
 from samples.picture import drawn, show, view
 

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.metrics.images import compare_images
+from gs_codec.metrics.image_quality import compare_images
 from gs_codec.metrics.views import DIFFERENCE_GAIN
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene

@@ -15,7 +15,7 @@ from scenes import random_scene, with_far
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import LOSSLESS, PROFILE_CHOICES, Config
-from gs_codec.egs.file import Section, SectionId, in_file_order, read_file, write_file
+from gs_codec.egs.egs_file import Section, SectionId, in_file_order, read_file, write_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import GROUPS

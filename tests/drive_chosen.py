@@ -13,7 +13,7 @@ from typing import Any
 
 from drive_viewer import Driver, grab, tell
 
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 from viewer.scenes.viewpoints import Views
 from viewer.window.loading import Loading
 from viewer.window.panel import Panel

@@ -12,7 +12,7 @@ import numpy as np
 from drive_viewer import Driver, tell
 
 import gs_codec
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 
 
 def apart(driver: Driver, exact: np.ndarray) -> tuple[float, float]:

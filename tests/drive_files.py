@@ -16,7 +16,7 @@ from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
 from viewer.pictures.picture import picture
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 from viewer.window.dialogs import inside
 from viewer.window.x11 import Keyboard
 

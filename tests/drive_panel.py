@@ -15,7 +15,7 @@ from open3d.visualization import gui
 
 from viewer.scenes.edits import Edits
 from viewer.scenes.pose import Pose
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 from viewer.window.dialogs import inside
 from viewer.window.navigation import field_of_view
 

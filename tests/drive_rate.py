@@ -17,8 +17,8 @@ from typing import Any
 from drive_viewer import Driver, give_up, tell
 
 from viewer.scenes.opened import Progress
-from viewer.scenes.request import Request
-from viewer.scenes.trials import Asked, Tries
+from viewer.scenes.trial_list import Asked, Tries
+from viewer.scenes.view_request import Request
 
 #: Seconds that an encoding may take, on a busy machine that compiles kernels.
 _PATIENCE = 240

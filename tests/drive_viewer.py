@@ -20,10 +20,10 @@ import numpy as np
 from open3d.visualization import gui
 from PIL import ImageGrab
 
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 from viewer.window.dialogs import inside
+from viewer.window.main_window import Viewer
 from viewer.window.pane import Pane
-from viewer.window.viewer import Viewer
 
 
 def grab(window: gui.Window) -> np.ndarray:

@@ -39,7 +39,7 @@ from gs_codec.coding.morton import bit_layout
 from gs_codec.coding.sent_tables import encode_tables
 from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file

@@ -123,8 +123,10 @@ def test_examples_run(example, folder, monkeypatch):
     monkeypatch.chdir(folder)
     shown = []
     monkeypatch.setattr("viewer.plugin.find_device", lambda: None)
-    monkeypatch.setattr("viewer.window.notes.NotesWindow", Mock())
-    monkeypatch.setattr("viewer.window.viewer.run", lambda request, device: shown.append(request))
+    monkeypatch.setattr("viewer.window.notes_window.NotesWindow", Mock())
+    monkeypatch.setattr(
+        "viewer.window.main_window.run", lambda request, device: shown.append(request)
+    )
     example.globs |= {
         "gs_codec": gs_codec,
         "viewer": viewer,

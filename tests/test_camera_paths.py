@@ -12,8 +12,8 @@ import pytest
 from test_cameras import HUGE, POINT, POSITION, assert_refused, damaged, pixel, read_damaged
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras
-from gs_codec.cameras.paths import FIELD_OF_VIEW, HEIGHT, WIDTH
+from gs_codec.cameras.camera_files import read_cameras
+from gs_codec.cameras.camera_paths import FIELD_OF_VIEW, HEIGHT, WIDTH
 
 
 def write(path: Path, value: Any) -> Path:

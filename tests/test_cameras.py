@@ -16,7 +16,7 @@ import pytest
 from scenes import shared_scene_path
 
 from gs_codec.cameras.camera import Camera, facing
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.runtime.wording import counted
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.reference_views import ReferenceViews

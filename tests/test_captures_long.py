@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from gs_codec.bench import losses
 from gs_codec.bench.losses import ESTIMATED, FREE, GIVEN, loss_of, loss_table, misses_of
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene
 from gs_codec.config import Config

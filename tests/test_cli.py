@@ -26,7 +26,7 @@ from gs_codec.cli import main as cli
 from gs_codec.cli import output
 from gs_codec.cli.output import progress_lines
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.sections import write_extra
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file

@@ -12,10 +12,10 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.adaptive.costs import block_costs, gaussian_classes
 from gs_codec.codecs.adaptive.decode import Blocks
 from gs_codec.codecs.adaptive.sh_ac import code_bands
-from gs_codec.codecs.costs import describe_gaussian, gaussian_bits
+from gs_codec.codecs.gaussian_costs import describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import describe
 from gs_codec.config import PROFILE_CHOICES, Config
-from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, SectionId, read_file
+from gs_codec.egs.egs_file import DESCRIPTIONS, SCENE_SECTIONS, SectionId, read_file
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)

@@ -29,7 +29,7 @@ from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.sections import write_extra
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 

@@ -17,12 +17,12 @@ from test_similarity import assert_seen_alike, matrix_of, some_turn
 from gs_codec import edit
 from gs_codec.cameras.camera import Camera
 from gs_codec.edit.actions import KINDS, Action, check_actions
+from gs_codec.edit.apply import edit_scenes
 from gs_codec.edit.join import merge_scenes
-from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.metrics.images import psnr
+from gs_codec.metrics.image_quality import psnr
 from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.wording import as_typed

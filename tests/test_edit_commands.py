@@ -15,14 +15,14 @@ import pytest
 from scenes import random_scene, thorough
 from test_ply import assert_same_bits
 
-from gs_codec.codecs import memory as rooms
+from gs_codec.codecs import memory_limit
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
+from gs_codec.edit.apply import edit_scenes
 from gs_codec.edit.clusters import keep_largest_cluster
 from gs_codec.edit.decimation import decimate
 from gs_codec.edit.floaters import remove_floaters
 from gs_codec.edit.join import merge_scenes
-from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
@@ -172,8 +172,8 @@ def test_results_are_the_same_below_a_memory_limit(folder, monkeypatch, source, 
     monkeypatch.setattr(arrays, "_LARGE", 0)
     monkeypatch.setattr(arrays, "_SEGMENT", 5000)
     monkeypatch.setattr("gs_codec.codecs.decode._SLAB", 300)
-    monkeypatch.setattr(rooms, "_check", lambda least, what: None)
-    monkeypatch.setattr(rooms, "_FIXED", -(10**9))
+    monkeypatch.setattr(memory_limit, "_check", lambda least, what: None)
+    monkeypatch.setattr(memory_limit, "_FIXED", -(10**9))
     convert_file([source, "decoded.ply"], target, actions=actions, max_memory=1)
     assert (folder.path / target).read_bytes() == (folder.path / f"whole-{target}").read_bytes()
     with pytest.raises(InvalidInput, match="max-memory: expected one of"):

@@ -30,8 +30,8 @@ from viewer.pictures.screenshot import draw_request
 from viewer.scenes.flight import flythrough, read_poses, write_poses
 from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import Pose, look_at, of_camera
-from viewer.scenes.request import Request
 from viewer.scenes.turntable import turntable
+from viewer.scenes.view_request import Request
 from viewer.scenes.viewpoints import Views, choose_views, given_views
 
 ROOT = Path(__file__).parent.parent

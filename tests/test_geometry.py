@@ -7,9 +7,9 @@ from math import log2
 import numpy as np
 import pytest
 
-from gs_codec.coding.colour import decode_colour, encode_colour
 from gs_codec.coding.count_tree import decode_geometry, encode_geometry
 from gs_codec.coding.morton import bit_layout, canonical_order, decode_morton, encode_morton
+from gs_codec.coding.predicted_colour import decode_colour, encode_colour
 from gs_codec.errors import CorruptStream, TruncatedStream
 
 

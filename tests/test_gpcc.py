@@ -25,7 +25,7 @@ from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES, Config
-from gs_codec.egs.file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
+from gs_codec.egs.egs_file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed, TruncatedStream
 from gs_codec.formats.ply.file import read_ply, write_ply

@@ -24,7 +24,7 @@ from gs_codec.codecs.cuda.lanes import pack_tables
 from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS, PassTables
 from gs_codec.coding.frequency_table import normalise
 from gs_codec.config import Config
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.scene import Scene
 

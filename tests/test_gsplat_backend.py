@@ -23,7 +23,7 @@ from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import Results
 from gs_codec.bench.suite.tables import device_table
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import write_cameras
+from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.ply.file import write_ply

@@ -16,7 +16,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.extent import _POWERS, block_extent, centre_box
 from gs_codec.config import PROFILE_CHOICES, Config
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.index import index_of
 from gs_codec.errors import CorruptStream
 from gs_codec.scene import Scene

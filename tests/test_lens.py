@@ -17,7 +17,7 @@ from scenes import random_scene
 from test_cameras import Image, Intrinsics, both_forms, write_model
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import read_image, write_png
 from gs_codec.cameras.lens import Lens
 from gs_codec.errors import InvalidInput, MissingTool

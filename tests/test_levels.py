@@ -15,13 +15,13 @@ from damage import REFUSALS, flipped, with_checksums, with_section
 from scenes import antialiased, assert_same_floats, edge_scenes, random_scene, with_threads
 
 from gs_codec.cameras.camera import Camera, facing
-from gs_codec.cameras.files import write_cameras
+from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.codecs import decode_part, decode_scene, encode_parts
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import verify_file
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.coding import encode_file
@@ -29,8 +29,8 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.levels.adding import add_levels
 from gs_codec.levels.building import build_levels
-from gs_codec.levels.encoding import add_levels
 from gs_codec.levels.quarter import Clusters, merge_group
 from gs_codec.merging.pairs import blobs_of
 from gs_codec.metrics.views import compare_views

@@ -28,7 +28,7 @@ from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 
 #: Beside what grows with limit and file: tables, and the image of a palette.
 FIXED = 64 << 20

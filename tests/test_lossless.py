@@ -19,7 +19,7 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.columns import from_ordered, read_integers, to_ordered, write_integers
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.config import Config
-from gs_codec.egs.file import SectionId
+from gs_codec.egs.egs_file import SectionId
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file

@@ -17,7 +17,7 @@ from gs_codec.cameras.image_files import write_png
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.ply.file import write_ply
-from gs_codec.metrics.images import compare_images
+from gs_codec.metrics.image_quality import compare_images
 from gs_codec.metrics.lpips import LEAST, VARIABLE, load_lpips
 
 #: Backbones by the package's names: what they are called, their names in torchvision, and a layer

@@ -16,7 +16,7 @@ from test_lossless import any_bits
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
-from gs_codec.egs.file import SCENE_SECTIONS, SectionId, read_file
+from gs_codec.egs.egs_file import SCENE_SECTIONS, SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS
 

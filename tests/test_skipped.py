@@ -14,7 +14,7 @@ from gs_codec.cli.main import app
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILE_CHOICES, Config
-from gs_codec.egs.file import DESCRIPTIONS, read_file
+from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
 
 BASE = random_scene(2000, 3, seed=200)
 LATTICES = ("l", "m", "s")

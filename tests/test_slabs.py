@@ -18,12 +18,12 @@ from gs_codec.codecs import decode_part, encode_parts, encode_scene, slabs
 from gs_codec.codecs.decode import choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.file import write_ply
-from gs_codec.levels.encoding import add_levels
+from gs_codec.levels.adding import add_levels
 from gs_codec.scene import Scene
 
 BLOCK = 1024

@@ -9,7 +9,7 @@ import numpy as np
 
 from gs_codec import egs
 from gs_codec.codecs.entropygs.models import normal_table
-from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, SectionId
+from gs_codec.egs.egs_file import DESCRIPTIONS, SCENE_SECTIONS, SectionId
 from gs_codec.egs.header import PROFILE_NAMES
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.runtime.kernels import kernel

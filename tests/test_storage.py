@@ -15,9 +15,8 @@ import pytest
 from scenes import edge_scenes, random_scene
 from test_slabs import rich_scene, run
 
-from gs_codec.codecs import encode_parts, encode_scene, slabs
-from gs_codec.codecs import memory as rooms
-from gs_codec.codecs.memory import least_memory
+from gs_codec.codecs import encode_parts, encode_scene, memory_limit, slabs
+from gs_codec.codecs.memory_limit import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput
@@ -82,8 +81,8 @@ def test_what_is_dropped_or_replaced_is_the_same_on_disk(profile):
 @pytest.mark.usefixtures("everything_on_disk")
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_files_are_the_same_while_pages_are_given_back_all_the_time(profile, tmp_path, monkeypatch):
-    monkeypatch.setattr(rooms, "_check", lambda least, what: None)
-    monkeypatch.setattr(rooms, "_FIXED", -(10**9))
+    monkeypatch.setattr(memory_limit, "_check", lambda least, what: None)
+    monkeypatch.setattr(memory_limit, "_FIXED", -(10**9))
     ply, whole, within = tmp_path / "scene.ply", tmp_path / "whole.egs", tmp_path / "within.egs"
     write_ply(ply, replace(generate(6000, 2, 1), extra=rich_scene(6000, 2).extra))
     config = Config(profile, extra="keep", block_size=BLOCK)

@@ -19,7 +19,7 @@ from other_programs import PROGRAMS, check, stored_numbers
 from scenes import assert_same_floats, random_scene
 from test_web_page import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 
-from gs_codec.cameras.files import write_cameras
+from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import STREAMED, Config
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool

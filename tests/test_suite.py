@@ -22,7 +22,7 @@ from gs_codec.bench.sources import open_beside
 from gs_codec.bench.suite import run
 from gs_codec.bench.suite.run import GROUPS, Options, run_suite, scene_line
 from gs_codec.bench.suite.tables import escaped
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import write_png
 from gs_codec.cli import main
 from gs_codec.cli.main import app

@@ -21,10 +21,10 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.decode import decode_part
 from gs_codec.codecs.entropygs import torchac_coder
 from gs_codec.codecs.inspection import inspect_bytes
-from gs_codec.codecs.memory import least_memory
+from gs_codec.codecs.memory_limit import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import DEPTH_GROUPS, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedStream
 from gs_codec.formats.ply.file import write_ply

@@ -23,7 +23,7 @@ from test_cameras import (
     write_model,
 )
 
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import find_image
 from gs_codec.errors import InvalidInput
 

@@ -15,7 +15,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.sources import open_sources
-from gs_codec.edit.pipeline import Action
+from gs_codec.edit.apply import Action
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file

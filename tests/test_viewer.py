@@ -29,10 +29,11 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply, write_ply
-from gs_codec.preparation.report import centres_checksum
+from gs_codec.preparation.prepare_report import centres_checksum
 from viewer.main import app, main
 from viewer.pictures import screenshot
 from viewer.pictures.centres import centres, pruned_centres
+from viewer.pictures.drawer import measure
 from viewer.pictures.layers import (
     UNKNOWN,
     Points,
@@ -52,12 +53,11 @@ from viewer.pictures.picture import (
     wiped,
 )
 from viewer.pictures.screenshot import draw_request
-from viewer.pictures.splats import measure
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, keep, open_scene, read_pruned, thinned, turned
 from viewer.scenes.pose import Pose, look_at, of_camera, overview
-from viewer.scenes.request import Request, find_views, first_view, parse_layers
+from viewer.scenes.view_request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
 from viewer.window.worker import Worker
 

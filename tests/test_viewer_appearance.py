@@ -12,13 +12,13 @@ import gs_codec
 from gs_codec.cameras.inria import as_camera
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.file import write_ply
-from gs_codec.metrics.images import psnr
+from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED
 from viewer.pictures.centres import centres
+from viewer.pictures.drawer import Drawer, measure, splats
 from viewer.pictures.picture import Shown, draw_scene, picture
-from viewer.pictures.splats import Drawer, measure, splats
 from viewer.scenes.appearance import Look, gaussians_drawn
 from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened, open_scene

@@ -13,7 +13,7 @@ import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.config import Config
-from gs_codec.egs.file import read_file
+from gs_codec.egs.egs_file import read_file
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.file import write_ply
 from gs_codec.views import estimate as auto_cameras
@@ -24,7 +24,7 @@ from viewer.pictures.screenshot import draw_request
 from viewer.pictures.ticks import scale_marks
 from viewer.scenes.choice import COLOURINGS, SCALED, Choice
 from viewer.scenes.opened import Opened, open_scene
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 
 COUNT = 2500
 

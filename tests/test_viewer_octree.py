@@ -19,14 +19,14 @@ from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.file import write_ply
 from viewer.pictures.cubes import Cubes, draw_cubes
 from viewer.pictures.layers import Points, heat
-from viewer.pictures.octree import Octree
+from viewer.pictures.octree_cells import Octree
 from viewer.pictures.picture import Shown, draw_scene
 from viewer.pictures.screenshot import draw_request
 from viewer.pictures.ticks import scale_marks
 from viewer.scenes.choice import OctreeChoice
 from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import Pose, look_at
-from viewer.scenes.request import Request
+from viewer.scenes.view_request import Request
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.pane import _box
 

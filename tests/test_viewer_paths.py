@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import gs_codec
-from viewer.scenes import paths
-from viewer.scenes.paths import (
+from viewer.scenes import typed_paths
+from viewer.scenes.typed_paths import (
     CAMERAS,
     FOLDERS,
     PICTURES,
@@ -96,7 +96,7 @@ def test_a_folder_lists_its_folders_and_then_its_files_of_a_kind(folder, monkeyp
     assert listed(folder, SCENES) == ["../", "Sub/", "A.egs", "b.PLY", "c d.ply"]
     assert listed(folder, CAMERAS) == ["../", "Sub/", "notes.txt"]
     assert listed(folder, FOLDERS) == ["../", "Sub/"]
-    monkeypatch.setattr(paths, "MOST", 3)
+    monkeypatch.setattr(typed_paths, "MOST", 3)
     assert listed(folder, SCENES) == ["../", "Sub/", "A.egs"]
     with pytest.raises(gs_codec.InvalidInput, match="none: No such file or directory"):
         listed(folder / "none", SCENES)

@@ -17,9 +17,9 @@ from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.registry import open_scene as open_file
 from gs_codec.scene import ANTIALIASED
+from viewer.pictures.drawer import splats
 from viewer.pictures.marker import draw_marker, marker
 from viewer.pictures.picture import Shown, draw_scene
-from viewer.pictures.splats import splats
 from viewer.scenes.appearance import Look
 from viewer.scenes.matched import NEAREST, Match
 from viewer.scenes.opened import Opened, Pruned, open_scene, turned

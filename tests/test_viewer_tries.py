@@ -13,17 +13,17 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.file import write_ply
 from gs_codec.views.find import find_cameras
 from samples.generate import generate
-from viewer.scenes import trials as module
+from viewer.scenes import trial_list
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened, open_scene, turned
 from viewer.scenes.pose import look_at
-from viewer.scenes.trials import Asked, Tries, Try
+from viewer.scenes.trial_list import Asked, Tries, Try
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_without_cameras_views_are_estimated_once(folder, tmp_path, monkeypatch)
         asked.append(arguments)
         return find_cameras(*arguments, progress=progress)[:2]
 
-    monkeypatch.setattr(module, "find_cameras", two_of_them)
+    monkeypatch.setattr(trial_list, "find_cameras", two_of_them)
     tries = Tries(open_scene(folder / "a.ply"), tmp_path)
     told: list[str] = []
     for _ in range(2):

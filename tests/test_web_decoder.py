@@ -30,7 +30,7 @@ from test_format import CASES, LATTICE_CASES, encoded, lattice_config
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import GsCodecError
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import GROUPS, Scene, other_comments

@@ -19,11 +19,11 @@ from test_web_levels import city
 from test_web_page import Job, decibels, drawn, in_browser, open_pages, seen
 
 from gs_codec.cameras.camera import Camera, facing
-from gs_codec.cameras.files import write_cameras
+from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.decode import choose_part
 from gs_codec.codecs.part import Part
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.levels import levels_of, open_level
 from gs_codec.files.sharing import share
 from gs_codec.scene import Scene

@@ -14,10 +14,10 @@ from test_web_decoder import NODE, blocks, digest, run, upto
 
 from gs_codec.cameras.camera import Camera, facing
 from gs_codec.codecs import decode_part, decode_scene
+from gs_codec.codecs.blocks_for_view import select_blocks
 from gs_codec.codecs.part import Part
-from gs_codec.codecs.selection import select_blocks
 from gs_codec.config import ADAPTIVE_PROFILES
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.levels import levels_of, open_level
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate

@@ -24,19 +24,19 @@ from scenes import random_scene, thorough
 from test_web_decoder import GOLDEN, digest
 
 from gs_codec.cameras.camera import Camera, facing
-from gs_codec.cameras.files import write_cameras
+from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.cameras.up import UPS, up_of
 from gs_codec.cameras.widest import widest_view
 from gs_codec.cli.main import main
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files import sharing
 from gs_codec.files.scenes import turn_scene
 from gs_codec.files.sharing import share
 from gs_codec.formats.ply.file import write_ply
-from gs_codec.metrics.images import psnr
+from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import ANTIALIASED, Scene
 from gs_codec.views.estimate import auto_cameras

@@ -17,7 +17,7 @@ from test_transforms import SHARED, frame, write_transforms
 
 import gs_codec
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras, write_cameras
+from gs_codec.cameras.camera_files import read_cameras, write_cameras
 from gs_codec.errors import InvalidInput
 from gs_codec.views.estimate import auto_cameras
 from gs_codec.views.find import find_cameras
@@ -140,7 +140,7 @@ def test_what_could_not_be_read_again_is_not_written(names, message, tmp_path):
 
 
 def test_file_too_large_to_be_read_is_not_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("gs_codec.cameras.files.MAX_BYTES", 300)
+    monkeypatch.setattr("gs_codec.cameras.camera_files.MAX_BYTES", 300)
     write_cameras(tmp_path / "a.json", [view("a")])
     with pytest.raises(InvalidInput, match="bytes of cameras, expected at most 300"):
         write_cameras(tmp_path / "b.json", [view("a"), view("b")])

@@ -30,7 +30,7 @@ from viewer.scenes.choice import (
 
 if TYPE_CHECKING:
     from viewer.pictures.film import Film
-    from viewer.scenes.request import Request
+    from viewer.scenes.view_request import Request
 
 app = typer.Typer(
     add_completion=False,
@@ -225,7 +225,7 @@ def command(
     if port is not None:
         raise gs_codec.GsCodecError("port: needs --web")
     check_installed("open3d", "all but --web")
-    from viewer.scenes.request import Request, parse_layers
+    from viewer.scenes.view_request import Request, parse_layers
 
     request = Request(
         a,
@@ -257,11 +257,11 @@ def command(
         return
     for source in filter(None, (request.a, request.b)):
         source.stat()  # a scene that is not there is told rather than a display
-    from viewer.window.device import find_device
+    from viewer.window.display import find_device
 
     device = find_device()
     _leave_out_plotly()
-    from viewer.window.viewer import run
+    from viewer.window.main_window import run
 
     run(request, device)
 

@@ -22,11 +22,11 @@ from viewer.pictures.notes import draw_notes
 from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, open_scene, read_pruned
-from viewer.scenes.paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.pose import of_camera
-from viewer.scenes.request import Request, find_views, parse_layers
+from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
+from viewer.scenes.view_request import Request, find_views, parse_layers
 from viewer.scenes.viewpoints import find_viewpoints, nearest_camera
-from viewer.window.device import find_device
+from viewer.window.display import find_device
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -108,7 +108,7 @@ def draw(
     request.check()
     check_installed("open3d", "draw")
     device = find_device()
-    from viewer.window.viewer import run
+    from viewer.window.main_window import run
 
     run(request, device)
 
@@ -177,7 +177,7 @@ class Actions:
     """
 
     def __init__(self, visualizer: O3DVisualizer) -> None:
-        from viewer.window.notes import NotesWindow
+        from viewer.window.notes_window import NotesWindow
 
         self._visualizer, self._attached = visualizer, True
         self._notes = NotesWindow()

@@ -21,7 +21,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.codecs.entropygs.symbols import fit_channel
 from gs_codec.config import Config
-from gs_codec.metrics.images import psnr
+from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all

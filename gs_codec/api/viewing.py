@@ -31,7 +31,7 @@ from gs_codec.views.find import find_cameras
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
 
-    from gs_codec.preparation.report import PrepareReport
+    from gs_codec.preparation.prepare_report import PrepareReport
 
 
 @checked

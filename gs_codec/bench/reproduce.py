@@ -18,11 +18,11 @@ from gs_codec.bench.suite.tables import escaped, markdown
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
-from gs_codec.metrics.images import Quality
+from gs_codec.metrics.image_quality import Quality
 from gs_codec.metrics.lpips import VARIABLE
 from gs_codec.preparation.pipeline import prepare_scene
+from gs_codec.preparation.prepare_report import PrepareReport, StepReport, coding_steps
 from gs_codec.preparation.presets import PRESETS
-from gs_codec.preparation.report import PrepareReport, StepReport, coding_steps
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress
 from gs_codec.runtime.wording import counted

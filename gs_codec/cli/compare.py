@@ -26,7 +26,7 @@ _OF_VIEWS = ("width", "split", "background", "device")
 
 if TYPE_CHECKING:
     from gs_codec.metrics.attributes import Comparison
-    from gs_codec.metrics.images import Quality, View
+    from gs_codec.metrics.image_quality import Quality, View
 
 
 @takes(*_OF_VIEWS, "max_bytes", "overwrite", "json", split="held-out", device="auto")

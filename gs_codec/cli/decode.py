@@ -121,7 +121,7 @@ def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeRep
 
 def _camera_of(text: str) -> Camera:
     """The camera that ``CAMERAS[:NAME]`` or, by its index, ``CAMERAS:#N`` names."""
-    from gs_codec.cameras.files import read_cameras
+    from gs_codec.cameras.camera_files import read_cameras
 
     path, name = text, ""
     if not os.path.exists(text):

@@ -124,7 +124,7 @@ def _ramp() -> str:
 
 def print_prepared(prepared: dict[str, Any]) -> None:
     """What preparation removed, and its ablation table, on stdout."""
-    from gs_codec.preparation.report import ablation_table
+    from gs_codec.preparation.prepare_report import ablation_table
 
     for reason, number in prepared["removed"].items():
         if number:

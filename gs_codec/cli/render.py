@@ -47,7 +47,7 @@ def command(
         check_writable(out, asked["overwrite"])
     else:
         check_folder(out, asked["overwrite"])
-    from gs_codec.cameras.files import write_cameras
+    from gs_codec.cameras.camera_files import write_cameras
     from gs_codec.files.scenes import read_scene
     from gs_codec.views.draw import write_views
     from gs_codec.views.find import find_cameras

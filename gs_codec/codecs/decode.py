@@ -12,11 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.decode import adaptive_sections, decode_adaptive
-from gs_codec.codecs.memory import slab_within
+from gs_codec.codecs.blocks_for_view import select_blocks
+from gs_codec.codecs.memory_limit import slab_within
 from gs_codec.codecs.part import Part
-from gs_codec.codecs.selection import select_blocks
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
-from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, Readable, SectionId, read_file
+from gs_codec.egs.egs_file import (
+    DESCRIPTIONS,
+    SCENE_SECTIONS,
+    EgsFile,
+    Readable,
+    SectionId,
+    read_file,
+)
 from gs_codec.egs.header import Feature
 from gs_codec.egs.index import index_of
 from gs_codec.egs.levels import levels_of, open_level, within

@@ -16,7 +16,7 @@ from gs_codec.codecs.interchange import (
     round_scene,
 )
 from gs_codec.codecs.lossless.lossless import encode_lossless
-from gs_codec.codecs.memory import check_encoding
+from gs_codec.codecs.memory_limit import check_encoding
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
 from gs_codec.report import EncodeReport, Progress, StageTimes

@@ -17,7 +17,14 @@ from gs_codec.codecs.adaptive.section import PassModels, far_count, lattice_of
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
-from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Readable, SectionId, read_file, section_label
+from gs_codec.egs.egs_file import (
+    DESCRIPTIONS,
+    EgsFile,
+    Readable,
+    SectionId,
+    read_file,
+    section_label,
+)
 from gs_codec.egs.index import Box, bounds_of
 from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line

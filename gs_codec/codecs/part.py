@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.selection import View
+from gs_codec.codecs.blocks_for_view import View
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 from gs_codec.scene import SH_COEFFICIENTS

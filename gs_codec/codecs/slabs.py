@@ -12,11 +12,11 @@ from pathlib import Path
 from gs_codec.codecs.decode import ChosenPart, choose_part
 from gs_codec.codecs.inspection import describe
 from gs_codec.codecs.matching import order_of_file, with_order
-from gs_codec.codecs.memory import slab_within
+from gs_codec.codecs.memory_limit import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.coding.extent import box_text
 from gs_codec.config import check_threads
-from gs_codec.egs.file import MAGIC, EgsFile
+from gs_codec.egs.egs_file import MAGIC, EgsFile
 from gs_codec.egs.index import bounds_of
 from gs_codec.egs.levels import check_errors, errors_of, levels_of, open_level, within
 from gs_codec.errors import CorruptStream, InvalidInput

@@ -18,7 +18,7 @@ from gs_codec.codecs.adaptive.section import write_lattice
 from gs_codec.distributed.chunks import coded_bytes, coded_table, save_coded
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.workers import Workers, do_all
-from gs_codec.egs.file import Listed, Section, SectionId, file_head, in_file_order, padded_parts
+from gs_codec.egs.egs_file import Listed, Section, SectionId, file_head, in_file_order, padded_parts
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.index import index_section
 from gs_codec.report import ChannelCost, StageTimes

@@ -18,7 +18,7 @@ from gs_codec.codecs.adaptive.section import read_lattice
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.context_rans import PassTables
 from gs_codec.distributed.folder import Arrays, Folder
-from gs_codec.egs.file import Listed, Section, padded_parts, place_in_file
+from gs_codec.egs.egs_file import Listed, Section, padded_parts, place_in_file
 from gs_codec.scene import Scene
 
 #: Arrays of a pass, by name.

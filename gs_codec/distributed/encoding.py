@@ -31,7 +31,7 @@ from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run
 from gs_codec.distributed.sources import Sources, open_sources
 from gs_codec.distributed.survey import Job, Looked, choose_lattice, look
 from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
-from gs_codec.egs.file import Section, SectionId, section_sizes
+from gs_codec.egs.egs_file import Section, SectionId, section_sizes
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.sections import carried_sections
 from gs_codec.encoding.loss import Check

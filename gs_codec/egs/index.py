@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.extent import EXTENT, centre_box
-from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.egs_file import EgsFile, Section, SectionId
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.wording import counted
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
+from gs_codec.egs.egs_file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
 from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.wording import counted

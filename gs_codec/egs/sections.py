@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.egs.file import EgsFile, Section, SectionId, file_parts, in_file_order, section_sizes
+from gs_codec.egs.egs_file import (
+    EgsFile,
+    Section,
+    SectionId,
+    file_parts,
+    in_file_order,
+    section_sizes,
+)
 from gs_codec.egs.header import Header
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.report import ChannelCost, EncodeReport, StageTimes

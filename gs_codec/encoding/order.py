@@ -18,7 +18,7 @@ from gs_codec.codecs.encode import (
     encode_shaped,
     shape_scene,
 )
-from gs_codec.codecs.memory import check_encoding
+from gs_codec.codecs.memory_limit import check_encoding
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import (
     ADAPTIVE_PROFILES,

@@ -17,7 +17,7 @@ from gs_codec.files.shifted import early_shifts, edit_shifted
 from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
-from gs_codec.levels.encoding import add_levels, check_levels
+from gs_codec.levels.adding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded

@@ -27,7 +27,7 @@ from gs_codec.files.scenes import (
 from gs_codec.files.shifted import early_shifts, edit_shifted
 from gs_codec.files.suffixes import IN_PARTS, check_target
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
-from gs_codec.levels.encoding import check_levels
+from gs_codec.levels.adding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded

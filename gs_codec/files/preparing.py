@@ -12,7 +12,7 @@ from gs_codec.config import Config, as_config
 from gs_codec.encoding.order import encode_planned
 from gs_codec.files.scenes import read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import PLAIN, check_target, config_for
-from gs_codec.levels.encoding import add_levels
+from gs_codec.levels.adding import add_levels
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
@@ -20,7 +20,7 @@ from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.report import PrepareReport
+    from gs_codec.preparation.prepare_report import PrepareReport
     from gs_codec.preparation.steps import Plan
 
 
@@ -84,7 +84,7 @@ def prepare_file(
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene
-    from gs_codec.preparation.report import save_report
+    from gs_codec.preparation.prepare_report import save_report
 
     with using_threads(config.threads):
         scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))

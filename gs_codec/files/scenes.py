@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs import decode_part, matching
 from gs_codec.codecs.adaptive.costs import gaussian_classes
-from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bits
+from gs_codec.codecs.gaussian_costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.interchange import encode_finest
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import ROUNDED_FORMATS, SSOG, STREAMED, UNBUNDLED, Config, Extra
-from gs_codec.egs.file import DESCRIPTIONS, read_file
+from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
 from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, PLAIN, config_for, format_of, suffix_of
@@ -34,7 +34,7 @@ from gs_codec.formats.ply.dialects import with_filter
 from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.zip_file import write_zip
-from gs_codec.levels.encoding import add_levels
+from gs_codec.levels.adding import add_levels
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress, RenderedLoss

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gs_codec.edit.actions import Action
-from gs_codec.edit.pipeline import edit_scenes
+from gs_codec.edit.apply import edit_scenes
 from gs_codec.formats.coordinates import CONVENTION, turn_shift
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import ActionReport, Progress

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.coding.extent import centre_bounds
 from gs_codec.config import SSOG, Extra
-from gs_codec.egs.file import MAGIC as EGS
+from gs_codec.egs.egs_file import MAGIC as EGS
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import checkpoint, ksplat, splat

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.egs.header import FANOUT
-from gs_codec.levels.errors import FOOTPRINT, Run, error_of
+from gs_codec.levels.block_errors import FOOTPRINT, Run, error_of
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, join_scenes

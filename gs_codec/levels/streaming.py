@@ -21,8 +21,8 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.sog.streamed import Leaf, Run, describe_levels
 from gs_codec.formats.sog.writer import REACH, numbers, sog_files_of
 from gs_codec.guidance.calibrate import calibrated
+from gs_codec.levels.adding import config_of_levels
 from gs_codec.levels.building import coarsen
-from gs_codec.levels.encoding import config_of_levels
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import ANTIALIASED, Scene, join_scenes
 

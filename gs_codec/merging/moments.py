@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.exact import exact_exp, exact_log
+from gs_codec.coding.exact_math import exact_exp, exact_log
 from gs_codec.rendering.project import quaternion_turn
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import Scene

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.exact import exact_exp
+from gs_codec.coding.exact_math import exact_exp
 from gs_codec.merging.moments import axes_of, covariances_of, logits
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import inlined, kernel

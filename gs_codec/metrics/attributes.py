@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION
-from gs_codec.metrics.images import View, mean_quality
-from gs_codec.metrics.shapes import differences, shape_errors
+from gs_codec.metrics.image_quality import View, mean_quality
+from gs_codec.metrics.shape_errors import differences, shape_errors
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 

@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.adam import LAST, RATES, AdamState, adam_step, new_state, step_sizes
-from gs_codec.preparation.checkpoint import Checkpoint, digest_of, read_checkpoint, write_checkpoint
+from gs_codec.preparation.optimiser_state import (
+    Checkpoint,
+    digest_of,
+    read_checkpoint,
+    write_checkpoint,
+)
 from gs_codec.preparation.reference_views import ReferenceViews, draw_targets
 from gs_codec.preparation.steps import Device
 from gs_codec.rendering import gsplat_backend

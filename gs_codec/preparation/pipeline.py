@@ -19,6 +19,7 @@ from gs_codec.config import Config
 from gs_codec.preparation.balance import Balance, StepsOf, profile_steps
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
+from gs_codec.preparation.prepare_report import LABELS, PrepareReport, StepReport, centres_checksum
 from gs_codec.preparation.prune import (
     importance,
     keep_highest,
@@ -37,7 +38,6 @@ from gs_codec.preparation.reference_views import (
     read_photographs,
 )
 from gs_codec.preparation.refit_colour import refit_colour
-from gs_codec.preparation.report import LABELS, PrepareReport, StepReport, centres_checksum
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.gsplat_backend import is_chosen
 from gs_codec.report import Progress

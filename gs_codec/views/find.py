@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.inria import as_camera
 from gs_codec.errors import InvalidInput
 from gs_codec.report import Progress

@@ -24,7 +24,7 @@ from scenes import encode_by, made_up_guide, random_scene, with_far
 
 from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.files import read_cameras
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import read_image
 from gs_codec.codecs import decode_part, encode_parts, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
@@ -39,10 +39,10 @@ from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.sog.files import parse_meta, read_pixels
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.formats.zip_file import write_zip
-from gs_codec.levels.encoding import add_levels
+from gs_codec.levels.adding import add_levels
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.adam import AdamState, new_state
-from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from gs_codec.preparation.optimiser_state import Checkpoint, read_checkpoint, write_checkpoint
 from gs_codec.report import SCHEMA
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import GROUPS, Scene

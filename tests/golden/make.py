@@ -23,9 +23,9 @@ from scenes import encode_by, made_up_guide, random_scene, with_far  # noqa: E40
 from gs_codec.codecs import decode_part, decode_scene, encode_parts  # noqa: E402
 from gs_codec.codecs.part import Part  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
-from gs_codec.egs.file import read_file  # noqa: E402
+from gs_codec.egs.egs_file import read_file  # noqa: E402
 from gs_codec.egs.levels import levels_of  # noqa: E402
-from gs_codec.levels.encoding import add_levels  # noqa: E402
+from gs_codec.levels.adding import add_levels  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 
 #: What tells the encoder of what views see, by name. The error is that of `m` when files of version

@@ -14,8 +14,8 @@ from viewer.pictures.screenshot import compose, shown_of
 from viewer.scenes.flight import flythrough
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
-from viewer.scenes.request import Request, find_views, first_view
 from viewer.scenes.turntable import turntable
+from viewer.scenes.view_request import Request, find_views, first_view
 from viewer.scenes.viewpoints import COUNT, find_viewpoints
 
 #: Default number of frames of a film.

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from viewer.pictures.centres import centres, pruned_centres, why_unknown
 from viewer.pictures.cubes import Cubes, draw_cubes
+from viewer.pictures.drawer import Drawer, drawer_of
 from viewer.pictures.layers import (
     EDGES,
     PIXEL_LEGEND,
@@ -24,8 +25,7 @@ from viewer.pictures.layers import (
     reason_colour,
 )
 from viewer.pictures.marker import draw_marker, marker
-from viewer.pictures.octree import Octree
-from viewer.pictures.splats import Drawer, drawer_of
+from viewer.pictures.octree_cells import Octree
 from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, Pruned

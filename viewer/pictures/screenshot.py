@@ -14,6 +14,7 @@ import gs_codec
 from gs_codec.cameras.image_files import find_image
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.views.photographs import read_photograph
+from viewer.pictures.drawer import measure
 from viewer.pictures.layers import Legend
 from viewer.pictures.picture import (
     Shown,
@@ -28,10 +29,9 @@ from viewer.pictures.picture import (
     wiped,
     write_reasons,
 )
-from viewer.pictures.splats import measure
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
-from viewer.scenes.request import Request, find_pruned, find_views, first_view
+from viewer.scenes.view_request import Request, find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import find_viewpoints
 
 

@@ -27,7 +27,7 @@ from gs_codec.files.scenes import (
 )
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
-from gs_codec.preparation.report import centres_checksum
+from gs_codec.preparation.prepare_report import centres_checksum
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 

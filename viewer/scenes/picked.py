@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.inria import as_camera
-from gs_codec.codecs.costs import CodedGaussian
+from gs_codec.codecs.gaussian_costs import CodedGaussian
 from gs_codec.files.scenes import describe_gaussian_of_file
 from gs_codec.rendering.pixel import gaussian_weight, pixel_weights
 from gs_codec.scene import sh_bands

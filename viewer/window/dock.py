@@ -14,7 +14,7 @@ from viewer.scenes.choice import DOCKS
 from viewer.scenes.opened import Opened
 from viewer.window.canvas import Canvas
 from viewer.window.pane import HIDDEN
-from viewer.window.survey import Survey
+from viewer.window.view_survey import Survey
 from viewer.window.worker import Stale
 
 #: Share of the window's height.
@@ -29,7 +29,7 @@ class Dock:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
     selected : callable
         Called with the quantity and a range of its values that was dragged in a histogram.
 

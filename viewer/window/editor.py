@@ -14,10 +14,10 @@ import gs_codec
 from viewer.scenes.appearance import which_drawn
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened
-from viewer.scenes.paths import SAVED_SCENES
 from viewer.scenes.region import REGIONS, Region, in_region
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
+from viewer.scenes.typed_paths import SAVED_SCENES
 from viewer.window import dialogs
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
@@ -32,7 +32,7 @@ class Editor:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
 
     Attributes
     ----------

@@ -9,7 +9,15 @@ from typing import Any, NamedTuple, SupportsInt
 from open3d.visualization import gui
 
 from gs_codec.errors import InvalidInput
-from viewer.scenes.paths import UP, Kind, check_readable, listed, suggested, to_write, typed_path
+from viewer.scenes.typed_paths import (
+    UP,
+    Kind,
+    check_readable,
+    listed,
+    suggested,
+    to_write,
+    typed_path,
+)
 from viewer.window.dialogs import Modal, folded, shortened
 from viewer.window.x11 import BACKSPACE, Keyboard
 
@@ -288,7 +296,7 @@ class Files:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
     """
 
     def __init__(self, viewer: Any) -> None:

@@ -120,7 +120,7 @@ class Keys:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
     """
 
     def __init__(self, viewer: Any) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 
 import gs_codec
 from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned, turned
-from viewer.scenes.paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.recent import recent_files, remember
-from viewer.scenes.request import find_pruned, find_views, first_view
+from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
+from viewer.scenes.view_request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
 from viewer.window import dialogs
 from viewer.window.worker import Stale
@@ -22,7 +22,7 @@ class Loading:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
     """
 
     def __init__(self, viewer: Any) -> None:

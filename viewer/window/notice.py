@@ -24,7 +24,7 @@ class Notice:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
     """
 
     def __init__(self, viewer: Any) -> None:

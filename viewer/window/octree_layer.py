@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import Legend, Points
-from viewer.pictures.octree import Octree
+from viewer.pictures.octree_cells import Octree
 from viewer.scenes.choice import OctreeChoice
 from viewer.window.pane import Pane
 from viewer.window.worker import Stale, Worker

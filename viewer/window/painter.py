@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewer.pictures.drawer import measure
 from viewer.pictures.picture import Shown, picture
-from viewer.pictures.splats import measure
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.window.pace import Pace, Step

@@ -16,7 +16,7 @@ class Picking:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
 
     Attributes
     ----------

@@ -12,8 +12,8 @@ from gs_codec.config import PROFILE_CHOICES
 from gs_codec.runtime.wording import size_text
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
-from viewer.scenes.paths import TRIES
-from viewer.scenes.trials import WISHES, Asked, Try, has_steps
+from viewer.scenes.trial_list import WISHES, Asked, Try, has_steps
+from viewer.scenes.typed_paths import TRIES
 from viewer.window.dialogs import folded, shortened
 from viewer.window.widgets import Widgets
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from gs_codec.runtime.wording import counted
 from viewer.scenes.flight import flythrough, read_poses, write_poses
-from viewer.scenes.paths import POSES
 from viewer.scenes.pose import Pose
+from viewer.scenes.typed_paths import POSES
 from viewer.window.worker import Stale
 
 #: Time of a flight from one pose to the next, seconds.
@@ -24,7 +24,7 @@ class Saved:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
 
     Attributes
     ----------

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from open3d.visualization import gui
 
 from viewer.pictures.centres import centres, pruned_centres, selected_centres
+from viewer.pictures.drawer import Drawer, depth_at
 from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points
 from viewer.pictures.marker import marker
-from viewer.pictures.octree import MOST_CUBES
+from viewer.pictures.octree_cells import MOST_CUBES
 from viewer.pictures.picture import Shown, wipe_line
-from viewer.pictures.splats import Drawer, depth_at
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose, distance_ahead

@@ -26,7 +26,7 @@ class Visits:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
 
     Attributes
     ----------

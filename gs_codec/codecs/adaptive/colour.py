@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.contexts import ACTIVITIES, COLOUR_SHIFTS
 from gs_codec.codecs.adaptive.lattice import FIXED_LIMIT
 from gs_codec.codecs.adaptive.tokens import read_token
-from gs_codec.coding.colour import predict, weigh
 from gs_codec.coding.context_rans import BAD_VALUE, MORE_BITS, OUT_OF_WORDS, PassReader
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, Nearest
+from gs_codec.coding.predicted_colour import predict, weigh
 from gs_codec.runtime.kernels import kernel
 
 #: Share of the neighbours' errors that a Gaussian takes over.

@@ -18,7 +18,7 @@ from gs_codec.codecs.adaptive.shape import shape_pass, walk_shape
 from gs_codec.codecs.adaptive.tokens import RAW_WIDTHS, token_of
 from gs_codec.coding.context_rans import PRECISION, SPAN_BITS
 from gs_codec.config import SH_STREAMS
-from gs_codec.egs.file import EgsFile
+from gs_codec.egs.egs_file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 

@@ -20,7 +20,7 @@ from gs_codec.coding.count_tree import decode_tree
 from gs_codec.coding.fields import BitReader
 from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
-from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.egs.index import check_centres
 from gs_codec.errors import CorruptStream
 from gs_codec.report import Progress, step_counter

@@ -21,7 +21,7 @@ from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import SH_STREAMS, Config
-from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.egs_file import Section, SectionId
 from gs_codec.egs.header import Feature, Header
 from gs_codec.egs.index import index_section
 from gs_codec.egs.levels import errors_section

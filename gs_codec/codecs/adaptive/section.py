@@ -29,7 +29,7 @@ from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import SH_STREAMS
-from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.wording import counted

@@ -16,18 +16,18 @@ from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.lattice import Lattice, cell_widths, packed_rules
 from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.section import lattice_of
+from gs_codec.codecs.cuda.block_streams import PADDING, Streams
 from gs_codec.codecs.cuda.colours import read_colours
 from gs_codec.codecs.cuda.floats import fill_colours, fill_shapes
 from gs_codec.codecs.cuda.lanes import WIDTH, pack_tables
 from gs_codec.codecs.cuda.launch import argument, for_each, staging, unsigned, upload, working_on
-from gs_codec.codecs.cuda.levels import read_levels
 from gs_codec.codecs.cuda.places import find_widths, place, surround
+from gs_codec.codecs.cuda.sh_ac_levels import read_levels
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
-from gs_codec.codecs.cuda.streams import PADDING, Streams
 from gs_codec.codecs.cuda.sums import OF_SHARE, OF_SUM, read_shares, read_sums
 from gs_codec.coding.context_rans import BAD_VALUE, PassTables
 from gs_codec.coding.morton import axis_tables
-from gs_codec.egs.file import EgsFile
+from gs_codec.egs.egs_file import EgsFile
 from gs_codec.egs.index import check_boxes
 from gs_codec.scene import SH_COEFFICIENTS, sh_bands
 

@@ -7,8 +7,8 @@ from numba import cuda
 
 from gs_codec.codecs.adaptive.lattice import rule_shift
 from gs_codec.codecs.cuda.lanes import launched, rounded
-from gs_codec.coding.colour import weigh
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_nearest
+from gs_codec.coding.predicted_colour import weigh
 
 _LARGEST = float(np.finfo(np.float32).max)
 

@@ -13,13 +13,13 @@ from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.entropygs.symbols import triple_depths
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import decode_stream, is_torchac
-from gs_codec.coding.colour import decode_colour
 from gs_codec.coding.count_tree import decode_geometry
 from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.coding.morton import decode_morton
+from gs_codec.coding.predicted_colour import decode_colour
 from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, decode_symbols
-from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.egs.index import check_centres
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all

@@ -13,14 +13,14 @@ from gs_codec.codecs.entropygs.section import write_channels
 from gs_codec.codecs.entropygs.symbols import Coded, Ordered, order_scene, quantise_and_model
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import coder_section, encode_stream, require_torchac
-from gs_codec.coding.colour import encode_colour
 from gs_codec.coding.count_tree import encode_geometry
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.far import bring_nearer
+from gs_codec.coding.predicted_colour import encode_colour
 from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, encode_symbols
 from gs_codec.config import Config
-from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.egs_file import Section, SectionId
 from gs_codec.egs.header import Feature, Header
 from gs_codec.egs.index import index_section
 from gs_codec.egs.sections import pack_scene

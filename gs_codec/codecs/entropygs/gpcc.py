@@ -19,7 +19,7 @@ from gs_codec.codecs.entropygs.tmc3 import VARIABLE, Tmc3
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import canonical_order, encode_morton
 from gs_codec.config import GPCC_DEPTHS, Config
-from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.egs_file import EgsFile, Section, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed

@@ -14,7 +14,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.quantise import CentredQuantiser, ConstantQuantiser, Quantiser, RangeQuantiser
 from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import DEPTH_GROUPS, MAX_DEPTH, SH_STREAMS
-from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, group_rows, property_names, sh_bands
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.config import Config
-from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.egs_file import EgsFile, Section, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, MissingTool, one_line

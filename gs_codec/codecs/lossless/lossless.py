@@ -23,7 +23,7 @@ from gs_codec.coding.extent import block_extent
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import encode_morton, find_ties, in_stream_order
 from gs_codec.config import SH_STREAMS, Config
-from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.egs_file import EgsFile, Section, SectionId
 from gs_codec.egs.header import Header
 from gs_codec.egs.index import check_centres, index_section
 from gs_codec.egs.sections import pack_scene

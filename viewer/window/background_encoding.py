@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 
 from gs_codec.metrics.attributes import Comparison
 from viewer.scenes.opened import Opened, Progress, Pruned
-from viewer.scenes.trials import Asked, Tries, Try
+from viewer.scenes.trial_list import Asked, Tries, Try
 from viewer.window.worker import Cancelled, Stale
 
 #: Progress is shown at most this often, seconds: drawing the window takes time, too.
@@ -25,7 +25,7 @@ class Encoding:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
 
     Attributes
     ----------

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from viewer.pictures.splats import quality, splats
+from viewer.pictures.drawer import quality, splats
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.window.worker import Stale
@@ -23,7 +23,7 @@ class Survey:
 
     Parameters
     ----------
-    viewer : viewer.window.viewer.Viewer
+    viewer : viewer.window.main_window.Viewer
     changed : callable
         Called when there is one more.
 

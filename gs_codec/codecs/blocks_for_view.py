@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.egs.file import EgsFile
+from gs_codec.egs.egs_file import EgsFile
 from gs_codec.egs.header import FANOUT
 from gs_codec.egs.index import index_of
 from gs_codec.egs.levels import check_errors, errors_of, within

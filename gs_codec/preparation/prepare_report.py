@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.config import PROFILES, Config
-from gs_codec.metrics.images import Quality
+from gs_codec.metrics.image_quality import Quality
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.report import EncodeReport, RenderedLoss
 from gs_codec.runtime.atomic import write_files

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.binary import check_end
 from gs_codec.coding.context_rans import FAULTS
 from gs_codec.coding.rans import LANES, LOWEST, read_states
-from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream, TruncatedStream
 
 #: Bytes that no stream of a block has: a symbol takes fewer than 6 of them.

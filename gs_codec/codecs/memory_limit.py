@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
-from gs_codec.egs.file import EgsFile
+from gs_codec.egs.egs_file import EgsFile
 from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import current

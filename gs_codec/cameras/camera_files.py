@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.camera_paths import read_camera_path, read_supersplat
 from gs_codec.cameras.colmap import DEEPER_PLACES, PLACES, find_model, models_below, read_colmap
 from gs_codec.cameras.inria import as_entry, read_inria
 from gs_codec.cameras.json_fields import MAX_BYTES, load_json, short
-from gs_codec.cameras.paths import read_camera_path, read_supersplat
 from gs_codec.cameras.transforms import read_transforms
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import checked

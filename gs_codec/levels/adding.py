@@ -7,7 +7,7 @@ from dataclasses import replace
 from gs_codec.codecs.adaptive.encode import encode_level
 from gs_codec.codecs.decode import decode_scene
 from gs_codec.config import Config, options_of
-from gs_codec.egs.file import (
+from gs_codec.egs.egs_file import (
     Section,
     SectionId,
     file_parts,

@@ -14,12 +14,12 @@ import gs_codec
 from gs_codec.runtime.arrays import release_large_when_freed
 from viewer.pictures.screenshot import compose, save_picture
 from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
-from viewer.scenes.paths import PICTURES
-from viewer.scenes.request import Request
+from viewer.scenes.typed_paths import PICTURES
+from viewer.scenes.view_request import Request
 from viewer.window import dialogs
+from viewer.window.background_encoding import Encoding
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
-from viewer.window.encoding import Encoding
 from viewer.window.file_dialog import Files
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading

@@ -14,7 +14,7 @@ from gs_codec.codecs.adaptive import costs as adaptive
 from gs_codec.codecs.adaptive.decode import Blocks
 from gs_codec.codecs.entropygs.section import channels_of
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
-from gs_codec.egs.file import SCENE_SECTIONS, EgsFile, section_label
+from gs_codec.egs.egs_file import SCENE_SECTIONS, EgsFile, section_label
 from gs_codec.runtime.threads import run_all, using_threads
 
 

@@ -1,1 +1,1 @@
-"""Tools that codecs share: entropy coders, frequency tables, orders and neighbours."""
+"""Tools that codecs share: entropy coders, frequency tables, Morton order, neighbour search."""

@@ -1,4 +1,4 @@
-"""One of the 24 ways to write the same Gaussian: longest axis first, quaternion near identity."""
+"""The canonical one of 24 equivalent parameterisations: longest axis first, smallest rotation."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from gs_codec.runtime.kernels import kernel
 
 
 def _turns() -> NDArray[np.float64]:
-    """Quaternions ``(27, 4, 4)`` that put axes a, b, c first, second, third, up to signs.
+    """Quaternions ``(27, 4, 4)`` that move axes a, b, c to first, second, third place, up to signs.
 
-    The first index is ``9 a + 3 b + c``; the four differ by half turns about the axes.
+    The first index is ``9 a + 3 b + c``; the four quaternions differ by half turns about the axes.
     """
     turns = np.zeros((27, 4, 4))
     filled = np.zeros(27, int)
@@ -88,11 +88,11 @@ def sort_axes(
     Returns
     -------
     order : ndarray, shape (3, N), uint8
-        Which axis is the longest, the middle, the shortest; of equal ones, the first is.
+        Indices of the longest, middle and shortest axis; ties go to the lower index.
     log_scale : ndarray, shape (3, N), float64
         Descending.
     vectors : ndarray, shape (3, N), float64
-        Vector part of the unit quaternion, whose real part is its largest and not negative.
+        Vector part of the unit quaternion whose real part is its largest component and >= 0.
     """
     count = log_scale.shape[1]
     order = np.empty((3, count), np.uint8)
@@ -104,9 +104,10 @@ def sort_axes(
 def nearest_quaternions(
     vectors: NDArray[np.float64], rot: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """Of the ways to write Gaussians that differ by half turns, the nearest to ``rot (4, N)``.
+    """Apply the half turns that bring each quaternion nearest to ``rot (4, N)``.
 
-    ``vectors (3, N)`` are vector parts as `sort_axes` gives them; the result is ``(4, N)``, wxyz.
+    ``vectors (3, N)`` are vector parts from `sort_axes`. The result ``(4, N)`` is wxyz; it
+    describes the same Gaussians.
     """
     x, y, z = vectors
     w = np.sqrt(np.maximum(1.0 - (x * x + y * y + z * z), 0.0))

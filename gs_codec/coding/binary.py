@@ -1,9 +1,9 @@
-"""Adaptive binary arithmetic coder: one function walks a model in both directions.
+"""Adaptive binary arithmetic coder: one model function both encodes and decodes.
 
-A model is a kernel that calls `code_bit` for each decision. When encoding, `code_bit`
-codes the decision and returns it; when decoding, it ignores the argument and returns the decision
-that it reads. So a model is written once and cannot differ between encoder and decoder. FORMAT.md,
-section "Binary coder", is the normative text.
+A model is a kernel that calls `code_bit` for each decision. When encoding, `code_bit` codes the
+decision and returns it; when decoding, it ignores the argument and returns the decision it reads.
+Encoder and decoder share one model, so they cannot differ. FORMAT.md, section "Binary coder", is
+the normative text.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _RATES = np.array([131072 // (2 * n + 3) for n in range(256)], np.int64)
 
 @inlined
 def code_bit(state, data, contexts, context, bit):
-    """Code one decision under `context`; returns it."""
+    """Code one decision under `context`; return it."""
     low = state[_LOW]
     high = state[_HIGH]
     packed = contexts[context]
@@ -63,7 +63,7 @@ def code_bit(state, data, contexts, context, bit):
 
 @inlined
 def code_raw(bits, position, width, value, encoding):
-    """Code the `width` low bits of `value`, most significant first, at bit `position`."""
+    """Code the `width` low bits of `value`, most significant first, starting at bit `position`."""
     at = position
     left = width
     read = 0
@@ -84,7 +84,7 @@ def code_raw(bits, position, width, value, encoding):
 
 @inlined
 def bit_length(value):
-    """Bits of a number that is not negative; 0 has none."""
+    """Number of bits of an integer >= 0; 0 for 0."""
     length = 0
     while value > 0:
         value >>= 1
@@ -97,14 +97,14 @@ FRESH = 32768 << 8
 
 
 def new_contexts(count: int) -> NDArray[np.int32]:
-    """So many fresh contexts."""
+    """Make `count` fresh contexts."""
     return np.full(count, FRESH, np.int32)
 
 
 def encode_binary(model: Callable[[NDArray, NDArray], None], capacity: int) -> bytes:
     """Run ``model(state, data)`` as an encoder and return its bytes.
 
-    `capacity` is an estimate of their number; if it is too low, the model runs again.
+    `capacity` is the expected number of bytes; if it is too low, the model runs again.
     """
     capacity += 1024
     while True:
@@ -123,7 +123,7 @@ def encode_binary(model: Callable[[NDArray, NDArray], None], capacity: int) -> b
 def decode_binary(
     model: Callable[[NDArray, NDArray], None], data: bytes | memoryview, where: str
 ) -> None:
-    """Run ``model(state, data)`` as a decoder and check that it used exactly `data`."""
+    """Run ``model(state, data)`` as a decoder and check that it consumed exactly `data`."""
     stream = np.frombuffer(data, np.uint8).copy()
     code = int.from_bytes(bytes(data[:4]).ljust(4, b"\0"), "big")
     state = np.array([0, _MASK, code, 4, 0], np.int64)
@@ -132,14 +132,14 @@ def decode_binary(
 
 
 def check_end(low: int, high: int, position: int, size: int, where: str) -> None:
-    """Check that a decoder that ended with these used exactly `size` bytes."""
+    """Check that a decoder in state `low`, `high`, `position` has consumed exactly `size` bytes."""
     used = position - 4 + _flush_length(low, high)
     if used != size:
         raise CorruptStream(f"{where}: {size} coded bytes, expected {used}")
 
 
 def _flush_length(low: int, high: int) -> int:
-    """Fewest leading bytes of `high` that, followed by zeros, lie in [low, high]."""
+    """Smallest number of leading bytes of `high` that, padded with zeros, lie in [low, high]."""
     for kept in range(4):
         if high >> (32 - 8 * kept) << (32 - 8 * kept) >= low:
             return kept

@@ -1,7 +1,7 @@
-"""Values of a scene that cannot be coded as they are.
+"""Replace or reject values that cannot be coded.
 
-An opacity of +-infinity (1 or 0 after the sigmoid) and a log-scale of -infinity (flat) are values,
-which readers replace by finite ones. Other infinities and NaN are damage.
+An opacity of +-infinity (1 or 0 after the sigmoid) and a log-scale of -infinity (flat) are valid;
+readers replace them by finite numbers. Other infinities and NaN are damage.
 """
 
 from __future__ import annotations
@@ -24,26 +24,27 @@ from gs_codec.scene import GROUPS, Scene
 
 log = logging.getLogger(__name__)
 
-#: Logit that stands for an opacity of 1, and its negative for 0: within 2^-25 of them.
+#: Logit that replaces +infinity (opacity 1); its negative replaces -infinity. The opacity changes
+#: by 2^-25.
 _OPAQUE = 17.328679
 
-#: Log of the thickness of flat Gaussians, as a share of their shorter other axis: 5e-5, less than a
-#: pixel. The same share for all takes no bits in profiles `l`, `m` and `s`.
+#: Log of the ratio of a flat Gaussian's thickness to its shorter other axis: 5e-5, less than a
+#: pixel. Because the ratio is constant, it costs no bits in profiles `l`, `m` and `s`.
 _THICKNESS = np.float32(-10)
 
-#: Minimum log-scale of the axis it is a share of.
+#: Minimum log-scale of that other axis.
 _LEAST_AXIS = np.float32(-20)
 
 
 class Ends(NamedTuple):
-    """Number of Gaussians whose opacity was replaced, and of those with a scale that was."""
+    """Number of Gaussians whose opacity was replaced, and number whose scale was."""
 
     opacity: int
     scale: int
 
 
 def finite_ends(scene: Scene) -> tuple[Scene, Ends]:
-    """Replace infinities that are values by finite numbers that look the same."""
+    """Replace valid infinities by finite numbers that render the same."""
     ends, flat = np.isinf(scene.opacity), np.isneginf(scene.log_scale)
     counts = Ends(int(np.count_nonzero(ends)), int(np.count_nonzero(flat.any(axis=0))))
     if not any(counts):
@@ -55,25 +56,25 @@ def finite_ends(scene: Scene) -> tuple[Scene, Ends]:
 
 
 def flat_scales(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The log-scales ``(N,)`` that stand for a thickness of 0; ``(k, N)`` are those of all axes.
+    """Log-scales ``(N,)`` that replace -infinity, from ``(k, N)`` log-scales of all axes.
 
-    Axes of -infinity have no extent, and the share is that of the others.
+    The ratio is taken to the shortest axis that is not -infinity.
     """
     shorter = np.where(np.isneginf(log_scale), np.float32(np.inf), log_scale).min(axis=0)
     shorter = np.where(np.isposinf(shorter), _LEAST_AXIS, np.maximum(shorter, _LEAST_AXIS))
-    with np.errstate(invalid="ignore"):  # a signalling NaN
+    with np.errstate(invalid="ignore"):  # comparing a signalling NaN warns
         return shorter + _THICKNESS
 
 
 def with_finite_ends(scene: Scene, where: str | Path = "") -> Scene:
-    """See `finite_ends`; logs what was replaced, and `where`."""
+    """Apply `finite_ends`, and log what was replaced, with `where`."""
     scene, counts = finite_ends(scene)
     log_ends(counts, where)
     return scene
 
 
 def log_ends(counts: Ends, where: str | Path = "") -> None:
-    """Log what `finite_ends` replaced, if anything, as one line."""
+    """Log what `finite_ends` replaced, if anything, in one line."""
     what = {"opacity 0 or 1": counts.opacity, "a scale of 0": counts.scale}
     if any(counts):
         found = " and ".join(f"{name} in {counted(n, 'Gaussian')}" for name, n in what.items() if n)
@@ -82,16 +83,16 @@ def log_ends(counts: Ends, where: str | Path = "") -> None:
 
 
 def clean_scene(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene, dict[str, Any]]:
-    """Clean a scene; returns it and the fields of `EncodeReport` that count the changes.
+    """Clean a scene; return it and the `EncodeReport` fields that count the changes.
 
-    Profile ``lossless`` keeps every float, unless it is to drop Gaussians with NaN or infinity;
-    nothing may be left of a part of a scene that is not `whole`.
+    Profile ``lossless`` keeps every float, unless ``config.nonfinite`` is ``drop``. A part of a
+    scene (not `whole`) may end up empty.
 
     Raises
     ------
     InvalidInput
         If values are not finite and ``config.nonfinite`` is ``error``, except with ``lossless``; or
-        if no Gaussian is left.
+        if no Gaussian of a whole scene remains.
     """
     exact = config.profile == LOSSLESS
     if exact and config.nonfinite == "error":
@@ -106,13 +107,13 @@ def clean_scene(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene
 
 
 def drop_nonfinite(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene, int]:
-    """Drop Gaussians that hold NaN or infinity; returns the scene and their number.
+    """Drop Gaussians with NaN or damaged infinities; return the scene and how many were dropped.
 
     Raises
     ------
     InvalidInput
         If there are any and ``config.nonfinite`` is ``error``, or if the scene is `whole` and no
-        Gaussian is left.
+        Gaussian remains.
     """
     planes = [(group, row) for group in GROUPS for row in getattr(scene, group)]
     finite = run_all(lambda item: np.count_nonzero(_sound(*item)), planes)
@@ -131,19 +132,19 @@ def drop_nonfinite(scene: Scene, config: Config, whole: bool = True) -> tuple[Sc
 
 
 def nothing_left(count: int) -> InvalidInput:
-    """The error that all Gaussians of a scene are damaged."""
+    """The error for a scene of which all `count` Gaussians are damaged."""
     return InvalidInput(f"no Gaussian is left of {count:,}: all hold NaN or infinity")
 
 
 def _sound(group: str, row: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which values of a channel are no damage."""
+    """Which values of a channel are undamaged."""
     if group == "opacity":
         return ~np.isnan(row)
     return row < np.inf if group == "log_scale" else np.isfinite(row)
 
 
 def sound_gaussians(scene: Scene) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` hold neither NaN nor an infinity that is damage."""
+    """Which Gaussians ``(N,)`` have neither NaN nor damaged infinities."""
     sound = np.ones(scene.count, bool)
     for group in GROUPS:
         for row in getattr(scene, group):
@@ -152,7 +153,7 @@ def sound_gaussians(scene: Scene) -> NDArray[np.bool_]:
 
 
 def finite_gaussians(scene: Scene) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` hold neither NaN nor infinity."""
+    """Which Gaussians ``(N,)`` have neither NaN nor infinity."""
     finite = np.ones(scene.count, bool)
     for group in GROUPS:
         for row in getattr(scene, group):
@@ -161,7 +162,7 @@ def finite_gaussians(scene: Scene) -> NDArray[np.bool_]:
 
 
 def identity_for_zero(scene: Scene) -> tuple[Scene, int]:
-    """Replace quaternions of norm 0 by the identity; returns the scene and their number."""
+    """Replace quaternions of norm 0 by the identity; return the scene and their number."""
     zero = ~scene.rot.any(axis=0)
     count = int(np.count_nonzero(zero))
     if count:

@@ -1,8 +1,8 @@
-"""rANS in which every symbol may have a table of its own, chosen by what is decoded already.
+"""Context-adaptive rANS: symbols decoded before select the table of each symbol.
 
-The coder is that of `rans`: 32 lanes, 32-bit states, 16-bit words. A pass is a run of symbols;
-symbol i of a pass is of lane i mod 32. Its symbols may be of several streams, each with words and
-raw bits of its own. FORMAT.md, section "Passes".
+The coder is that of `rans`: 32 lanes, 32-bit states, 16-bit words. A pass is a sequence of symbols;
+symbol i of a pass is coded in lane i mod 32. A pass may have several streams, each with its own
+words and raw bits. FORMAT.md, section "Passes".
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from gs_codec.runtime.kernels import kernel
 
 PRECISION = 12
 
-#: Zero bytes that follow the raw bits: a kernel may read those of `LANES` symbols too many.
+#: Zero bytes appended to the raw bits, because a kernel may read the bits of up to `LANES` extra
+#: symbols.
 MORE_BITS = 8 + 4 * LANES
 
-#: Base-2 logarithm of the number of spans that a table has room for.
+#: Base-2 logarithm of the number of spans in a table.
 SPAN_BITS = 8
 
-#: Base-2 logarithm of the slots that share an entry: tables are read from the caches.
+#: Base-2 logarithm of the number of slots that share an entry, so that tables fit into the caches.
 RUN_BITS = 4
 
-#: What a kernel can find wrong.
+#: Faults that a kernel can report.
 FAULTS = (
     "",
     "more symbols than words",
@@ -45,10 +46,10 @@ OUT_OF_WORDS, BAD_CLASS, BAD_VALUE, BAD_SUM = 1, 2, 3, 4
 
 @dataclass(frozen=True)
 class PassTables:
-    """Tables of all passes, one after another.
+    """Tables of all passes, concatenated.
 
-    ``spans`` have start << 16 | frequency of each symbol, ``2**SPAN_BITS`` for each table;
-    ``slots`` the symbol of the first of every ``2**RUN_BITS`` slots.
+    ``spans`` holds start << 16 | frequency of each symbol, ``2**SPAN_BITS`` entries per table.
+    ``slots`` holds the symbol of the first of every ``2**RUN_BITS`` slots.
     """
 
     spans: NDArray[np.uint32]
@@ -76,11 +77,11 @@ def _pack(frequencies, spans, slots):
 
 @dataclass(frozen=True)
 class CodedPass:
-    """A pass to encode: tokens and the contexts that choose their tables, both ``(n,)``.
+    """A pass to encode: tokens and the contexts that select their tables, both ``(n,)``.
 
-    ``rows (contexts,)`` are the tables of its contexts; symbol i is of the stream of number
-    ``cycle[i % len(cycle)]``. ``raw_levels`` and ``raw_widths`` are of the symbols with raw bits,
-    whose numbers are ``raw_symbols``.
+    ``rows (contexts,)`` are the table numbers of the contexts. Symbol i belongs to stream ``cycle[i
+    % len(cycle)]``. ``raw_symbols`` are the indices of the symbols that have raw bits;
+    ``raw_levels`` and ``raw_widths`` are their values and bit counts.
     """
 
     streams: Sequence[str]
@@ -95,7 +96,7 @@ class CodedPass:
 
 @kernel
 def _push_all(tokens, contexts, rows, cycle, spans, states, words, begins):
-    """Code a pass backwards; `begins`, where the words of each stream end, moves to their begin."""
+    """Code a pass backwards; `begins` changes from the end to the start of each stream's words."""
     turn = len(tokens) % len(cycle)
     for i in range(len(tokens) - 1, -1, -1):
         turn = (turn if turn > 0 else len(cycle)) - 1
@@ -107,14 +108,14 @@ def _push_all(tokens, contexts, rows, cycle, spans, states, words, begins):
 def encode_passes(
     passes: Sequence[CodedPass], tables: PassTables
 ) -> tuple[bytes, dict[str, bytes]]:
-    """Code the passes of a block, each with streams of its own.
+    """Code the passes of a block, each with its own streams.
 
     Returns
     -------
     states : bytes
         Initial states of the decoder.
     sections : dict of str to bytes
-        Bytes of each stream, in order: the size of its words, these, and its raw bits.
+        Bytes of each stream, in order: the size of its words, the words, and its raw bits.
     """
     states = np.full(LANES, LOWEST, np.int64)
     sections: dict[str, bytes] = {}
@@ -133,7 +134,7 @@ def encode_passes(
 
 
 def stream_bytes(words: bytes, levels: NDArray[np.int64], widths: NDArray[np.uint8]) -> bytes:
-    """A stream of a block: the size of its words, these, and the raw bits of some levels."""
+    """Serialise one stream of a block: the size of its words, the words, and the raw bits."""
     bits = BitWriter()
     bits.add(levels, widths)
     return struct.pack("<I", len(words)) + words + bits.finish()
@@ -154,17 +155,17 @@ class PassReader:
         rows: NDArray[np.uint16],
         *arguments: Any,
     ) -> None:
-        """Decode a pass from the sections of its streams, by tables ``rows (contexts,)``.
+        """Decode a pass from the sections of its streams, with table numbers ``rows (contexts,)``.
 
-        The kernel is called with the words of all streams, where those of each end, the states,
-        all tables, `rows`, the raw bits of all streams, where those of each stream begin in words
-        and in bits ``(2, streams)``, which it moves on, and `arguments`. It returns 0 or what is
-        wrong, a number of `FAULTS`. It may read `LANES` words too many before it stops.
+        The kernel is called with the words of all streams, the end of each stream's words, the
+        states, all tables, `rows`, the raw bits of all streams, the read positions ``(2, streams)``
+        in words and in bits, which it advances, and `arguments`. It returns 0 or a fault (an index
+        into `FAULTS`). It may read up to `LANES` words past the end before it stops.
 
         Raises
         ------
         TruncatedStream, CorruptStream
-            If the sections are not exactly what the symbols need, or the kernel returns a fault.
+            If the size of a section does not match its symbols, or the kernel returns a fault.
         """
         words, bits = [], []
         for data in sections:
@@ -191,5 +192,5 @@ class PassReader:
             own.close()
 
     def finish(self) -> None:
-        """Check, after the last pass, that the states are those the encoder began with."""
+        """Check, after the last pass, that the states are the encoder's initial states."""
         check_final(self.states, self.where)

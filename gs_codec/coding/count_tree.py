@@ -1,8 +1,8 @@
 """Lossless coder of sorted Morton codes: a binary tree of point counts.
 
-Every node holds the number of points that share a Morton prefix. A node of two or more
-points codes how many go to its low half; a node of one point is a leaf, whose remaining bits
-are coded elsewhere; a node without bits left holds duplicates. FORMAT.md, section "Geometry".
+Every node has the number of points that share a Morton prefix. A node of two or more points codes
+the number of points in its low half. A node of one point is a leaf; its remaining bits are coded
+elsewhere. A node with no bits left consists of duplicates. FORMAT.md, section "Geometry".
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TREE_CONTEXTS = _SPLIT_CONTEXTS + _CLASSES * _BISECT_NODES
 
 @inlined
 def _count_class(count):
-    """Class 0..23 of a count: one for each of 2..9, then one for each doubling."""
+    """Class 0..23 of a count: one class for each of 2..9, then one per doubling."""
     if count < 10:
         return count - 2
     size = 0
@@ -36,7 +36,7 @@ def _count_class(count):
 
 @inlined
 def _code_split(state, data, contexts, count, onesided, low):
-    """Code how many of `count` points lie in the low half; returns it."""
+    """Code how many of `count` points lie in the low half; return that number."""
     size = _count_class(count)
     base = 4 * size + 2 * onesided
     if code_bit(state, data, contexts, base, low == 0):
@@ -73,16 +73,16 @@ def _low_half(codes, start, stop, bit):
     return first - start
 
 
-#: Most nodes that wait to be visited, for codes of 63 bits.
+#: Maximum number of pending nodes, for codes of 63 bits.
 STACK = 65
 
 
 @inlined
 def walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes):
-    """Code `codes` depth first, low half first; leaves leave out their ``lefts`` low bits.
+    """Code `codes` depth first, low half first; leaves omit their ``lefts`` low bits.
 
-    ``nodes (5, STACK)``, int64, is scratch memory: where a node that waits begins, its count, its
-    bits left, whether it is all of its parent, its prefix.
+    ``nodes (5, STACK)``, int64, is scratch memory. Each pending node has: its start, its count, its
+    remaining bits, whether it has all points of its parent, and its prefix.
     """
     nodes[0, 0], nodes[1, 0], nodes[2, 0] = 0, len(codes), total_bits
     nodes[3, 0] = nodes[4, 0] = 0
@@ -92,7 +92,7 @@ def walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes):
         start, count, left = nodes[0, top], nodes[1, top], nodes[2, top]
         prefix = nodes[4, top]
         if count == 1 or left == 0:
-            # Alone, or as often as it occurs, when no bits are left.
+            # A single point, or duplicates if no bits remain.
             for i in range(start, start + count):
                 lefts[i] = left
                 if not encoding:
@@ -121,7 +121,7 @@ def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
 
 
 def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:
-    """Code sorted Morton codes down to the bit where each is alone.
+    """Code sorted Morton codes, each down to the bit where it becomes unique.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArr
     -------
     data : bytes
     lefts : ndarray, shape (N,), int64
-        Low bits of each code that the tree leaves out.
+        Number of low bits of each code that the tree omits.
     """
     lefts = np.zeros(codes.size, np.int64)
 
@@ -147,12 +147,12 @@ def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArr
 def decode_tree(
     data: memoryview, count: int, total_bits: int, where: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The inverse of `encode_tree`: codes with 0 in the bits left out, and how many these are.
+    """Invert `encode_tree`: codes with omitted bits set to 0, and how many bits each omits.
 
     Raises
     ------
     CorruptStream
-        If the data are not exactly what `count` codes need.
+        If the size of the data does not match `count` codes.
     """
     codes, lefts = np.zeros((2, count), np.int64)
 
@@ -164,7 +164,7 @@ def decode_tree(
 
 
 def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
-    """Code sorted Morton codes ``(N,)``, int64, of 0-63 bits."""
+    """Code all bits of sorted Morton codes ``(N,)``, int64, of 0-63 bits."""
     coded, lefts = encode_tree(codes, total_bits)
     bits = BitWriter()
     bits.add(codes, lefts.astype(np.uint8))
@@ -172,12 +172,12 @@ def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
 
 
 def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -> NDArray[np.int64]:
-    """The inverse of `encode_geometry` for `count` codes.
+    """Invert `encode_geometry` for `count` codes.
 
     Raises
     ------
     TruncatedStream, CorruptStream
-        If the section is not exactly what `count` codes need.
+        If the size of the section does not match `count` codes.
     """
     reader = ByteReader(data, where)
     tree = reader.take(reader.unpack("I")[0])

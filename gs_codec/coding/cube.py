@@ -1,4 +1,4 @@
-"""The cube around a scene and its cells at each depth, as Open3D's `Octree` divides it."""
+"""The bounding cube of a scene and its cells at each depth, divided like Open3D's `Octree`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.morton import encode_morton
 
-#: Share of the centres' extent by which the cube is larger, so that the highest are inside; the
-#: side of the cube around a single place.
+#: Margin of the cube, relative to the extent of the centres, so that the highest are inside; also
+#: the side of the cube around a single position.
 EXPANSION = 0.01
 
-#: Depths of cells; at more, most would hold one Gaussian.
+#: Depths of cells; in deeper trees most cells would have one Gaussian.
 DEPTHS = range(1, 17)
 
 
@@ -41,22 +41,22 @@ class Cube:
         return cls((x, y, z), 2 * half * (1 + EXPANSION) if half else EXPANSION)
 
     def is_divisible(self, depth: int) -> bool:
-        """Whether floats are fine enough where the cube is for its cells at a depth."""
+        """Whether float64 resolves cells of this depth at the cube's coordinates."""
         farthest = np.abs(self.low).max() + self.side
         return self.side / 2**depth > 4 * np.spacing(farthest)
 
     def divide(
         self, positions: NDArray, depth: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The cells of ``positions (3, N)`` at a depth, by Open3D's arithmetic.
+        """Assign ``positions (3, N)`` to cells at a depth, with Open3D's arithmetic.
 
         Returns
         -------
         codes : ndarray, shape (N,), int64
-            Morton codes. Shifted right by 3 bits, they are those of the depth before.
+            Morton codes. Shifting them right by 3 bits gives those of the next lower depth.
         inside : ndarray, shape (3, N), float64
-            The positions; those that Open3D would lose, as they are in no cell after rounding,
-            are moved down into theirs by a unit in the last place.
+            The positions. Rounding puts some in no cell, and Open3D would lose them; these are
+            moved into their cell by one unit in the last place.
         """
         inside = positions.astype(np.float64)
         cells = np.zeros(inside.shape, np.uint32)

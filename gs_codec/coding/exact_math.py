@@ -1,7 +1,7 @@
-"""Exponentials and logarithms of the same last bit on every machine.
+"""Exponentials and logarithms that are bit-identical on every machine.
 
-Those of numpy and of C libraries are chosen by the processor. These are of additions,
-multiplications and divisions alone, which are rounded alike everywhere, and exact to about 1e-15.
+Results of numpy and C libraries depend on the processor. These functions use only additions,
+multiplications and divisions, which are rounded alike everywhere. Accuracy is about 1e-15.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ import numpy as np
 
 from gs_codec.runtime.kernels import inlined
 
-#: ln 2 in two parts. Whole multiples of this one are exact.
+#: High part of ln 2; whole multiples of it are exact.
 _LN2_HIGH = 6.93147180369123816490e-01
 
-#: The rest of ln 2.
+#: Low part of ln 2.
 _LN2_LOW = 1.90821492927058770002e-10
 
 _INVERSE_LN2 = 1.4426950408889634
 
-#: 2 to the power of 0/16, 1/16, ...: of roots and products, which are the same everywhere.
+#: 2 to the power of 0/16, 1/16, ..., from square roots and products, which are exact to the bit
+#: everywhere.
 _ROOTS = np.ones(16)
 _ROOTS[8] = math.sqrt(2.0)
 for _power in (4, 2, 1):
@@ -45,7 +46,7 @@ _FRACTION = (1 << _WIDTH) - 1
 
 _ROOT_2 = 1.4142135623730951
 
-#: Factors of series, the highest power first.
+#: Coefficients of the even terms of the series, the highest power first.
 _EVEN = tuple(1 / math.factorial(k) for k in range(6, -1, -2))
 _ODD = tuple(1 / math.factorial(k) for k in range(7, 0, -2))
 _ARTANH = tuple(2 / k for k in range(21, 0, -2))

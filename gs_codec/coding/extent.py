@@ -1,6 +1,7 @@
-"""Boxes around Gaussians: of their centres, and of their ellipsoids. FORMAT.md, section "Index".
+"""Bounding boxes of Gaussians: of their centres, and of their ellipsoids.
 
-Only correctly rounded operations are used, so that the boxes are the same on every machine.
+FORMAT.md, section "Index". Only correctly rounded operations are used, so the boxes are the same on
+every machine.
 """
 
 from __future__ import annotations
@@ -12,19 +13,19 @@ from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import inlined, kernel
 
-#: Numbers of an extent.
+#: Number of values of an extent.
 EXTENT = 12
 
-#: An ellipsoid reaches this many standard deviations.
+#: Standard deviations at which an ellipsoid ends.
 _SIGMAS = 3.0
 
-#: Eighths of an octave in a unit of the natural logarithm: 8 / ln(2).
+#: Eighths of an octave per unit of the natural logarithm: 8 / ln(2).
 _EIGHTHS = 11.541560327111707
 
-#: Smallest log-scale, in eighths of an octave, that still matters once boxes are float32.
+#: Smallest log-scale, in eighths of an octave, that still affects a float32 box.
 _LEAST = -1600
 
-#: The largest.
+#: Largest log-scale, in eighths of an octave.
 _MOST = 4000
 
 #: 2**(i / 8), i = 0..7, rounded up.
@@ -40,10 +41,10 @@ _SCALES = np.ldexp(
     _POWERS[np.arange(_LEAST, _MOST + 1) & 7], np.arange(_LEAST, _MOST + 1, dtype=np.int32) >> 3
 )
 
-#: More than the rounding errors of eighths of octaves.
+#: Upper bound of the rounding errors of eighths of octaves.
 _SLACK = 2.0**-20
 
-#: More than the rounding errors of the entries of a rotation matrix.
+#: Upper bound of the rounding errors of the entries of a rotation matrix.
 _TURN_SLACK = 2.0**-40
 
 _LARGEST = float(np.finfo(np.float32).max)
@@ -52,7 +53,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 def block_extent(
     positions: NDArray[np.float32], log_scale: NDArray[np.float32], rot: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Where decoded Gaussians are, at least one.
+    """Bounding boxes of one or more decoded Gaussians.
 
     Parameters
     ----------
@@ -65,9 +66,9 @@ def block_extent(
     Returns
     -------
     ndarray, shape (12,), float32
-        Lowest x, y, z of the centres, highest ones; then the same of a box that holds all
-        ellipsoids of 3 standard deviations. Gaussians with a value that is not finite count with
-        their finite centres only.
+        Lowest x, y, z of the centres, then the highest; then the same of a box around all
+        ellipsoids of 3 standard deviations. Of Gaussians with values that are not finite, only
+        finite centres count.
     """
     box = centre_box(positions)
     corners = box.astype(np.float64)
@@ -77,9 +78,9 @@ def block_extent(
 
 
 def centre_box(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Lowest, then highest x, y, z of the finite values of ``positions (3, n)``, ``(6,)``.
+    """Lowest, then highest x, y, z of the finite values of ``positions (3, n)``, shape ``(6,)``.
 
-    Zeros on an axis without any.
+    Zeros on an axis without finite values.
     """
     infinity = np.float32(np.inf)
     finite = np.isfinite(positions)
@@ -94,7 +95,7 @@ def centre_box(positions: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def box_text(corners: Iterable[Iterable[float]]) -> str:
-    """A box for messages, by its lowest and its highest corner."""
+    """Format a box for messages, from its lowest and highest corner."""
     low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in corners)
     return f"bounds {low} to {high}"
 
@@ -102,7 +103,7 @@ def box_text(corners: Iterable[Iterable[float]]) -> str:
 def centre_bounds(
     positions: NDArray[np.float32],
 ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """Lowest and highest x, y, z of the finite centres in ``positions (3, n)``; None without."""
+    """Lowest and highest x, y, z of the finite centres in ``positions (3, n)``; None if none."""
     finite = np.isfinite(positions).all(axis=0)
     if not finite.any():
         return None
@@ -113,8 +114,8 @@ def centre_bounds(
 
 @inlined
 def _along(entry, norm, size):
-    """Square of how far an axis of this size reaches, by its entry in a rotation matrix."""
-    # Without a rotation, an ellipsoid of any.
+    """Square of the extent of one axis of length `size`, given its entry in a rotation matrix."""
+    # A quaternion of norm 0 has no rotation: assume the largest extent.
     turned = abs(entry) / norm if norm > 0.0 else 1.0
     reach = (turned + _TURN_SLACK) * size
     return reach * reach
@@ -152,7 +153,7 @@ def _extend(positions, log_scale, rot, corners):
 
 
 def _outwards(corner: NDArray[np.float64], towards: float) -> NDArray[np.float32]:
-    """A corner in float32, beyond the exact one, but finite."""
+    """Round a corner to float32 towards `towards`, so that the box only grows; keep it finite."""
     nearest = np.clip(corner, -_LARGEST, _LARGEST).astype(np.float32)
     with np.errstate(over="ignore"):
         beyond = np.nextafter(nearest, np.float32(towards))

@@ -1,7 +1,7 @@
-"""Far centres: the few so far away that a grid over all centres is too coarse for the others.
+"""Far centres: the few so far away that a grid over all centres would be too coarse for the rest.
 
-Training leaves such strays, some at 1e8 times the size of the scene. On a grid over all centres,
-the others would fall into one cell.
+Training leaves such outliers, some at 1e8 times the size of the scene. On a grid over all centres,
+the rest would fall into one cell.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from gs_codec.scene import Scene
 #: Maximum share of far centres; with fewer than eight centres, there are none.
 _MOST = 1 / 8
 
-#: A cut at a distance gains bits per coordinate. It costs this many bits times the share of centres
-#: outside: one bit for a hundredth of them.
+#: A cut at a distance saves some bits per coordinate. It costs this many bits times the share of
+#: centres outside: one bit for 1 % of them.
 _BITS = 100.0
 
 #: It also costs this many bits times the sum of (size / distance)^2 over the centres outside, so
@@ -30,7 +30,7 @@ _BITS_SEEN = 200.0
 #: Maximum of these bits.
 _MOST_BITS_SEEN = 6.0
 
-#: Centres beyond the best cut times this are far; those just beyond the cut are not.
+#: Centres beyond this factor times the best cut are far; those just beyond the cut are not.
 _OUTSKIRTS = 4.0
 
 #: Minimum half-width of the box on each axis, relative to the largest distance from the middle.
@@ -45,16 +45,16 @@ _FINEST = 1e-5
 #: variance, square pixels.
 _LOW_PASS = 0.3
 
-#: Angle of a pixel, radians.
+#: Angle of a pixel, in radians.
 _PIXEL = 5e-4
 
-#: Opacity is not reduced below this logit, which 8 bits round to zero.
+#: Opacity is not reduced below this logit, which rounds to zero in 8 bits.
 _FAINTEST = -6.93
 
-#: Maximum log of an angle in pixels: wider ones do not fade either.
+#: Maximum log of an angle in pixels; larger ones do not need fading.
 _WIDEST = 100.0
 
-#: Number of centres that quantiles are estimated from.
+#: Number of centres for estimating quantiles.
 _SAMPLE = 1 << 14
 
 #: Number of centres processed at once.
@@ -76,18 +76,18 @@ class Box:
 
 @dataclass(frozen=True)
 class FarCentres:
-    """The far centres, and the extent of the others.
+    """The far centres, and the extent of the near ones.
 
     Attributes
     ----------
     far : ndarray, shape (F,), int64
-        Indices of the far ones, ascending; at least one.
+        Indices of the far centres, ascending; at least one.
     middle : ndarray, shape (3,), float64
         Median of all centres.
     reach : float
         Largest distance of a near centre from the middle along an axis.
     farthest : float
-        The same of all centres.
+        Largest distance of any centre from the middle along an axis.
     near : Box
         The box of the near centres.
     """
@@ -110,17 +110,18 @@ class FarCentres:
 def find_far(
     positions: NDArray[np.float32], log_scale: NDArray[np.float32] | None = None
 ) -> FarCentres | None:
-    """The far ones of finite centres; None if there are none, as in most scenes.
+    """Find the far centres among finite ones; None if there are none, as in most scenes.
 
-    Distances are from the median, the largest along an axis. The best cut has the largest gain: the
-    bits per coordinate that a smaller grid saves, minus one for each hundredth of centres outside,
-    minus up to six if those outside look large. Centres beyond four times that distance are far.
+    Distance means the largest distance from the median along an axis. The best cut has the largest
+    gain: the bits per coordinate that a smaller grid saves, minus one for each hundredth of centres
+    outside, minus up to six if those outside look large. Centres beyond four times that distance
+    are far.
 
     Parameters
     ----------
     positions : ndarray, shape (3, N)
     log_scale : ndarray, shape (3, N), optional
-        Without it, Gaussians are points.
+        If None, Gaussians count as points.
     """
     count = positions.shape[1]
     if count * _MOST < 1:
@@ -130,7 +131,8 @@ def find_far(
     start = float(np.quantile(_distances(some, middle), 1 - 2 * _MOST))
     outer, where = _beyond(positions, middle, start)
     farthest = float(outer.max(initial=0.0))
-    # The best distance is not less than the start: at most half of the outer ones are beyond it.
+    # The best distance is at least `start`, because at most half of the outer centres are beyond
+    # it.
     if not farthest > _OUTSKIRTS * start:
         return None
     sizes = np.zeros(len(outer)) if log_scale is None else _sizes(log_scale[:, where], outer)
@@ -196,9 +198,9 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
     ----------
     scene : Scene
     found : FarCentres or None
-        What `find_far` says of its centres.
+        Result of `find_far` for its centres.
     box : Box
-        Holds all near centres.
+        Contains all near centres.
 
     Returns
     -------
@@ -211,7 +213,7 @@ def draw_nearer(scene: Scene, found: FarCentres | None, box: Box) -> tuple[Scene
         return scene, ()
     rays = scene.positions[:, found.far].astype(np.float64) - found.middle[:, None]
     ends = np.where(rays > 0, box.high[:, None], box.low[:, None]) - found.middle[:, None]
-    # Far from the origin, numbers may be too coarse for the thickness of a box.
+    # Far from the origin, float spacing may exceed the thickness of a box.
     ends = np.maximum(np.abs(ends), np.spacing(np.abs(found.middle))[:, None])
     with np.errstate(divide="ignore"):
         factors = (ends / np.abs(rays)).min(axis=0)

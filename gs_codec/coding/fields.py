@@ -1,4 +1,4 @@
-"""Numbers of known widths: little-endian bytes with bounds checked, and raw bits."""
+"""Integers of known widths: little-endian bytes with bounds checks, and raw bits."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class ByteReader:
         self.position = 0
 
     def unpack(self, layout: str) -> tuple:
-        """Fields of a `struct` layout (little-endian)."""
+        """Read fields of a `struct` layout (little-endian)."""
         return struct.unpack("<" + layout, self.take(struct.calcsize("<" + layout)))
 
     def take(self, size: int) -> memoryview:
-        """The next `size` bytes."""
+        """Return the next `size` bytes."""
         self.skip(size)
         return self._data[self.position - size : self.position]
 
     def skip(self, size: int) -> None:
-        """Pass the next `size` bytes."""
+        """Skip the next `size` bytes."""
         left = len(self._data) - self.position
         if size > left:
             raise TruncatedStream(
@@ -41,7 +41,7 @@ class ByteReader:
         self.position += size
 
     def rest(self) -> memoryview:
-        """Everything that is left."""
+        """Return all remaining bytes."""
         return self.take(len(self._data) - self.position)
 
 
@@ -64,7 +64,7 @@ def _read_fields(widths, position, bits, values):
 
 
 class BitWriter:
-    """Collects raw bits of a section, most significant bit of a byte first."""
+    """Collects the raw bits of a section, most significant bit of a byte first."""
 
     def __init__(self) -> None:
         self.parts: list[tuple[NDArray[np.int64], NDArray[np.uint8]]] = []
@@ -74,7 +74,7 @@ class BitWriter:
         self.parts.append((values, widths))
 
     def finish(self) -> bytes:
-        """All bits, padded with zeros to a byte."""
+        """Return all bits, padded with zeros to a whole byte."""
         total = sum(int(widths.sum(dtype=np.int64)) for _, widths in self.parts)
         bits = np.zeros((total + 7) // 8, np.uint8)
         position = 0
@@ -98,7 +98,7 @@ class BitReader:
         return values
 
     def close(self) -> None:
-        """Check that only padding is left, and that it is 0."""
+        """Check that only zero padding remains."""
         if self.bits.size != (self.position + 7) // 8:
             raise CorruptStream(
                 f"{self.where}: {self.bits.size} raw bytes, expected {(self.position + 7) // 8}"

@@ -1,4 +1,4 @@
-"""Integer frequency tables made from weights, and code lengths under them."""
+"""Integer frequency tables made from weights, and the code lengths they give."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from gs_codec.runtime.kernels import inlined, kernel
 #: Minimum base-2 logarithm of a table's sum.
 MIN_PRECISION = 8
 
-#: Maximum: with states of 16 to 32 bits, 16 would cost rANS 0.1 %.
+#: Maximum base-2 logarithm of a table's sum. With states of 16 to 32 bits, 16 would cost rANS
+#: 0.1 %.
 MAX_PRECISION = 15
 
 
 @dataclass(frozen=True)
 class FrequencyTable:
-    """Integer frequencies ``(A,)`` that sum to ``2**precision``; those of 0 cannot occur."""
+    """Integer frequencies ``(A,)`` that sum to ``2**precision``; frequency 0 means impossible."""
 
     frequencies: NDArray[np.uint32]
     precision: int
@@ -40,7 +41,7 @@ class FrequencyTable:
         return np.repeat(np.arange(self.frequencies.size, dtype=np.uint16), self.frequencies)
 
     def code_length(self, histogram: NDArray[np.int64]) -> float:
-        """Bits that symbols with this histogram take; infinite where one has frequency 0."""
+        """Bits of symbols with this histogram; infinite if one of them has frequency 0."""
         occurring = histogram > 0
         if np.any(self.frequencies[occurring] == 0):
             return np.inf
@@ -69,8 +70,8 @@ def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
 
 @inlined
 def _raise(frequencies, remainders, missing):
-    """Give 1 to those of the `missing` largest remainders (ties: the lower symbol), in place."""
-    # Find the lowest level that no more of them are above.
+    """Add 1 to the `missing` largest remainders (ties: the lower symbol), in place."""
+    # Find the lowest level with at most `missing` remainders above it.
     low, high = np.int64(0), np.int64(1) << 62
     while low < high:
         level, above = (low + high) // 2, 0
@@ -92,8 +93,9 @@ def _raise(frequencies, remainders, missing):
 
 @inlined
 def _lower(frequencies, surplus):
-    """Take `surplus` one by one from the largest (ties: the lower symbol), in place."""
-    # Find the lowest level that all larger ones can be cut to without exceeding the surplus.
+    """Take `surplus` in units of 1 from the largest (ties: the lower symbol), in place."""
+    # Find the lowest level to which all larger frequencies can be cut without exceeding the
+    # surplus.
     low, high = np.int64(0), np.int64(1) << 62
     while low < high:
         level, above = (low + high) // 2, 0
@@ -131,6 +133,6 @@ def _normalise(weights, precision, frequencies):
 
 
 def shannon_bits(histogram: NDArray[np.int64]) -> float:
-    """Entropy of a histogram, in bits for all its symbols together."""
+    """Entropy of a histogram times its number of symbols, in bits."""
     counts = histogram[histogram > 0].astype(np.float64)
     return dot(counts, np.log2(counts.sum() / counts))

@@ -1,4 +1,4 @@
-"""Sums of products in a fixed order: those of BLAS and LAPACK vary by machine and threads."""
+"""Sums of products in a fixed order: results of BLAS and LAPACK vary with machine and threads."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def combine(coefficients: NDArray[np.float64], rows: NDArray[np.float64]) -> NDA
 
 @kernel
 def _turn_apart(rows, turns):
-    """Rotate pairs of rows until all are orthogonal (Jacobi); `turns` is rotated likewise."""
+    """Rotate pairs of rows until all are orthogonal (Jacobi); rotate `turns` too."""
     for _ in range(_SWEEPS):
         done = True
         for p in range(len(rows) - 1):
@@ -58,8 +58,9 @@ def _turn_apart(rows, turns):
 def fitting(rows: NDArray[np.float64], least: float = 0.0) -> NDArray[np.float64]:
     """Pseudo-inverse ``(K, n)`` for least-squares fits of values by ``rows (K, n)``.
 
-    The coefficients of the rows are ``[dot(row, values) for row in fitting(rows)]``, the smallest
-    ones if rows depend on one another, up to a share `least` of the largest.
+    The coefficients of the rows are ``[dot(row, values) for row in fitting(rows)]``. If rows are
+    linearly dependent, this is the solution of minimum norm; singular values below `least` times
+    the largest count as 0.
     """
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _turn_apart(turned, turns)

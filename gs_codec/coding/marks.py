@@ -1,4 +1,4 @@
-"""Lists of marks, most of them 0, by the binary coder. FORMAT.md, section "Lattices", `marks`."""
+"""Lists of marks (0 or 1, mostly 0), coded by the binary coder. FORMAT.md, "Lattices", `marks`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gs_codec.runtime.kernels import kernel
 
 @kernel
 def _walk(marks, state, data, contexts):
-    """Code the marks of a list, each under the one before."""
+    """Code the marks of a list; the context of each is the one before."""
     before = 0
     for i in range(len(marks)):
         before = 1 if code_bit(state, data, contexts, before, marks[i] != 0) else 0
@@ -32,12 +32,12 @@ def encode_marks(lists: Sequence[NDArray[np.int64]]) -> bytes:
 
 
 def decode_marks(data: memoryview, sizes: Sequence[int], where: str) -> list[NDArray[np.int64]]:
-    """The inverse of `encode_marks`, for lists of these sizes.
+    """Invert `encode_marks`, for lists of these sizes.
 
     Raises
     ------
     CorruptStream
-        If the stream is not exactly these lists.
+        If the size of the stream does not match the lists.
     """
     lists = [np.zeros(size, np.int64) for size in sizes]
 

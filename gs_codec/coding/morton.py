@@ -21,8 +21,8 @@ _DEPTH = 21
 def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
     """Axis of each code bit, most significant first.
 
-    At level ``max(depths) - 1`` down to 0 the axes deeper than the level give one bit each,
-    x before y before z; an axis of depth 0 (constant) gives none.
+    From level ``max(depths) - 1`` down to 0, each axis deeper than the level gives one bit, x
+    before y before z; an axis of depth 0 (constant) gives none.
     """
     levels = range(max(depths) - 1, -1, -1)
     axes = [axis for level in levels for axis in range(3) if depths[axis] > level]
@@ -30,7 +30,7 @@ def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
 
 
 def _bits(depths: tuple[int, int, int]) -> Iterator[tuple[int, int, int]]:
-    """Axis, bit of that axis, and bit of the code, of each code bit."""
+    """Yield the axis, its bit, and the bit of the code, for each code bit."""
     left = list(depths)
     total = sum(depths)
     for position, axis in enumerate(bit_layout(depths), 1):
@@ -39,7 +39,7 @@ def _bits(depths: tuple[int, int, int]) -> Iterator[tuple[int, int, int]]:
 
 
 def _byte_tables(depths: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Code contribution of each value of each byte of each axis, shape (3, 3, 256)."""
+    """Code bits of each value of each byte of each axis, shape (3, 3, 256)."""
     tables = np.zeros((3, 3, 256), np.int64)
     for axis, of_axis, of_code in _bits(depths):
         byte, bit = divmod(of_axis, 8)
@@ -59,9 +59,9 @@ def _encode(cells, tables, codes):
         codes[i] = code
 
 
-@lru_cache(maxsize=1)  # the blocks of a file have the same
+@lru_cache(maxsize=1)  # all blocks of a file have the same depths
 def axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
-    """Bits that each value of each byte of a code sets on each axis, shape (8, 256, 3)."""
+    """Axis bits of each value of each byte of a code, shape (8, 256, 3)."""
     tables = np.zeros((8, 256, 3), np.uint32)
     for axis, of_axis, of_code in _bits(depths):
         byte, bit = divmod(of_code, 8)
@@ -101,15 +101,15 @@ def spatial_order(
 ) -> NDArray[np.int64]:
     """Permutation ``(N,)`` that sorts finite centres ``(3, N)`` along a Morton curve.
 
-    Far ones come last, along a curve of their own: they would leave one cell for all others. Which
-    are far depends on sizes too; see `find_far`.
+    Far centres come last, along their own curve: on a common curve, all others would fall into one
+    cell. `find_far` selects them, using `log_scale` if given.
     """
     found = find_far(positions, log_scale)
     if found is None:
         return _along_curve(positions)
     near = np.delete(np.arange(positions.shape[1]), found.far)
-    far = found.far[spatial_order(positions[:, found.far])]  # of any size
-    # Backwards, so that it begins near the corner where the curve of the others ends.
+    far = found.far[spatial_order(positions[:, found.far])]  # find far centres at every scale
+    # Reversed, so that it begins near the corner where the curve of the others ends.
     return np.concatenate([near[_along_curve(positions[:, near])], far[::-1]])
 
 
@@ -128,7 +128,7 @@ def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int6
     ----------
     codes : ndarray, shape (N,), int64
     *keys : ndarray, each shape (N,)
-        Sort the Gaussians of a cell, by the first key, then the next.
+        Order within a cell: by the first key, then the next.
     """
     order = np.argsort(codes)
     tied = find_ties(codes[order])
@@ -138,7 +138,7 @@ def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int6
 
 
 def find_ties(*ordered: NDArray) -> NDArray[np.bool_]:
-    """Which items ``(N,)`` agree with a neighbour in all of their keys, each ``(N,)``."""
+    """Which items ``(N,)`` equal a neighbour in all keys, each ``(N,)``."""
     same = np.all([keys[1:] == keys[:-1] for keys in ordered], axis=0)
     tied = np.zeros(ordered[0].size, bool)
     tied[1:] |= same
@@ -150,9 +150,9 @@ Index = TypeVar("Index", bound=np.integer)
 
 
 def in_stream_order(scene: Scene, order: NDArray[Index]) -> tuple[Scene, NDArray[Index]]:
-    """The scene, and the index in it of each Gaussian of the stream.
+    """Return the scene, and for each Gaussian of the stream its index in that scene.
 
-    A scene on disk is sorted first: otherwise each block would read all over the file.
+    A scene on disk is sorted first; otherwise each block would read from all over the file.
     """
     storage = current()
     if not isinstance(storage, Disk):

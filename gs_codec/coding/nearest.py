@@ -1,4 +1,4 @@
-"""The nearest of the points just before a point in Morton order."""
+"""The nearest of the preceding points in Morton order."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ NEIGHBOURS = 4
 _LANES = WINDOW // NEIGHBOURS
 _AGE_BITS = WINDOW.bit_length() - 1
 
-#: Squared distances are cut to this, so that weights are computed within 53 bits.
+#: Squared distances are clamped to this, so that weights fit into 53 bits.
 _FARTHEST = (1 << 44) - 1
 
 
 @inlined
 def _ordered(first, second):
-    """The lesser and the greater, without a branch: it would often be mispredicted."""
+    """Return the lesser and the greater, without a branch, which would often be mispredicted."""
     less = first < second
     return (first if less else second), (second if less else first)
 
@@ -46,12 +46,13 @@ def _sort_lanes(keys):
 
 @inlined
 def _merge_lanes(keys):
-    """Leave the four least of all lanes, sorted, in the first."""
+    """Leave the four smallest keys of all lanes, sorted, in the first lane."""
     other = _LANES
     while other > 1:
         other >>= 1
         for lane in range(other):
-            # The lesser of one lane and of the other reversed are bitonic: they rise, then fall.
+            # The elementwise minimum of one lane and the other reversed is bitonic: it rises, then
+            # falls.
             a = _lesser(keys[lane], keys[lane + other + 3 * _LANES])
             b = _lesser(keys[lane + _LANES], keys[lane + other + 2 * _LANES])
             c = _lesser(keys[lane + 2 * _LANES], keys[lane + other + _LANES])
@@ -66,10 +67,10 @@ def _merge_lanes(keys):
 
 @inlined
 def find_nearest(points, i, near, distances, row, keys):
-    """Fill a row of `near` with the numbers of the nearest points before `i`; returns how many.
+    """Fill a row of `near` with the indices of the nearest points before `i`; return their number.
 
-    They are at most `NEIGHBOURS`; ties go to the later point. The row of `distances`, squared, in
-    position steps, at most 2**44 - 1, is exact while ``points (3, n)`` are below 2**23.
+    There are at most `NEIGHBOURS`; ties go to the later point. The row of `distances` gets squared
+    distances in position steps, at most 2**44 - 1, exact if ``points (3, n)`` are below 2**23.
     ``keys (WINDOW,)`` float64 is scratch memory.
     """
     known = min(i, WINDOW)
@@ -78,7 +79,7 @@ def find_nearest(points, i, near, distances, row, keys):
         dx = np.float64(points[0, i - known + j]) - x
         dy = np.float64(points[1, i - known + j]) - y
         dz = np.float64(points[2, i - known + j]) - z
-        # The distance; in the low bits, how many points ago its point came.
+        # The squared distance; the low bits say how many points back the point is.
         keys[j] = (dx * dx + dy * dy + dz * dz) * WINDOW + np.float64(known - 1 - j)
     for j in range(known, WINDOW):
         keys[j] = np.inf
@@ -102,7 +103,7 @@ def _find_all(points, near, distances):
 class Nearest(NamedTuple):
     """The nearest points before each point, and squared distances, both ``(n, NEIGHBOURS)``.
 
-    Zeros if there are fewer.
+    Missing neighbours are 0.
     """
 
     near: NDArray[np.int32]
@@ -110,7 +111,7 @@ class Nearest(NamedTuple):
 
 
 def find_all_nearest(points: NDArray[np.int64]) -> Nearest:
-    """Find the nearest of all points; ``points (3, n)``, in position steps, are below 2**23."""
+    """Find the nearest preceding points of all points ``(3, n)``, in position steps below 2**23."""
     near = np.zeros((points.shape[1], NEIGHBOURS), np.int32)
     distances = np.zeros(near.shape, np.int64)
     _find_all(points, near, distances)

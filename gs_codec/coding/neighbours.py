@@ -1,4 +1,4 @@
-"""The nearest of many points to any places, exactly: boxes of points, each halved in its turn."""
+"""Exact nearest-neighbour search in a tree of boxes (k-d tree), each halved in turn."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 
-#: Most points of a box that is not halved.
+#: Maximum number of points in a leaf.
 _LEAF = 12
 
-#: Places that one task is about.
+#: Query positions per task.
 _CHUNK = 1 << 13
 
 
 class Neighbours:
-    """Points in space, to find those nearest to a place.
+    """A set of points that can be searched for the nearest ones to a position.
 
     Parameters
     ----------
     points : ndarray, shape (N, 3)
-        Finite; any number of them may be in one place.
+        Finite; duplicates are allowed.
     """
 
     def __init__(self, points: NDArray) -> None:
@@ -37,23 +37,23 @@ class Neighbours:
     def nearest(
         self, places: NDArray, number: int, within: float = np.inf
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Distances to the nearest points, the nearest first, and their indices.
+        """Find the nearest points, the nearest first.
 
         Parameters
         ----------
         places : ndarray, shape (M, 3)
             Finite.
         number : int
-            Points to find for each place.
+            Number of points to find for each place.
         within : float, optional
-            Points at this distance or farther are not found.
+            Ignore points at this distance or farther.
 
         Returns
         -------
         distances : ndarray, shape (M, number)
-            Infinity where there are no more points.
+            Infinity if there are fewer points.
         indices : ndarray, shape (M, number)
-            N where there are no more points.
+            N if there are fewer points.
         """
         places = np.ascontiguousarray(places, np.float64)
         distances = np.full((len(places), number), float(within) ** 2)
@@ -66,7 +66,7 @@ class Neighbours:
 
 @kernel
 def _halve_all(points, indices, boxes):
-    """Bound the points of each box, and sort them so that those of its halves are ranges.
+    """Compute the bounds of each box, and sort the points so that each half is a contiguous range.
 
     The halves of box k are boxes 2 k + 1 and 2 k + 2.
     """
@@ -89,7 +89,7 @@ def _halve_all(points, indices, boxes):
 
 @inlined
 def _bound(points, first, end, boxes, box):
-    """Lowest and highest coordinates of some points; returns the axis where they differ most."""
+    """Lowest and highest coordinates of a range of points; return the axis of largest extent."""
     axis, longest = 0, -1.0
     for k in range(3):
         low, high = np.inf, -np.inf
@@ -103,7 +103,7 @@ def _bound(points, first, end, boxes, box):
 
 @inlined
 def _partition(points, indices, first, end, middle, axis):
-    """Sort points so that none before the middle is beyond one after it (Hoare's quickselect)."""
+    """Partition points so that none before the middle exceeds one after it (quickselect)."""
     low, high = first, end - 1
     while low < high:
         pivot = points[(low + high) // 2, axis]
@@ -129,7 +129,7 @@ def _partition(points, indices, first, end, middle, axis):
 
 @inlined
 def _squared_distance(boxes, box, x, y, z):
-    """Of a place from a box; 0 within it."""
+    """Squared distance of a position from a box; 0 inside it."""
     dx = max(boxes[box, 0, 0] - x, 0.0, x - boxes[box, 1, 0])
     dy = max(boxes[box, 0, 1] - y, 0.0, y - boxes[box, 1, 1])
     dz = max(boxes[box, 0, 2] - z, 0.0, z - boxes[box, 1, 2])
@@ -138,7 +138,7 @@ def _squared_distance(boxes, box, x, y, z):
 
 @kernel
 def _search(points, indices, boxes, places, distances, found, start, stop):
-    """Fill rows of `distances`, which begin with the square of the limit, and of `found`."""
+    """Fill rows of `distances`, initialised with the squared limit, and of `found`."""
     number = distances.shape[1]
     waiting, away = np.empty((64, 3), np.int64), np.empty(64)
     for row in range(start, stop):
@@ -156,7 +156,7 @@ def _search(points, indices, boxes, places, distances, found, start, stop):
                 right = _squared_distance(boxes, 2 * box + 2, x, y, z)
                 middle = (first + end) // 2
                 nearer = 0 if left <= right else 1
-                for turn in range(2):  # the nearer half last, to be taken first
+                for turn in range(2):  # push the nearer half last, so that it is visited first
                     half = nearer if turn else 1 - nearer
                     waiting[top, 0] = 2 * box + 1 + half
                     waiting[top, 1] = middle if half else first

@@ -1,7 +1,7 @@
 """Lossless predictive coder of quantised SH-DC on points in canonical order.
 
-G, R - G and B - G are predicted from the nearest of the points just before in Morton order,
-and the residuals coded as binary decisions whose contexts follow how much those neighbours
+G, R - G and B - G are predicted from the nearest of the preceding points in Morton order. The
+residuals are coded as binary decisions; their contexts depend on how much those neighbours
 disagree. FORMAT.md, section "SH-DC".
 """
 
@@ -25,7 +25,7 @@ _CONTEXTS = 3 * _ACTIVITIES * _PREVIOUS * _PER_CLASS
 
 @inlined
 def _code_residual(state, data, contexts, base, residual):
-    """Code a signed residual as bit length (unary), sign, then the bits below the first."""
+    """Code a signed residual: bit length (unary), sign, then the bits below the leading one."""
     size = abs(residual)
     length = bit_length(size)
     known = 0
@@ -47,11 +47,11 @@ def _code_residual(state, data, contexts, base, residual):
 
 @inlined
 def weigh(distances, row, found, weights):
-    """Fill `weights` of the nearest points by their squared distances, a row of `distances`.
+    """Fill `weights` of the nearest points from their squared distances in one row of `distances`.
 
-    Those that are not found have none, so that loops have a known number of turns.
+    Missing neighbours get weight 0, so that loops have a constant trip count.
     """
-    # Exact: the dividend is below 2**53, and quotients of floats are faster.
+    # Exact because the dividend is below 2**53; float division is faster.
     wide = np.float64(256 * (distances[row, 0] + 1))
     for k in range(NEIGHBOURS):
         apart = np.float64(distances[row, k] + distances[row, 0] + 1)
@@ -60,19 +60,19 @@ def weigh(distances, row, found, weights):
 
 @inlined
 def predict(values, channel, near, row, weights, step, activities):
-    """Weighted mean of the neighbours' values, and the class of their disagreement in steps."""
+    """Return the neighbours' weighted mean, and the class of their disagreement in steps."""
     total = mass = np.int64(0)
     for k in range(NEIGHBOURS):
         total += weights[k] * values[channel, near[row, k]]
         mass += weights[k]
     if mass == 0:
         return 0, 0
-    # Exact: both are below 2**53, so that no quotient is rounded up to an integer.
+    # Exact: both are below 2**53, so no quotient is rounded up to an integer.
     mean = np.int64(np.floor(np.float64(2 * total + mass) / np.float64(2 * mass)))
     spread = np.int64(0)
     for k in range(NEIGHBOURS):
         spread += weights[k] * abs(values[channel, near[row, k]] - mean)
-    # The bit length of the spread in quarter steps, without a division or a branch.
+    # The bit length of the spread in quarter steps, computed without division or branches.
     activity = 0
     for length in range(activities - 1):
         activity += np.int64(4 * spread >= (mass * step) << length)
@@ -121,7 +121,7 @@ def encode_colour(
     red, green, blue = colours.astype(np.int64)
     source = np.stack([green, red - green, blue - green])
     source[1:] *= np.array([[depths[0] > 0], [depths[2] > 0]])
-    cells = np.ascontiguousarray(cells)  # of one layout, or the kernel would be compiled for others
+    cells = np.ascontiguousarray(cells)  # one memory layout: the kernel is compiled only once
 
     def model(state: NDArray, data: NDArray) -> None:
         values = source.copy()
@@ -133,12 +133,12 @@ def encode_colour(
 def decode_colour(
     data: memoryview, cells: NDArray[np.uint32], depths: tuple[int, int, int], where: str
 ) -> NDArray[np.uint16]:
-    """The inverse of `encode_colour`.
+    """Invert `encode_colour`.
 
     Raises
     ------
     CorruptStream
-        If the section is not exactly what the points need, or a colour leaves its range.
+        If the section's size does not match the points, or a colour is out of range.
     """
     values = np.zeros((3, cells.shape[1]), np.int64)
 

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import kernel
 
-#: SH-AC are rectified to this many Laplace scales on either side of the median, for each bit of
-#: depth, unless a configuration says how many. The paper leaves the number to its supplement.
-#: Cut-off tails are visible, and entropy coding makes rare levels cheap: a wide range with a bit
-#: more depth takes no more space than a narrow one, and rendered views are nearer to the original
-#: (RESULTS.md).
+#: Default range of SH-AC after rectification: Laplace scales on either side of the median, per bit
+#: of depth. The paper gives the number only in its supplement. Clipped tails are visible, and
+#: entropy coding makes rare levels cheap: a wide range with one more bit of depth takes no more
+#: space than a narrow one, and renders are closer to the original (RESULTS.md).
 LAPLACE_SCALES_PER_BIT = 3.0
 
 
 @dataclass(frozen=True)
 class ConstantQuantiser:
-    """A channel of one value, of depth 0."""
+    """A constant channel, of depth 0."""
 
     kind: ClassVar[str] = "constant"
     value: float
@@ -45,7 +44,7 @@ class RangeQuantiser:
 
     @property
     def step(self) -> float:
-        """Distance of neighbouring levels."""
+        """Distance between neighbouring levels."""
         return (self.high - self.low) / ((1 << self.depth) - 1)
 
     @property
@@ -56,10 +55,10 @@ class RangeQuantiser:
 
 @dataclass(frozen=True)
 class CentredQuantiser:
-    """``2**depth`` levels; that of symbol ``2**(depth - 1)`` is `centre`.
+    """``2**depth`` levels; symbol ``2**(depth - 1)`` is `centre`.
 
-    A value within `half_range` of the centre is off by at most half a step; one beyond it is
-    rectified to the first or last level.
+    The error is at most half a step for values within `half_range` of the centre; values beyond it
+    are rectified to the first or last level.
     """
 
     kind: ClassVar[str] = "centred"
@@ -69,7 +68,7 @@ class CentredQuantiser:
 
     @property
     def step(self) -> float:
-        """Distance of neighbouring levels."""
+        """Distance between neighbouring levels."""
         return 2.0 * self.half_range / ((1 << self.depth) - 1)
 
     @property
@@ -95,7 +94,7 @@ def _range_of(values):
 
 @kernel
 def _quantise(values, order, origin, step, symbols, histogram):
-    """Nearest levels of ``values[order]``, and their histogram; returns how many were clamped."""
+    """Quantise ``values[order]``, count a histogram, and return how many values were clamped."""
     last = np.float64(histogram.size - 1)
     inverse = 1.0 / step
     clamped = 0
@@ -109,7 +108,7 @@ def _quantise(values, order, origin, step, symbols, histogram):
 
 
 def fit_range(values: NDArray[np.float32], depth: int) -> ConstantQuantiser | RangeQuantiser:
-    """Min-max quantiser of a finite channel ``(N,)``; constant if it has one value, or none."""
+    """Min-max quantiser of a finite channel ``(N,)``; constant if all values are equal."""
     low, high = _range_of(values)
     return ConstantQuantiser(low) if low == high else RangeQuantiser(depth, low, high)
 
@@ -119,10 +118,10 @@ def fit_centred(
 ) -> tuple[ConstantQuantiser | CentredQuantiser, float]:
     """Quantiser of an SH-AC channel ``(N,)`` after rectification to its Laplace range.
 
-    The half range is `scales`, by default `LAPLACE_SCALES_PER_BIT` times the depth, times the mean
-    absolute deviation of the values that differ from the median, but never more than the largest
-    deviation. Values equal to the median are left out of the mean because trained scenes hold many
-    exact zeros, which do not tell how far the others reach.
+    The half range is `scales` (by default `LAPLACE_SCALES_PER_BIT` times `depth`) times the mean
+    absolute deviation of the values that differ from the median, but at most the largest deviation.
+    Values equal to the median are left out of the mean: trained scenes have many exact zeros, which
+    would narrow the range of the others.
 
     Returns
     -------
@@ -149,7 +148,7 @@ def fit_centred(
 
 @kernel
 def _deviation(values, centre):
-    """Sum of absolute deviations from `centre`, and count of values that differ from it."""
+    """Sum of absolute deviations from `centre`, and number of values that differ from it."""
     total = 0.0
     count = 0
     for value in values:
@@ -169,7 +168,7 @@ def quantise(
     symbols : ndarray, shape (N,), uint16
     histogram : ndarray, shape (2**depth,), int64
     clamped : int
-        Values beyond the first or last level by more than half a step.
+        Number of values more than half a step beyond the first or last level.
     """
     symbols = np.zeros(order.size, np.uint16)
     histogram = np.zeros(1 << quantiser.depth, np.int64)
@@ -183,7 +182,7 @@ def quantise(
 def quantise_positions(
     positions: NDArray[np.float32], quantisers: Sequence[Quantiser]
 ) -> NDArray[np.uint32]:
-    """Cells ``(3, N)`` of positions ``(3, N)``, in the order given; depths up to 21."""
+    """Quantise positions ``(3, N)`` to cells ``(3, N)``, in the order given; depths up to 21."""
     cells = np.zeros(positions.shape, np.uint32)
     for plane, quantiser, row in zip(positions, quantisers, cells, strict=True):
         if quantiser.depth:
@@ -196,8 +195,8 @@ def quantise_positions(
 def dequantise(symbols: NDArray[np.integer], quantiser: Quantiser) -> NDArray[np.float32]:
     """Values ``(N,)`` of symbols: ``origin + symbol * step``, in float64, then float32.
 
-    Product and sum are rounded separately, so every machine gives the same floats; a level
-    beyond the float32 range is clamped to it.
+    Product and sum are rounded separately, so every machine gives the same floats. A level beyond
+    the float32 range is clamped to it.
     """
     levels = symbols * np.float64(quantiser.step)
     levels += quantiser.origin

@@ -20,12 +20,12 @@ from gs_codec.runtime.wording import counted
 LANES = 32
 LOWEST = 1 << 16
 
-#: Follows the words when they are decoded, so that one check for each row of lanes is enough.
+#: Appended to the words before decoding, so that one bounds check per row of lanes is enough.
 PADDING = np.zeros(LANES, np.uint16)
 
 
 def read_states(data: memoryview, lanes: int, where: str) -> NDArray[np.int64]:
-    """Initial states ``(LANES,)``, the first `lanes` in use; refuses damaged ones."""
+    """Read initial states ``(LANES,)``, the first `lanes` in use; reject damaged ones."""
     if len(data) != 4 * lanes:
         raise CorruptStream(
             f"{where}: {counted(len(data), 'byte')} of states, expected {4 * lanes:,}"
@@ -38,14 +38,14 @@ def read_states(data: memoryview, lanes: int, where: str) -> NDArray[np.int64]:
 
 
 def read_words(data: memoryview, where: str) -> NDArray[np.uint16]:
-    """The 16-bit words of a section; refuses an odd number of bytes."""
+    """Read the 16-bit words of a section; reject an odd number of bytes."""
     if len(data) % 2:
         raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
     return np.frombuffer(data, "<u2")
 
 
 def check_final(states: NDArray[np.int64], where: str) -> None:
-    """Refuse states, after the last symbol, that are not those the encoder began with."""
+    """Check that the states after the last symbol are the encoder's initial states."""
     if np.any(states != LOWEST):
         raise CorruptStream(f"{where}: the rANS states do not end where they must")
 
@@ -74,11 +74,11 @@ class TableSet:
 
 @inlined
 def push(words, position, states, lane, span, precision):
-    """Code a symbol, given its span, backwards; returns where the words begin now."""
+    """Code one symbol backwards, given its span; return the new start of the words."""
     frequency = span & 0xFFFF
     state = states[lane]
     full = np.int64(state >= frequency << (32 - precision))
-    words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
+    words[position - 1] = state & 0xFFFF  # kept only if the state overflows; avoids a branch
     position -= full
     state >>= full << 4
     # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
@@ -89,25 +89,25 @@ def push(words, position, states, lane, span, precision):
 
 @inlined
 def pull(words, position, states, lane, spans, slots, of_span, of_slot, precision, run_bits):
-    """Decode a symbol under the table whose spans and slots begin at these places.
+    """Decode one symbol with the table whose spans and slots begin at these offsets.
 
-    ``slots`` have the symbol of the first of every ``2**run_bits`` slots. Returns the symbol and
-    the position after the words it reads. Arrays are not sliced for a symbol: their references
-    would be counted.
+    ``slots`` holds the symbol of the first of every ``2**run_bits`` slots. Returns the symbol and
+    the position after the words it read. Arrays are not sliced per symbol: that would cost
+    reference counting.
     """
-    # Unsigned: a signed index is tested for < 0.
+    # Unsigned, because numba tests a signed index for < 0.
     state = states[np.uint64(lane)]
     slot = state & ((1 << precision) - 1)
     symbol = np.int64(slots[np.uint64(of_slot + (slot >> run_bits))])
     span = np.int64(spans[np.uint64(of_span + symbol)])
     if run_bits > 0:
-        # Few runs of slots have several symbols, so a processor guesses right.
+        # Few runs of slots have several symbols, so this branch is well predicted.
         while slot - (span >> 16) >= span & 0xFFFF:
             symbol += 1
             span = np.int64(spans[np.uint64(of_span + symbol)])
     state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
     short = np.int64(state < LOWEST)
-    # No branch: it would often be mispredicted.
+    # Branch-free: a branch would often be mispredicted.
     word = np.int64(words[np.uint64(position)]) & -short
     states[np.uint64(lane)] = (state << (short << 4)) | word
     return symbol, position + short
@@ -115,7 +115,7 @@ def pull(words, position, states, lane, spans, slots, of_span, of_slot, precisio
 
 @kernel
 def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
-    """Code symbols[:, start:stop] backwards, from the end of `words`; fills `firsts`."""
+    """Code symbols[:, start:stop] backwards, from the end of `words`; fill `firsts`."""
     position = words.size
     for channel in range(symbols.shape[0] - 1, -1, -1):
         precision = precisions[channel]
@@ -127,7 +127,7 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
 
 @kernel
 def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, symbols):
-    """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C."""
+    """Fill `symbols` (C, n); return the first channel that does not end at its bound, or C."""
     position = 0
     count, alphabet = symbols.shape[1], spans.shape[1]
     flat = spans.ravel()
@@ -151,16 +151,16 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
 def encode_symbols(
     symbols: NDArray[np.uint16], start: int, stop: int, tables: TableSet
 ) -> tuple[bytes, list[bytes]]:
-    """Code ``symbols[:, start:stop]``, channel after channel.
+    """Code ``symbols[:, start:stop]``, channel by channel.
 
     Every symbol must have a frequency above 0 in its channel's table.
 
     Returns
     -------
     states : bytes
-        States the decoder begins with, uint32, one for each lane in use.
+        Initial states of the decoder, uint32, one for each lane in use.
     words : list of bytes
-        16-bit words each channel reads.
+        16-bit words of each channel.
     """
     channels, count = len(symbols), stop - start
     states = np.full(LANES, LOWEST, np.int64)
@@ -180,14 +180,14 @@ def decode_symbols(
     where: str,
     whole: bool = True,
 ) -> NDArray[np.uint16]:
-    """Symbols ``(C, count)`` of consecutive groups of channels.
+    """Decode symbols ``(C, count)`` of consecutive groups of channels.
 
     Parameters
     ----------
     states : memoryview
-        Initial states, as `encode_symbols` gives them.
+        Initial states from `encode_symbols`.
     groups : list of (int, memoryview)
-        Number of channels of a group, and the words they read together.
+        Number of channels of each group, and the words that they share.
     count : int
         Symbols of each channel.
     tables : TableSet
@@ -195,13 +195,13 @@ def decode_symbols(
     where : str
         Name of the block in errors.
     whole : bool
-        Whether these are all groups that were coded.
+        Whether `groups` are all the groups that were coded.
 
     Raises
     ------
     TruncatedStream, CorruptStream
-        If a group's words are not exactly what its symbols need, or the states do not end
-        as the encoder began.
+        If the number of words does not match a group's symbols, or the final states are not the
+        encoder's initial states.
     """
     lanes = read_states(states, min(LANES, count), where)
     words = [read_words(data, where) for _, data in groups]

@@ -1,7 +1,7 @@
-"""Frequency tables that are sent: counts of a short mantissa, coded by the binary coder.
+"""Transmitted frequency tables: counts with a short mantissa, coded by the binary coder.
 
-A weight is its bit length, coded as the difference from the length before, and up to
-`mantissa` bits below its leading one. FORMAT.md, section "Sent tables".
+A weight is coded as its bit length, relative to the previous one, and up to `mantissa` bits below
+its leading one. FORMAT.md, section "Sent tables".
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MAX_MANTISSA = 15
 
 
 _STEPS = MAX_EXPONENT + 1
-_SAME = 0  # contexts of 'length unchanged', by whether the last one was, and by alphabet
+_SAME = 0  # contexts of 'length unchanged', by the previous such decision and the alphabet
 _SIGN = 6
 _SIZE = 12
 _MANTISSA = _SIZE + 2 * _STEPS
@@ -41,7 +41,7 @@ class SentModel:
 
     @classmethod
     def fit(cls, histogram: NDArray[np.int64], mantissa: int, precision: int) -> SentModel:
-        """Counts rounded to `mantissa` bits after the leading one."""
+        """Round counts to `mantissa` bits after the leading one."""
         excess = max(int(histogram.max()).bit_length() - MAX_EXPONENT + 1, 0)
         counts = np.where(histogram > 0, np.maximum(histogram >> excess, 1), 0)
         lengths = np.frexp(counts.astype(np.float64))[1]
@@ -50,23 +50,23 @@ class SentModel:
         return cls(weights, mantissa, precision)
 
     def frequencies(self, alphabet: int) -> FrequencyTable:
-        """Table of ``alphabet`` symbols; those of weight 0 cannot occur."""
+        """Table of `alphabet` symbols; symbols of weight 0 cannot occur."""
         return normalise(self.weights, self.precision)
 
     def describe(self) -> dict[str, int]:
-        """Symbols in use and bits of the mantissas, for reports."""
+        """Number of symbols in use and mantissa bits, for reports."""
         return {"symbols": int(np.count_nonzero(self.weights)), "mantissa": self.mantissa}
 
 
 @kernel
 def _decide(state, data, contexts, context, bit):
-    """`code_bit`, compiled once for all places of `_walk`."""
+    """`code_bit`, compiled once for all its calls in `_walk`."""
     return code_bit(state, data, contexts, context, bit)
 
 
 @kernel
 def _walk(weights, mantissa, state, data, contexts, encoding):
-    """Code the weights of one table; False if a length leaves 0..MAX_EXPONENT."""
+    """Code the weights of one table; return False if a length is outside 0..MAX_EXPONENT."""
     before = 0
     changed = 1
     large = 1 if weights.size > 32 else 0
@@ -120,12 +120,12 @@ def encode_tables(weights: list[NDArray[np.int64]], mantissas: list[int]) -> byt
 def decode_tables(
     data: memoryview, alphabets: list[int], mantissas: list[int], where: str
 ) -> list[NDArray[np.int64]]:
-    """The inverse of `encode_tables`.
+    """Invert `encode_tables`.
 
     Raises
     ------
     CorruptStream
-        If the stream is not exactly these tables, or one has no symbol.
+        If the size of the stream does not match the tables, or a table has no symbol.
     """
     weights = [np.zeros(alphabet, np.int64) for alphabet in alphabets]
 

@@ -15,14 +15,14 @@ GREEN = 1.0 / math.sqrt(6.0)
 
 
 def to_ycocg(colours: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Y, Co, Cg ``(3, ...)`` of R, G, B ``(3, ...)``; keeps lengths."""
+    """Y, Co, Cg ``(3, ...)`` of R, G, B ``(3, ...)``; preserves lengths."""
     red, green, blue = colours.astype(np.float64)
     luma = (red + green + blue) * LUMA
     return np.stack([luma, (red - blue) * ORANGE, (2.0 * green - red - blue) * GREEN])
 
 
 def from_ycocg(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The inverse of `to_ycocg`, in float64, product by product, then float32."""
+    """Invert `to_ycocg`, in float64, with each product rounded separately, then to float32."""
     luma, orange, green = values[0] * LUMA, values[1] * ORANGE, values[2] * GREEN
     rest = luma - green
     return np.stack([rest + orange, luma + 2.0 * green, rest - orange]).astype(np.float32)
@@ -48,7 +48,7 @@ def _take(planes, members, units, shifts, limit, out):
     beyond = 0
     taken = np.empty((3, len(members)))
     for k in range(len(units)):
-        # A loop that does nothing else, as it waits for memory: members are all over a plane.
+        # A loop of gathers only, because it waits for memory: members are scattered over a plane.
         for channel in range(3):
             for i in range(len(members)):
                 taken[channel, i] = planes[channel, k, members[i]]
@@ -69,10 +69,10 @@ def take_colours(
     shifts: NDArray[np.int64],
     limit: float,
 ) -> tuple[NDArray[np.float32], int]:
-    """Y, Co, Cg ``(3 K, n)`` of R, G, B ``planes (3, K, N)``, in steps, and how many were clamped.
+    """Y, Co, Cg ``(3 K, n)`` in steps, of R, G, B ``planes (3, K, N)``; how many were clamped.
 
-    The step of coefficient k of Gaussian ``members[i]`` is ``units[k] << shifts[i]``, in
-    1 / 2**20; values beyond `limit` are clamped to it.
+    The step of coefficient k of Gaussian ``members[i]`` is ``units[k] << shifts[i]``, in units of 1
+    / 2**20; values beyond `limit` are clamped to it.
     """
     out = np.empty((3, len(units), len(members)), np.float32)
     beyond = _take(planes, members, units, shifts, limit, out)
@@ -84,7 +84,7 @@ def _fill(levels, units, steps, limit, out, first):
     count, beyond = len(steps), 0
     for k in range(len(units)):
         unit = units[k]
-        # Contiguous rows, and no maximum of floats: so LLVM computes eight colours at once.
+        # Contiguous rows, and no float maximum, so that LLVM vectorises over eight colours.
         luma, orange, other = levels[0, k], levels[1, k], levels[2, k]
         red, green, blue = (
             out[0, k, first : first + count],
@@ -108,9 +108,9 @@ def fill_colours(
     out: NDArray[np.float32],
     first: int = 0,
 ) -> bool:
-    """Write R, G, B of ``levels (3, K, n)`` of Y, Co, Cg to ``out (3, K, N)``, from `first` on.
+    """Convert ``levels (3, K, n)`` of Y, Co, Cg to R, G, B in ``out (3, K, N)``, from `first` on.
 
-    The value of a level is ``level * (units[k] << shifts[i])``, in 1 / 2**20: exact below
-    2**33. Returns whether all are below `limit`. Same operations as `from_ycocg`.
+    The value of a level is ``level * (units[k] << shifts[i])``, in units of 1 / 2**20: exact below
+    2**33. Return whether all are below `limit`. The operations are those of `from_ycocg`.
     """
     return _fill(levels, units.astype(np.float64), 2.0 ** (shifts - 20), limit, out, first)

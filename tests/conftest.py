@@ -8,18 +8,24 @@ import shutil
 import signal
 import subprocess
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import hypothesis
 import pytest
-from scenes import estimate_few_cameras, random_scene
 
 from gs_codec.cli import output
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.formats.ply.file import write_ply
+
+# Assertions in the modules that tests share report values, too.
+pytest.register_assert_rewrite(*(path.stem for path in Path(__file__).parent.glob("*.py")))
+
+from command_line import Folder, run_here  # noqa: E402
+from scenes import estimate_few_cameras, random_scene  # noqa: E402
 
 # A shell that starts tests in the background lets them, and so what they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -144,10 +150,21 @@ def trio(tmp_path_factory: pytest.TempPathFactory) -> Trio:
 
 
 @pytest.fixture
+def run_codec(monkeypatch, capsys):
+    """Run `gs-codec` in this process: its status, stdout and stderr."""
+    return partial(run_here, monkeypatch, capsys, "gs-codec")
+
+
+@pytest.fixture
+def run_viewer(monkeypatch, capsys):
+    """Run `gs-viewer` in this process: its status, stdout and stderr."""
+    return partial(run_here, monkeypatch, capsys, "gs-viewer")
+
+
+@pytest.fixture
 def folder(trio, tmp_path, monkeypatch, capsys):
     """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
     from test_cameras import inria_entry, write_json
-    from test_cli import Folder
 
     for path in trio:
         shutil.copy(path, tmp_path)

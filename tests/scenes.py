@@ -114,6 +114,18 @@ def assert_same_floats(first: Scene, second: Scene) -> None:
         np.testing.assert_array_equal(a.view(np.uint32), b.view(np.uint32), err_msg=group)
 
 
+def assert_same_bits(first: Scene, second: Scene) -> None:
+    """The same floats, comments and further properties."""
+    assert_same_floats(first, second)
+    assert (first.has_normals, first.comments) == (second.has_normals, second.comments)
+    assert list(first.extra) == list(second.extra)
+    for name, column in first.extra.items():
+        assert (column.dtype, column.tobytes()) == (
+            second.extra[name].dtype,
+            second.extra[name].tobytes(),
+        ), name
+
+
 def with_threads(number: int | None, function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function gives with so many threads."""
     with using_threads(number):

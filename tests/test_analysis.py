@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import Folder, strict_json
 from scenes import edge_scenes, random_scene, thorough
-from test_cli import Folder, strict_json
 
 from gs_codec.analysis import plots
 from gs_codec.analysis.analyse import analyse_scene

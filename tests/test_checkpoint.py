@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import assert_refused
 from scenes import assert_same_floats, random_scene
-from test_ply import assert_refused
 
 import gs_codec
 from gs_codec.config import Config

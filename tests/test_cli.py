@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import shutil
 import struct
 import subprocess
 import sys
@@ -14,15 +12,14 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
+from command_line import ROOT, Folder, assert_one_error_line, python, strict_json
 from crc32c import crc32c
 from scenes import random_scene, thorough
 
 from gs_codec import __version__
-from gs_codec.cli import main as cli
 from gs_codec.cli import output
 from gs_codec.cli.output import progress_lines
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
@@ -34,87 +31,7 @@ from gs_codec.files.scenes import write_scene
 from gs_codec.formats.ply.file import read_ply, write_ply
 from gs_codec.scene import GROUPS
 
-ROOT = Path(__file__).parents[1]
 COMMANDS = ("encode", "decode", "verify", "inspect", "compare", "bench")
-
-
-class Result(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
-class Folder:
-    """A working folder with `scene.ply`, `scene.egs`, `decoded.ply`, and a way to run commands."""
-
-    def __init__(self, path: Path, monkeypatch, capsys) -> None:
-        self.path, self.monkeypatch, self.capsys = path, monkeypatch, capsys
-
-    def run(self, *arguments: str) -> Result:
-        """Run the entry point in this process."""
-        self.capsys.readouterr()
-        self.monkeypatch.setattr(sys, "argv", ["gs-codec", *arguments])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as stop:
-            status = stop.code or 0
-        return Result(status, *self.capsys.readouterr())
-
-    def contents(self) -> dict[str, bytes | None]:
-        """Every file with its bytes, hidden ones and folders too."""
-        return {
-            str(path.relative_to(self.path)): path.read_bytes() if path.is_file() else None
-            for path in self.path.rglob("*")
-        }
-
-    def refuse(self, *arguments: str) -> str:
-        """Run what must fail; check the one line, the status and the folder; return the line."""
-        before = self.contents()
-        status, out, err = self.run(*arguments)
-        if "--json" in arguments:
-            out = "" if strict_json(out)["error"] else out
-        assert (status, out) == (2, "")
-        assert_one_error_line(err)
-        assert self.contents() == before
-        return err
-
-
-def assert_one_error_line(err: str) -> None:
-    assert err.startswith("gs-codec: error: ")
-    assert err.endswith("\n")
-    # Under a missing argument, there is a line on how to use the command.
-    assert len([line for line in err.splitlines() if not line.startswith("usage: ")]) == 1
-
-
-def strict_json(text: str) -> dict:
-    """The one JSON document on stdout; NaN and Infinity are not JSON."""
-
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
-
-@pytest.fixture
-def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
-    for path in trio:
-        shutil.copy(path, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return Folder(tmp_path, monkeypatch, capsys)
-
-
-def python(*arguments: str, cwd: Path = ROOT) -> Result:
-    """Run Python in another process that finds gs_codec."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return Result(done.returncode, done.stdout, done.stderr)
 
 
 # What works

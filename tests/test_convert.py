@@ -10,12 +10,10 @@ from pathlib import Path
 import foreign
 import numpy as np
 import pytest
-from scenes import random_scene, thorough
-from test_ply import assert_same_bits
+from scenes import assert_same_bits, random_scene, thorough
 from test_similarity import assert_seen_alike
 from typer.testing import CliRunner
 
-from gs_codec.__main__ import main
 from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
@@ -169,7 +167,7 @@ def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["convert", "encode", "prepare --gaussians 9", "batch", "read"])
-def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, capsys):
+def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, run_codec):
     monkeypatch.setattr("gs_codec.formats.usd.scene.find_spec", lambda name: None)
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     first, *options = command.split()
@@ -178,11 +176,9 @@ def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, capsys):
         typed = ["batch", str(ply), str(tmp_path / "out"), "--format", "usdz"]
     elif first == "read":
         typed = ["verify", str(tmp_path / "a.usda")]
-    monkeypatch.setattr("sys.argv", ["gs-codec", *typed])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert "usd-core is not installed: pip install 'gs-codec[usd]'" in capsys.readouterr().err
+    status, _, err = run_codec(*typed)
+    assert status == 2
+    assert "usd-core is not installed: pip install 'gs-codec[usd]'" in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.usda", "scene.ply"]
 
 

@@ -7,7 +7,7 @@ from fnmatch import fnmatch
 from importlib.metadata import version
 
 import pytest
-from test_cli import python
+from command_line import python
 
 from gs_codec.cli.main import NAMES, _Commands
 

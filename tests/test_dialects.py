@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import assert_refused
 from scenes import made_up_sensitivity, random_scene
-from test_ply import assert_refused
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import strict_json
 from scenes import random_scene
-from test_cli import strict_json
 
 from gs_codec.cli.documents import KEYS
 from gs_codec.cli.main import NAMES

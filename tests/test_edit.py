@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import DAMAGE, random_scene
+from scenes import DAMAGE, assert_same_bits, random_scene
 from scipy.spatial.transform import Rotation
-from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike, matrix_of, some_turn
 
 from gs_codec import edit

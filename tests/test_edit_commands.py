@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene, thorough
-from test_ply import assert_same_bits
+from scenes import assert_same_bits, random_scene, thorough
 
 from gs_codec.codecs import memory_limit
 from gs_codec.config import Config

@@ -27,7 +27,6 @@ from test_levels import AWAY, NEAR, encoded, in_level
 from test_web_decoder import NODE, digest, run
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cli import main as cli
 from gs_codec.codecs import decode_part, decode_scene, encode_scene, slabs
 from gs_codec.codecs.adaptive.arrange import arrange_scene
 from gs_codec.codecs.adaptive.costs import block_costs
@@ -565,17 +564,15 @@ def test_javascript_decodes_parts_and_lower_degrees():
 # Commands
 
 
-def test_inspect_says_how_many_are_far(tmp_path, monkeypatch, capsys):
+def test_inspect_says_how_many_are_far(tmp_path, run_codec):
     _, data = many()
     (tmp_path / "a.egs").write_bytes(data)
     number = inspect_bytes(data).far
     told = []
     for options in ([], ["--json"]):
-        monkeypatch.setattr("sys.argv", ["gs-codec", "inspect", str(tmp_path / "a.egs"), *options])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        assert not ended.value.code
-        told.append(capsys.readouterr().out)
+        status, out, _ = run_codec("inspect", tmp_path / "a.egs", *options)
+        assert status == 0
+        told.append(out)
     assert "version 2, profile m with far Gaussians, 5,000 Gaussians" in told[0]
     assert f"far Gaussians: {number:,}, with exact centres" in told[0]
     found = json.loads(told[1])

@@ -24,7 +24,6 @@ from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.file import write_ply
-from viewer.main import main
 from viewer.pictures import film, reels
 from viewer.pictures.screenshot import draw_request
 from viewer.scenes.flight import flythrough, read_poses, write_poses
@@ -52,22 +51,6 @@ def files(tmp_path_factory) -> Path:
     entries = [pose.camera(90, 60) | {"img_name": f"view{k}"} for k, pose in enumerate(poses)]
     (folder / "cameras.json").write_text(json.dumps(entries))
     return folder
-
-
-@pytest.fixture
-def here(monkeypatch, capsys):
-    """What runs `gs-viewer` in this process: its status, stdout and stderr."""
-
-    def run(*arguments) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["gs-viewer", *map(str, arguments)])
-        try:
-            main()
-            status = 0
-        except SystemExit as stop:
-            status = stop.code or 0
-        return status, *capsys.readouterr()
-
-    return run
 
 
 def at(azimuth: float, height: float = 0.0, distance: float = 4.0) -> np.ndarray:
@@ -274,11 +257,11 @@ def frames(folder: Path) -> list[np.ndarray]:
     return [np.asarray(Image.open(path)).astype(int) for path in sorted(folder.iterdir())]
 
 
-def test_frames_are_those_of_screenshots_and_the_same_again(files, tmp_path, here):
+def test_frames_are_those_of_screenshots_and_the_same_again(files, tmp_path, run_viewer):
     asked = [files / "a.ply", files / "b.egs", "--cameras", files / "cameras.json", "--mode",
              "wipe", "--width", "97", "--height", "64", "--frames", "3"]  # fmt: skip
     for name in ("first", "again"):
-        status, out, err = here(*asked, "--flythrough", tmp_path / name)
+        status, out, err = run_viewer(*asked, "--flythrough", tmp_path / name)
         assert (status, err) == (0, "")
         assert out == f"{tmp_path / name}: 3 frames, past 3 cameras\n"
     first, again = frames(tmp_path / "first"), frames(tmp_path / "again")
@@ -295,31 +278,31 @@ def test_frames_are_those_of_screenshots_and_the_same_again(files, tmp_path, her
 
 
 @pytest.mark.thorough
-def test_a_turntable_without_cameras_begins_with_the_first_picture(files, tmp_path, here):
+def test_a_turntable_without_cameras_begins_with_the_first_picture(files, tmp_path, run_viewer):
     asked = files / "a.ply", "--width", "90", "--height", "64"
-    assert here(*asked, "--turntable", tmp_path / "frames", "--frames", "4")[0] == 0
-    assert here(*asked, "--screenshot", tmp_path / "shot.png")[0] == 0
+    assert run_viewer(*asked, "--turntable", tmp_path / "frames", "--frames", "4")[0] == 0
+    assert run_viewer(*asked, "--screenshot", tmp_path / "shot.png")[0] == 0
     first, *others = frames(tmp_path / "frames")
     shot = np.asarray(Image.open(tmp_path / "shot.png")).astype(int)
     assert np.abs(first - shot).mean() < 3
     assert all(np.abs(other - shot).mean() > 2 * np.abs(first - shot).mean() for other in others)
 
 
-def test_existing_frames_are_kept_unless_they_may_go(files, tmp_path, here):
+def test_existing_frames_are_kept_unless_they_may_go(files, tmp_path, run_viewer):
     folder = tmp_path / "frames"
     folder.mkdir()  # an empty one is used
     asked = files / "a.ply", "--width", "64", "--height", "64", "--turntable", folder
-    assert here(*asked, "--frames", "5")[0] == 0
+    assert run_viewer(*asked, "--frames", "5")[0] == 0
     inode = folder.stat().st_ino
-    status, _, err = here(*asked, "--frames", "3")
+    status, _, err = run_viewer(*asked, "--frames", "3")
     assert status == 2
     assert "not empty; choose another folder or pass --overwrite" in err
     assert len(os.listdir(folder)) == 5
-    assert here(*asked, "--frames", "3", "--overwrite")[0] == 0
+    assert run_viewer(*asked, "--frames", "3", "--overwrite")[0] == 0
     assert sorted(os.listdir(folder)) == ["00000.png", "00001.png", "00002.png"]
     assert folder.stat().st_ino == inode
     (folder / "notes.txt").write_text("mine")
-    status, _, err = here(*asked, "--frames", "2", "--overwrite")
+    status, _, err = run_viewer(*asked, "--frames", "2", "--overwrite")
     assert status == 2
     assert "has 'notes.txt', expected frames alone" in err
     assert len(os.listdir(folder)) == 4
@@ -402,16 +385,16 @@ def test_an_mp4_has_all_frames_in_true_colours(tmp_path, ffmpeg):
         assert np.abs(frame - np.asarray(expected)).mean() < 3
 
 
-def test_the_command_writes_a_film(files, tmp_path, here, ffmpeg):
+def test_the_command_writes_a_film(files, tmp_path, run_viewer, ffmpeg):
     out = tmp_path / "out.mp4"
     asked = files / "a.ply", "--width", "64", "--height", "64", "--turntable", out, "--frames", 5
-    status, said, err = here(*asked, "--fps", 5)
+    status, said, err = run_viewer(*asked, "--fps", 5)
     assert (status, said, err) == (0, f"{out}: 5 frames, once around\n", "")
     assert ffmpeg.count_frames_and_secs(str(out)) == (5, pytest.approx(1, abs=0.01))
-    status, _, err = here(*asked)
+    status, _, err = run_viewer(*asked)
     assert status == 2
     assert f"{out}: already exists; choose another name or pass --overwrite" in err
-    assert here(*asked, "--overwrite")[0] == 0
+    assert run_viewer(*asked, "--overwrite")[0] == 0
 
 
 def test_a_failed_film_leaves_nothing_and_says_why(tmp_path, ffmpeg, monkeypatch):
@@ -482,10 +465,10 @@ def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):
         (["--overwrite"], "overwrite: needs --screenshot, --turntable or --flythrough"),
     ],
 )
-def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, here, monkeypatch):
+def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, run_viewer, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(reels, "_ffmpeg", lambda _: "")
-    status, _, err = here(files / "a.ply", *arguments)
+    status, _, err = run_viewer(files / "a.ply", *arguments)
     assert status == 2
     assert err.startswith("gs-viewer: error: ")
     assert said in err
@@ -493,28 +476,28 @@ def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, here, monke
     assert not os.listdir(tmp_path)
 
 
-def test_a_file_in_the_place_of_a_folder_stays(files, tmp_path, here):
+def test_a_file_in_the_place_of_a_folder_stays(files, tmp_path, run_viewer):
     (tmp_path / "out").write_text("mine")
-    status, _, err = here(files / "a.ply", "--turntable", tmp_path / "out", "--overwrite")
+    status, _, err = run_viewer(files / "a.ply", "--turntable", tmp_path / "out", "--overwrite")
     assert (status, err.count("\n")) == (2, 1)
     assert "out: exists, expected .mp4 or a folder" in err
     assert (tmp_path / "out").read_text() == "mine"
 
 
-def test_a_film_needs_a_scene_and_a_flight_two_cameras(files, tmp_path, here):
-    status, _, err = here("--turntable", tmp_path / "out")
+def test_a_film_needs_a_scene_and_a_flight_two_cameras(files, tmp_path, run_viewer):
+    status, _, err = run_viewer("--turntable", tmp_path / "out")
     assert (status, err) == (2, "gs-viewer: error: turntable: no scene to draw\n")
     poses = json.loads((files / "cameras.json").read_text())
     (tmp_path / "one.json").write_text(json.dumps(poses[:1]))
     cameras = "--cameras", tmp_path / "one.json"
-    status, _, err = here(files / "a.ply", *cameras, "--flythrough", tmp_path / "out")
+    status, _, err = run_viewer(files / "a.ply", *cameras, "--flythrough", tmp_path / "out")
     assert (status, err) == (2, "gs-viewer: error: flythrough: one camera, expected at least two\n")
     assert os.listdir(tmp_path) == ["one.json"]
 
 
-def test_without_imageio_ffmpeg_the_extra_is_named(files, tmp_path, here, monkeypatch):
+def test_without_imageio_ffmpeg_the_extra_is_named(files, tmp_path, run_viewer, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    status, _, err = here(files / "a.ply", "--turntable", tmp_path / "out.mp4")
+    status, _, err = run_viewer(files / "a.ply", "--turntable", tmp_path / "out.mp4")
     assert status == 2
     assert "pip install 'gs-codec[video]', or give a folder for PNG frames" in err
     assert len(err.splitlines()) == 1

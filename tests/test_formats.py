@@ -19,8 +19,8 @@ import numpy.lib.recfunctions as rfn
 import pytest
 from foreign import SH_C0
 from PIL import Image
+from refusals import assert_one_line, assert_refused
 from scenes import assert_same_floats, random_scene, shared_scene_path
-from test_ply import assert_one_line, assert_refused
 
 import gs_codec
 from gs_codec.config import Config

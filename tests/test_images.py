@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import EpsImagePlugin, Image
-from test_ply import assert_one_line
+from refusals import assert_one_line
 
 import gs_codec
 from gs_codec.cameras.image_files import read_image

@@ -486,36 +486,20 @@ def test_reports_have_levels(folder):
     assert errors_of(open_level(read_file((folder / "a.egs").read_bytes()), 2)).shape == (1,)
 
 
-def command(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    """Status and output of a command, run in this process."""
-    from gs_codec.cli import main as cli
-
-    monkeypatch.setattr("sys.argv", ["gs-codec", *map(str, arguments)])
-    status = 0
-    try:
-        cli.main()
-    except SystemExit as stop:
-        status = stop.code or 0
-    return (status, *capsys.readouterr())
-
-
-def test_commands(folder, tmp_path, monkeypatch, capsys):
+def test_commands(folder, tmp_path, run_codec):
     source, cameras = folder / "a.egs", folder / "cameras.json"
 
-    def run(*arguments: str | Path) -> tuple[int, str, str]:
-        return command(monkeypatch, capsys, *arguments)
-
     asked = ("--lod", "--block-size", "1024", "--json")
-    status, text, _ = run("encode", folder / "scene.ply", tmp_path / "a.egs", *asked)
+    status, text, _ = run_codec("encode", folder / "scene.ply", tmp_path / "a.egs", *asked)
     assert status == 0
     assert json.loads(text)["section_bytes"]["level"] > 0
     assert (tmp_path / "a.egs").read_bytes() == source.read_bytes()
-    assert len(json.loads(run("inspect", source, "--json")[1])["levels"]) == 2
-    assert "largest error" in run("inspect", source)[1]
-    assert "2 coarser levels" in run("verify", source)[1]
+    assert len(json.loads(run_codec("inspect", source, "--json")[1])["levels"]) == 2
+    assert "largest error" in run_codec("inspect", source)[1]
+    assert "2 coarser levels" in run_codec("verify", source)[1]
 
     def decoded(*options: str) -> int:
-        status, text, err = run(
+        status, text, err = run_codec(
             "decode", source, tmp_path / "out.ply", "--json", "--overwrite", *options
         )
         assert status == 0, err
@@ -542,23 +526,23 @@ def test_commands(folder, tmp_path, monkeypatch, capsys):
         (["--view", "CAMERAS:b", "--level", "1"], "level: cannot be combined with a view"),
     ],
 )
-def test_commands_refuse(folder, tmp_path, options, message, monkeypatch, capsys):
+def test_commands_refuse(folder, tmp_path, options, message, run_codec):
     given, same = folder / "cameras.json", tmp_path / "same.json"
     same.write_text(given.read_text().replace(f'"{FAR.name}"', '"b"'))
     typed = [text.replace("CAMERAS", str(given)).replace("SAME", str(same)) for text in options]
     target = tmp_path / "out.ply"
-    status, _, err = command(monkeypatch, capsys, "decode", folder / "a.egs", target, *typed)
+    status, _, err = run_codec("decode", folder / "a.egs", target, *typed)
     assert status == 2
     assert message in err
     assert not target.exists()
 
 
-def test_damaged_levels_are_one_line_and_status_2(folder, tmp_path, monkeypatch, capsys):
+def test_damaged_levels_are_one_line_and_status_2(folder, tmp_path, run_codec):
     data = (folder / "a.egs").read_bytes()
     damaged = in_level(data, errors_changed(float("nan")))
     (tmp_path / "a.egs").write_bytes(damaged)
     for verb in ("verify", "inspect"):
-        status, _, err = command(monkeypatch, capsys, verb, tmp_path / "a.egs")
+        status, _, err = run_codec(verb, tmp_path / "a.egs")
         assert status == 2
         assert err.count("\n") == 1
         assert "level 1: section 'errors'" in err

@@ -15,10 +15,10 @@ import foreign
 import numpy as np
 import pytest
 from batch_work import OneProcess
+from command_line import Folder, assert_one_error_line
 from damage import TIMES_FILE, TIMES_LIMIT
 from PIL import Image
 from scenes import random_scene
-from test_cli import Folder, assert_one_error_line
 
 import gs_codec
 from gs_codec.batch import memory, remote, run

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import ROOT, assert_one_error_line
+from command_line import ROOT, assert_one_error_line
 
 import gs_codec
 from gs_codec.errors import InvalidInput

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import plyfile
 import pytest
-from scenes import assert_same_floats, random_scene, shared_scene_path
+from refusals import assert_one_line
+from scenes import assert_same_bits, assert_same_floats, random_scene, shared_scene_path
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
@@ -67,17 +68,6 @@ def random_bits(dtype: str, count: int, seed: int) -> np.ndarray:
     """Values of every bit pattern: NaN payloads, infinities and denormals too."""
     data = np.random.default_rng(seed).bytes(count * np.dtype(dtype).itemsize)
     return np.frombuffer(data, dtype)
-
-
-def assert_same_bits(first: Scene, second: Scene) -> None:
-    assert_same_floats(first, second)
-    assert (first.has_normals, first.comments) == (second.has_normals, second.comments)
-    assert list(first.extra) == list(second.extra)
-    for name, column in first.extra.items():
-        assert (column.dtype, column.tobytes()) == (
-            second.extra[name].dtype,
-            second.extra[name].tobytes(),
-        ), name
 
 
 def nonfinite_scene(count: int, sh_degree: int, seed: int) -> Scene:
@@ -599,20 +589,6 @@ def test_lists_before_the_gaussians_are_refused(tmp_path):
     path = with_elements(tmp_path / "a.ply", random_scene(5, 0), AFTER, "", False)
     with pytest.raises(InvalidInput, match="element 'face' with lists before 'vertex'") as caught:
         read_ply(path, "drop")
-    assert_one_line(caught.value, path)
-
-
-def assert_one_line(error: BaseException, path: Path | str) -> None:
-    """The message is one line that begins with the file and is short enough to be read."""
-    assert str(error).startswith(f"{path}: ")
-    assert len(str(error).splitlines()) == 1
-    assert len(str(error)) - len(str(path)) < 400
-
-
-def assert_refused(path: Path, message: str) -> None:
-    """Reading a scene fails with one line that `message` matches."""
-    with pytest.raises(InvalidInput, match=message) as caught:
-        read_scene(path)
     assert_one_line(caught.value, path)
 
 

@@ -7,8 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene
-from test_ply import assert_same_bits
+from scenes import assert_same_bits, edge_scenes, random_scene
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tracemalloc
 from dataclasses import replace
 
@@ -13,7 +12,6 @@ import pytest
 from scenes import edge_scenes, random_scene
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cli import main as cli
 from gs_codec.codecs import decode_part, encode_parts, encode_scene, slabs
 from gs_codec.codecs.decode import choose_part
 from gs_codec.codecs.part import Part
@@ -102,23 +100,13 @@ def encoded(request, tmp_path):
     return path
 
 
-def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["gs-codec", *arguments])
-    status = 0
-    try:
-        cli.main()
-    except SystemExit as stop:
-        status = int(stop.code or 0)
-    return status, *capsys.readouterr()
-
-
-def test_verify_says_what_a_sound_file_holds(encoded, monkeypatch, capsys):
+def test_verify_says_what_a_sound_file_holds(encoded, run_codec):
     before = encoded.read_bytes()
-    status, out, err = run(monkeypatch, capsys, "verify", str(encoded))
+    status, out, err = run_codec("verify", str(encoded))
     assert (status, err) == (0, "")
     assert out.startswith(f"{encoded}: sound, ")
     assert "3,000 Gaussians, 3 blocks, SH degree 2" in out
-    status, out, err = run(monkeypatch, capsys, "verify", str(encoded), "--json")
+    status, out, err = run_codec("verify", str(encoded), "--json")
     report = json.loads(out)
     assert (status, report["gaussians"], report["blocks"]) == (0, 3000, 3)
     assert report["sections"] == len(read_file(before).table)
@@ -126,14 +114,14 @@ def test_verify_says_what_a_sound_file_holds(encoded, monkeypatch, capsys):
     assert [p.name for p in encoded.parent.iterdir()] == ["scene.egs"]
 
 
-def test_verify_finds_damage_in_every_section(encoded, monkeypatch, capsys):
+def test_verify_finds_damage_in_every_section(encoded, run_codec):
     data = encoded.read_bytes()
     for position, size, _ in read_file(data).table.values():
         if size:
             changed = bytearray(data)
             changed[position + size // 2] ^= 0x10
             encoded.write_bytes(changed)
-            status, out, err = run(monkeypatch, capsys, "verify", str(encoded))
+            status, out, err = run_codec("verify", str(encoded))
             assert (status, out) == (2, "")
             assert f"{encoded}: section " in err
             assert "checksum does not match" in err

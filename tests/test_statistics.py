@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from command_line import strict_json
 from scenes import (
     antialiased,
     assert_same_floats,
@@ -20,7 +21,6 @@ from scenes import (
     shared_scene_path,
     with_threads,
 )
-from test_cli import strict_json
 
 from gs_codec.batch.memory import needed_bytes
 from gs_codec.cli.output import bars

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene
-from test_slabs import rich_scene, run
+from test_slabs import rich_scene
 
 from gs_codec.codecs import encode_parts, encode_scene, memory_limit, slabs
 from gs_codec.codecs.memory_limit import least_memory
@@ -174,7 +174,7 @@ def test_what_is_given_back_is_still_there(tmp_path, monkeypatch):
     assert all(column.ctypes.data % 64 == 0 for column in kept if column.size)
 
 
-def test_full_disk_is_one_line(tmp_path, monkeypatch, capsys):
+def test_full_disk_is_one_line(tmp_path, monkeypatch, run_codec):
     def full(*_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -184,7 +184,7 @@ def test_full_disk_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     target = tmp_path / "scene.egs"
     arguments = ["encode", str(tmp_path / "scene.ply"), str(target), "--max-memory", "2GB"]
-    status, out, err = run(monkeypatch, capsys, *arguments)
+    status, out, err = run_codec(*arguments)
     assert (status, out) == (2, "")
     assert err.count("\n") == 1
     assert f"{tmp_path}: No space left on device" in err
@@ -220,7 +220,7 @@ def files(tmp_path) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("command", ["encode", "encode -p paper-m", "decode", "verify"])
-def test_too_little_memory_is_refused_with_what_is_enough(command, files, monkeypatch, capsys):
+def test_too_little_memory_is_refused_with_what_is_enough(command, files, run_codec):
     source, coded = files
     command, *options = command.split()
     words = {
@@ -229,20 +229,20 @@ def test_too_little_memory_is_refused_with_what_is_enough(command, files, monkey
         "verify": (coded,),
     }
     arguments = [command, *map(str, words[command]), *options, "--threads", "2"]
-    status, out, err = run(monkeypatch, capsys, *arguments, "--max-memory", "100MB")
+    status, out, err = run_codec(*arguments, "--max-memory", "100MB")
     assert (status, out) == (2, "")
     assert "max-memory: 100,000,000 bytes, " in err
     least = err.partition(" at least ")[2].partition(" ")[0].replace(",", "")
-    status, _, err = run(monkeypatch, capsys, *arguments, "--max-memory", least)
+    status, _, err = run_codec(*arguments, "--max-memory", least)
     assert (status, err) == (0, "")
-    status, _, err = run(monkeypatch, capsys, *arguments, "--max-memory", f"{int(least) - 1}B")
+    status, _, err = run_codec(*arguments, "--max-memory", f"{int(least) - 1}B")
     assert status == 2
     assert not err.startswith("Traceback")
 
 
-def test_a_size_that_is_none_is_refused(files, monkeypatch, capsys):
+def test_a_size_that_is_none_is_refused(files, run_codec):
     for size in ("4 apples", "", "-1GB", "GB"):
-        status, out, err = run(monkeypatch, capsys, "verify", str(files[1]), f"--max-memory={size}")
+        status, out, err = run_codec("verify", str(files[1]), f"--max-memory={size}")
         assert (status, out) == (2, "")
         assert f"--max-memory {size}: expected a size" in err
 

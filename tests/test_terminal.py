@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from batch_work import OneProcess
+from command_line import Folder, assert_one_error_line
 from scenes import random_scene
-from test_cli import Folder, assert_one_error_line
 
 import gs_codec
 from gs_codec.batch import run

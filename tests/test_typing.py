@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from test_cli import strict_json
+from command_line import strict_json
 from typer.main import get_command
 
 from gs_codec.cli.main import NAMES, app

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from damage import changed
-from scenes import random_scene
+from scenes import assert_same_bits, random_scene
 from test_gltf import assert_held_exactly
-from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed

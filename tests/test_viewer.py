@@ -30,7 +30,7 @@ from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply, write_ply
 from gs_codec.preparation.prepare_report import centres_checksum
-from viewer.main import app, main
+from viewer.main import app
 from viewer.pictures import screenshot
 from viewer.pictures.centres import centres, pruned_centres
 from viewer.pictures.drawer import measure
@@ -82,22 +82,6 @@ def files(tmp_path_factory) -> Path:
     told = {"removed": removed, "centres_crc32c": centres_checksum(scene.positions)}
     (report / "report.json").write_text(json.dumps(told))
     return folder
-
-
-@pytest.fixture
-def here(monkeypatch, capsys):
-    """What runs `gs-viewer` in this process: its status, stdout and stderr."""
-
-    def run(*arguments) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["gs-viewer", *map(str, arguments)])
-        try:
-            main()
-            status = 0
-        except SystemExit as stop:
-            status = stop.code or 0
-        return status, *capsys.readouterr()
-
-    return run
 
 
 def viewer(*arguments, **environment) -> subprocess.CompletedProcess:
@@ -658,22 +642,22 @@ def test_screenshots_need_no_display(files, tmp_path):
     assert os.listdir(tmp_path) == ["out.png"]
 
 
-def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, here):
+def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, run_viewer):
     poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(2)]
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
     (tmp_path / "images").mkdir()
     Image.new("RGB", (40, 30), (200, 0, 0)).save(tmp_path / "images" / "view1.png")
     asked = [files / "a.ply", "--cameras", tmp_path / "cameras.json", "--gt-images",
              tmp_path / "images", "--width", "200", "--height", "80"]  # fmt: skip
-    status, _, err = here(*asked, "--screenshot", tmp_path / "0.png")
+    status, _, err = run_viewer(*asked, "--screenshot", tmp_path / "0.png")
     assert status == 0
     assert err.startswith("gs-viewer: without a photograph: ")
     assert "no image 'view0'" in err
     assert len(err.splitlines()) == 1
     second = [*asked, "--view", "1", "--screenshot", tmp_path / "1.png"]
-    assert here(*second) == (0, "", "")
-    assert here(*second)[0] == 2  # it exists
-    assert here(*second, "--overwrite") == (0, "", "")
+    assert run_viewer(*second) == (0, "", "")
+    assert run_viewer(*second)[0] == 2  # it exists
+    assert run_viewer(*second, "--overwrite") == (0, "", "")
     reds = [
         np.sum(np.asarray(Image.open(tmp_path / f"{k}.png"))[..., 0].astype(int) > 190)
         for k in range(2)
@@ -681,7 +665,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, her
     assert reds[1] > reds[0] + 1000
 
 
-def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch, here):
+def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch, run_viewer):
     """PostScript by the name of a picture: Pillow would give it to Ghostscript."""
     for name in ("bin", "images"):
         (tmp_path / name).mkdir()
@@ -693,7 +677,7 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch,
     poses = [STRAIGHT.camera(40, 30) | {"img_name": "view"}]
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
-    status, _, err = here(
+    status, _, err = run_viewer(
         files / "a.ply", "--cameras", tmp_path / "cameras.json", "--gt-images", tmp_path / "images",
         "--screenshot", tmp_path / "out.png",
     )  # fmt: skip
@@ -720,9 +704,9 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch,
         (["a.ply", "--octree-depth", "13"], "octree-depth 13: expected 1 to 12"),
     ],
 )
-def test_errors_are_one_line(arguments, said, here, monkeypatch):
+def test_errors_are_one_line(arguments, said, run_viewer, monkeypatch):
     monkeypatch.chdir(Path(__file__).parent.parent)
-    status, _, err = here(*arguments)
+    status, _, err = run_viewer(*arguments)
     assert status == 2
     assert err.startswith("gs-viewer: error: ")
     assert said in err
@@ -775,9 +759,9 @@ def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
         assert out.exists()
 
 
-def test_the_version_and_help(here, monkeypatch):
+def test_the_version_and_help(run_viewer, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-    assert here("--version")[1].startswith(f"gs-viewer {gs_codec.__version__}")
-    shown = here("--help")[1]
+    assert run_viewer("--version")[1].startswith(f"gs-viewer {gs_codec.__version__}")
+    shown = run_viewer("--help")[1]
     assert "--screenshot" in shown
     assert "--pruned" in shown

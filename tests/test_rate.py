@@ -21,7 +21,7 @@ import gs_codec
 from gs_codec.cli.encode import _print_report
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
-from gs_codec.cli.request import Asked, plan_of
+from gs_codec.cli.request import Typed, plan_of
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
@@ -380,7 +380,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
         ctx = SimpleNamespace(
             meta={}, info_name="encode", get_parameter_source=dict.fromkeys(values, typed).get
         )
-        return plan_of(Asked(ctx, {"profile": "m"} | values), Config())
+        return plan_of(Typed(ctx, {"profile": "m"} | values), Config())
 
     views = {"views": 8, "width": 100, "background": (1.0, 1.0, 1.0)}
     plan = found(**asked, **views)

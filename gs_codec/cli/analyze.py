@@ -15,7 +15,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
@@ -25,7 +25,7 @@ from gs_codec.runtime.wording import counted
 @takes("width", "error_scale", "max_bytes", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
-    asked: Asked,
+    typed: Typed,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -47,24 +47,24 @@ def command(
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
     if cameras is None:
-        asked.refuse(["width", "error_scale"], "needs --cameras")
+        typed.refuse(["width", "error_scale"], "needs --cameras")
     if out is not None:
-        check_folder(out, asked["overwrite"])
-    elif not asked["json"]:
+        check_folder(out, typed["overwrite"])
+    elif not typed["json"]:
         raise InvalidInput("missing option '--out', the folder of the report, or '--json'")
     else:
-        asked.refuse(["overwrite"], "needs --out")
+        typed.refuse(["overwrite"], "needs --out")
     from gs_codec.analysis.report import analyse_file
 
     with progress_bar() as progress:
         content = analyse_file(
-            source, out, max_bytes=asked["max_bytes"], progress=progress,
-            cameras=cameras, width=asked["width"], error_scale=asked["error_scale"],
+            source, out, max_bytes=typed["max_bytes"], progress=progress,
+            cameras=cameras, width=typed["width"], error_scale=typed["error_scale"],
             sample=sample, seed=seed,
         )  # fmt: skip
     for note in content["notes"]:
         print_status(note)
-    if asked["json"]:
+    if typed["json"]:
         print_document(**content | {"output": None if out is None else str(out)})
         return
     print_text(

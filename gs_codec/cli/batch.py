@@ -33,7 +33,7 @@ from gs_codec.cli.output import (
     smaller,
 )
 from gs_codec.cli.request import (
-    Asked,
+    Typed,
     action_plan,
     config_of,
     plan_of,
@@ -67,7 +67,7 @@ def command(
     target: Annotated[
         str, typer.Argument(metavar="DST", help="Folder for the same tree of files; or a URL.")
     ],
-    asked: Asked,
+    typed: Typed,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -98,33 +98,33 @@ def command(
 
     The exit status is 1 if any failed.
     """
-    if resume and asked["overwrite"]:
+    if resume and typed["overwrite"]:
         raise InvalidInput("--overwrite and --resume: expected only one of them")
-    config, rate = config_of(asked), target_of(asked)
-    plain = asked["format"] if f".{asked['format']}" in PLAIN else None
+    config, rate = config_of(typed), target_of(typed)
+    plain = typed["format"] if f".{typed['format']}" in PLAIN else None
     if plain is not None:
-        refuse_coding(asked, plain, None)
-        plan = action_plan(asked)
+        refuse_coding(typed, plain, None)
+        plan = action_plan(typed)
     else:
-        plan = plan_of(asked, config)
-    check_actions(asked.actions, plan, asked["max_memory"] is not None, plain is None)
+        plan = plan_of(typed, config)
+    check_actions(typed.actions, plan, typed["max_memory"] is not None, plain is None)
     if plain is None and (plan is not None or rate is not None):
-        asked.refuse(["max_memory"], "cannot be combined with views, preparation or a target")
+        typed.refuse(["max_memory"], "cannot be combined with views, preparation or a target")
     from gs_codec.batch.redaction import redact_process, without_secrets
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
 
     options = Options(
-        config, plan, rate, asked["max_bytes"], asked["max_memory"], tuple(asked.actions), plain,
-        asked.typed("profile", "coarseness"),
+        config, plan, rate, typed["max_bytes"], typed["max_memory"], tuple(typed.actions), plain,
+        typed.has("profile", "coarseness"),
     )  # fmt: skip
     batch = Batch(
-        source, target, options, jobs, resume, report, on_error, asked["dask"], asked["overwrite"],  # type: ignore[arg-type]
+        source, target, options, jobs, resume, report, on_error, typed["dask"], typed["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip
     redact_process()
     with _watching("encode" if plain is None else "convert") as watcher:
         summary = run_batch(batch, watcher)
-    if asked["json"]:
+    if typed["json"]:
         print_document(
             input=without_secrets(source), output=without_secrets(target), format=options.format,
             profile=config.profile if plain is None else None,

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from gs_codec.cli.actions import InOrder
 from gs_codec.cli.command import Shown
 from gs_codec.cli.output import print_status, print_table, print_text, progress_bar
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.config import PROFILE_CHOICES, PROFILES_SHOWN, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.presets import PRESETS
@@ -56,7 +56,7 @@ def measure_suite(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for suite.jsonl, report.md, pictures.")
     ],
-    asked: Asked,
+    typed: Typed,
     scenes: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -87,9 +87,9 @@ def measure_suite(
     from gs_codec.bench.suite.run import Options, run_suite
 
     options = Options(
-        tuple(scenes or ()), repeats, asked["threads"], asked["width"], frozenset(skip or ())
+        tuple(scenes or ()), repeats, typed["threads"], typed["width"], frozenset(skip or ())
     )
-    check_folder(out, asked["overwrite"])
+    check_folder(out, typed["overwrite"])
     new_figure(1, 1)  # without matplotlib there is no report: refused before the work
     start = time.monotonic()
 
@@ -120,7 +120,7 @@ def measure_paper(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for paper.jsonl, paper.md, checkpoints.")
     ],
-    asked: Asked,
+    typed: Typed,
 ) -> None:
     """Reproduce the paper's experiment: preset entropygs, then its tables, on scenes.
 
@@ -129,12 +129,12 @@ def measure_paper(
     from gs_codec.bench.reproduce import open_scenes, reproduce, tables_of
     from gs_codec.runtime.threads import using_threads
 
-    check_folder(out, asked["overwrite"])
-    with using_threads(asked["threads"]), progress_bar() as progress:
+    check_folder(out, typed["overwrite"])
+    with using_threads(typed["threads"]), progress_bar() as progress:
         measured = open_scenes(scenes)
         target = make_folder(out) / "paper.jsonl"
         check_writable(target)
-        measuring = reproduce(measured, asked["refine"], out, _typed(), progress)
+        measuring = reproduce(measured, typed["refine"], out, _typed(), progress)
         lines = list(_written(measuring, target))
     page = tables_of(lines)
     write_files(out, {"paper.md": page.encode("utf-8", "backslashreplace")})
@@ -150,7 +150,7 @@ def measure_captures(
             help="3DGS .ply files; the cameras.json beside each marks some cameras as test.",
         ),
     ],
-    asked: Asked,
+    typed: Typed,
 ) -> None:
     """Measure what profile m loses in held-out views: camera-free, by estimated cameras, by given.
 
@@ -161,7 +161,7 @@ def measure_captures(
     from gs_codec.runtime.threads import using_threads
 
     lines = []
-    with using_threads(asked["threads"]), progress_bar() as progress:
+    with using_threads(typed["threads"]), progress_bar() as progress:
         for line in measure_losses(scenes, progress):
             print_text(json.dumps(line))
             lines.append(line)
@@ -192,7 +192,7 @@ app = typer.Typer(
 )  # fmt: skip
 def measure(
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
-    asked: Asked,
+    typed: Typed,
     profile: Annotated[
         list[str] | None,
         typer.Option(
@@ -216,11 +216,11 @@ def measure(
 ) -> None:
     """Measure scenes one by one; lines on stdout, a table of them on stderr."""
     if cameras is None:
-        asked.refuse(("gt_images", "width"), "needs --cameras")
-    configs = [asked.build(Config, profile=name) for name in profile or PROFILE_CHOICES]
+        typed.refuse(("gt_images", "width"), "needs --cameras")
+    configs = [typed.build(Config, profile=name) for name in profile or PROFILE_CHOICES]
     from gs_codec.bench.measure import measure_scenes
 
-    views, peers = (cameras, asked["gt_images"], asked["width"]), asked.command == "peers"
+    views, peers = (cameras, typed["gt_images"], typed["width"]), typed.command == "peers"
     lines = []
     for line in measure_scenes(scenes, configs, tile, repeats, *views, peers):
         print_text(json.dumps(line))

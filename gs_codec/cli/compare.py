@@ -16,7 +16,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def command(
     first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],
-    asked: Asked,
+    typed: Typed,
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Compare what these see: {CAMERAS}")
     ] = None,
@@ -59,27 +59,27 @@ def command(
 ) -> None:
     """Compare two versions of a scene: by attribute, or in rendered views."""
     if cameras is None:
-        asked.refuse((*_OF_VIEWS, "gt_images", "images", "lpips", "overwrite"), "needs --cameras")
+        typed.refuse((*_OF_VIEWS, "gt_images", "images", "lpips", "overwrite"), "needs --cameras")
     elif images is None:
-        asked.refuse(["overwrite"], "needs --images")
+        typed.refuse(["overwrite"], "needs --images")
     else:
-        check_folder(images, asked["overwrite"])
+        check_folder(images, typed["overwrite"])
     if cameras is None:
         from gs_codec.files.scenes import compare_files
 
-        comparison = compare_files(first, second, max_bytes=asked["max_bytes"])
+        comparison = compare_files(first, second, max_bytes=typed["max_bytes"])
     else:
         from gs_codec.api.viewing import compare
 
         with progress_bar() as progress:
-            drawn = {name: asked[name] for name in _OF_VIEWS}
+            drawn = {name: typed[name] for name in _OF_VIEWS}
             comparison = compare(
                 first, second, cameras, gt_images=gt_images, images=images, lpips=lpips,
-                progress=progress, max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
+                progress=progress, max_bytes=typed["max_bytes"], overwrite=typed["overwrite"],
                 **drawn,
             )  # fmt: skip
     _say_systems(comparison.systems)
-    if asked["json"]:
+    if typed["json"]:
         print_document(input=[str(first), str(second)], **_plain(comparison, images))
     elif comparison.views:
         _print_views(comparison)

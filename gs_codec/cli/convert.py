@@ -18,7 +18,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import Asked, action_plan, config_of, refuse_coding, takes
+from gs_codec.cli.request import Typed, action_plan, config_of, refuse_coding, takes
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.config import SSOG, STREAMED, Config
 from gs_codec.edit.actions import KINDS
@@ -48,7 +48,7 @@ def command(
             help=f"File to write: {WRITTEN_SHOWN}; {SSOG} or {STREAMED}. - is stdout.",
         ),
     ],
-    asked: Asked,
+    typed: Typed,
     coordinates: Annotated[
         str,
         typer.Option(
@@ -65,21 +65,21 @@ def command(
     ] = None,
 ) -> None:
     """Convert scenes to another format, merged and edited on the way; report what that loses."""
-    suffix = f".{asked['format']}" if is_stdout(target) else known_suffix(target)
+    suffix = f".{typed['format']}" if is_stdout(target) else known_suffix(target)
     if suffix in PLAIN:
-        refuse_coding(asked, suffix[1:], target)
-    config, plan = config_of(asked, target), action_plan(asked)
+        refuse_coding(typed, suffix[1:], target)
+    config, plan = config_of(typed, target), action_plan(typed)
     from gs_codec.files.conversion import convert_file
 
-    with piped(sources, target, suffix, asked["input_format"]) as (files, out):
+    with piped(sources, target, suffix, typed["input_format"]) as (files, out):
         with progress_bar() as progress:
             done = convert_file(
-                files, out, config, coordinates, actions=asked.actions, plan=plan,
-                progress=progress, max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
-                overwrite=asked["overwrite"], by_profile=asked.typed("profile", "coarseness"),
+                files, out, config, coordinates, actions=typed.actions, plan=plan,
+                progress=progress, max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
+                overwrite=typed["overwrite"], by_profile=typed.has("profile", "coarseness"),
             )  # fmt: skip
         _say_what_changed(done)
-        if asked["json"]:
+        if typed["json"]:
             inputs = [str(source) for source in sources]
             told = asdict(done)
             print_document(

@@ -12,7 +12,7 @@ import typer
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import print_text, progress_bar
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
 from gs_codec.report import bits_per_gaussian
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file; - is stdin.")],
-    asked: Asked,
+    typed: Typed,
     target: Annotated[
         Path | None,
         typer.Argument(
@@ -73,36 +73,36 @@ def command(
     from gs_codec.codecs.part import Part
     from gs_codec.files.decoding import decode_file
 
-    if asked["dask"] is not None:
-        asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
-        asked.refuse(["level", "view"], "has no effect with --dask, which decodes whole scenes")
+    if typed["dask"] is not None:
+        typed.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
+        typed.refuse(["level", "view"], "has no effect with --dask, which decodes whole scenes")
         check_no_pipes("--dask", source, target)
         part = Part(box, sh_degree, budget=budget, tolerance=tolerance)
         from gs_codec.distributed.decoding import decode_distributed
 
         with progress_bar() as progress:
             report = decode_distributed(
-                source, target, part, dask=asked["dask"], threads=asked["threads"],
-                progress=progress, max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+                source, target, part, dask=typed["dask"], threads=typed["threads"],
+                progress=progress, max_memory=typed["max_memory"], overwrite=typed["overwrite"],
             )  # fmt: skip
-        _tell(source, target, target, asked, report)
+        _tell(source, target, target, typed, report)
         return
     camera = None if view is None else _camera_of(view)
     part = Part(box, sh_degree, level, camera, budget, tolerance)
     with piped([source], target, ".ply") as ([file], out):
         with progress_bar() as progress:
             report = decode_file(
-                file, out, part, threads=asked["threads"], tmc3=asked["tmc3"], progress=progress,
-                max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
-                overwrite=asked["overwrite"],
+                file, out, part, threads=typed["threads"], tmc3=typed["tmc3"], progress=progress,
+                max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
+                overwrite=typed["overwrite"],
             )  # fmt: skip
-        _tell(source, target, out, asked, report)
+        _tell(source, target, out, typed, report)
 
 
-def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeReport) -> None:
+def _tell(source: Path, target: Path, out: Path, typed: Typed, report: DecodeReport) -> None:
     """Print the report; `out` is the file that was written for the target."""
     size = out.stat().st_size
-    if asked["json"]:
+    if typed["json"]:
         told = asdict(report)
         print_document(
             input=str(source), output=str(target), format="ply", input_bytes=told.pop("file_bytes"),

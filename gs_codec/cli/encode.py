@@ -20,7 +20,7 @@ from gs_codec.cli.output import (
     progress_bar,
     smaller,
 )
-from gs_codec.cli.request import Asked, config_of, plan_of, takes, target_of
+from gs_codec.cli.request import Typed, config_of, plan_of, takes, target_of
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS
@@ -49,36 +49,36 @@ def command(
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help=f"File to write: {ENCODED_SHOWN}; - is stdout.")
     ],
-    asked: Asked,
+    typed: Typed,
 ) -> None:
     """Encode a scene to an .egs file, or in a format that other programs read.
 
     With --dask, the workers of a cluster share one giant scene: IN may be a folder of its tiles.
     """
-    config, rate = config_of(asked, target), target_of(asked)
-    plan = plan_of(asked, config)
-    if asked["dask"] is not None:
-        if plan is not None or rate is not None or asked.actions:
+    config, rate = config_of(typed, target), target_of(typed)
+    plan = plan_of(typed, config)
+    if typed["dask"] is not None:
+        if plan is not None or rate is not None or typed.actions:
             raise InvalidInput(
                 "--dask: cannot be combined with views, preparation, actions or a target"
             )
-        asked.refuse(["max_bytes", "input_format"], "has no effect with --dask")
+        typed.refuse(["max_bytes", "input_format"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
-        _tell(source, target, config, asked, _encode_distributed(source, target, config, asked))
+        _tell(source, target, config, typed, _encode_distributed(source, target, config, typed))
         return
     from gs_codec.files.coding import encode_file
 
-    with piped([source], target, f".{config.format}", asked["input_format"]) as ([file], out):
+    with piped([source], target, f".{config.format}", typed["input_format"]) as ([file], out):
         with progress_bar() as progress:
             done = encode_file(
-                file, out, config, plan, rate, actions=asked.actions, progress=progress,
-                max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
-                overwrite=asked["overwrite"], by_profile=asked.typed("profile", "coarseness"),
+                file, out, config, plan, rate, actions=typed.actions, progress=progress,
+                max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
+                overwrite=typed["overwrite"], by_profile=typed.has("profile", "coarseness"),
             )  # fmt: skip
-        _tell(source, target, config, asked, done)
+        _tell(source, target, config, typed, done)
 
 
-def _encode_distributed(source: Path, target: Path, config: Config, asked: Asked) -> EncodeReport:
+def _encode_distributed(source: Path, target: Path, config: Config, typed: Typed) -> EncodeReport:
     """Encode a scene, or the tiles of a folder or glob, by the workers of a cluster."""
     from gs_codec.batch.local import LocalStorage
     from gs_codec.distributed.encoding import encode_distributed
@@ -88,14 +88,14 @@ def _encode_distributed(source: Path, target: Path, config: Config, asked: Asked
         raise InvalidInput(f"{source}: no such file, no .ply or .egs in it")
     with progress_bar() as progress:
         return encode_distributed(
-            tiles, target, config, dask=asked["dask"], progress=progress,
-            max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+            tiles, target, config, dask=typed["dask"], progress=progress,
+            max_memory=typed["max_memory"], overwrite=typed["overwrite"],
         )  # fmt: skip
 
 
-def _tell(source: Path, target: Path, config: Config, asked: Asked, done: EncodeReport) -> None:
+def _tell(source: Path, target: Path, config: Config, typed: Typed, done: EncodeReport) -> None:
     _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
-    if asked["json"]:
+    if typed["json"]:
         told = asdict(done)
         print_document(
             input=str(source), output=str(target), profile=config.profile, format=config.format,
@@ -158,8 +158,8 @@ def _print_rate(rate: RateReport) -> None:
     if rate.predicted_bytes is not None:
         text += f"; {size_text(rate.predicted_bytes)} expected"
     if rate.psnr_drop is not None:
-        asked = rate.target.psnr_drop
-        text += f"; held-out views lose {rate.psnr_drop:.3f} dB (asked: at most {asked:g})"
+        most = rate.target.psnr_drop
+        text += f"; held-out views lose {rate.psnr_drop:.3f} dB (asked: at most {most:g})"
     if rate.at_end:
         text += f"; there are no {'coarser' if rate.psnr_drop is not None else 'finer'} step sizes"
     print_text(text)

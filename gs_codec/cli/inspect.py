@@ -17,7 +17,7 @@ from gs_codec.cli.output import (
     print_table,
     print_text,
 )
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @takes("max_bytes", "json", hidden=["input_format"])
 def command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
-    asked: Asked,
+    typed: Typed,
     channels: Annotated[
         bool, typer.Option("--channels", help="List every channel's quantiser and model.")
     ] = False,
@@ -42,23 +42,23 @@ def command(
     ] = False,
 ) -> None:
     """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
-    if asked["json"]:
-        asked.refuse(["channels"], "has no effect: --json always has them")
+    if typed["json"]:
+        typed.refuse(["channels"], "has no effect: --json always has them")
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
 
-    with piped_source(file, asked["input_format"]) as path:
+    with piped_source(file, typed["input_format"]) as path:
         if not is_egs(path):
-            asked.refuse(["channels"], f"has no effect on {file}, expected an .egs")
-            _show_other(file, path, asked, histogram)
+            typed.refuse(["channels"], f"has no effect on {file}, expected an .egs")
+            _show_other(file, path, typed, histogram)
             return
         if not histogram:
             why = "has no effect on an .egs without --histogram: its header is read"
-            asked.refuse(["max_bytes"], why)
+            typed.refuse(["max_bytes"], why)
         info, statistics = inspect_file(path), None
         if histogram:
-            scene = read_scene(path, coordinates=None, max_bytes=asked["max_bytes"])
+            scene = read_scene(path, coordinates=None, max_bytes=typed["max_bytes"])
             statistics = _statistics_of(scene)
-    if asked["json"]:
+    if typed["json"]:
         told = {} if statistics is None else _as_dict(statistics)
         _print_document(file, info, told | {"format": EGS, "ratio": info.ratio})
         return
@@ -69,15 +69,15 @@ def command(
         _print_statistics(statistics)
 
 
-def _show_other(file: Path, path: Path, asked: Asked, histogram: bool) -> None:
+def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
     """What a scene at `path`, called `file`, holds that is no .egs."""
     from gs_codec.edit.shares import shares_of
     from gs_codec.formats.registry import read_with_overview
 
-    scene, found = read_with_overview(path, asked["max_bytes"])
+    scene, found = read_with_overview(path, typed["max_bytes"])
     statistics = _statistics_of(scene) if histogram else None
     shares = shares_of(scene) if statistics is None else ()
-    if asked["json"]:
+    if typed["json"]:
         told = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)
         _print_document(file, found, told)
         return

@@ -15,7 +15,7 @@ from gs_codec.cli.output import (
     print_rendered,
     progress_bar,
 )
-from gs_codec.cli.request import Asked, config_of, plan_of, takes
+from gs_codec.cli.request import Typed, config_of, plan_of, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -35,22 +35,22 @@ def command(
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help=f"Scene to write: {WRITTEN_SHOWN}.")
     ],
-    asked: Asked,
+    typed: Typed,
 ) -> None:
     """Prune, refine or compact a scene before it is coded, and report what that cost."""
-    config = config_of(asked, target)
-    plan = plan_of(asked, config)
+    config = config_of(typed, target)
+    plan = plan_of(typed, config)
     if plan is None or not plan.steps.wanted:
         raise InvalidInput("no step of preparation asked for, for example --prune 30")
     from gs_codec.files.preparing import prepare_file
     from gs_codec.files.scenes import written_bytes
 
-    with piped_source(source, asked["input_format"]) as file, progress_bar() as progress:
+    with piped_source(source, typed["input_format"]) as file, progress_bar() as progress:
         done = prepare_file(
-            file, target, plan, config, progress=progress, report_folder=asked["report"],
-            max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
+            file, target, plan, config, progress=progress, report_folder=typed["report"],
+            max_bytes=typed["max_bytes"], overwrite=typed["overwrite"],
         )  # fmt: skip
-    if asked["json"]:
+    if typed["json"]:
         size, suffix = written_bytes(target), known_suffix(target)
         print_document(
             input=str(source), output=str(target), format=format_of(suffix), output_bytes=size,

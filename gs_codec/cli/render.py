@@ -10,7 +10,7 @@ import typer
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_text, progress_bar
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
 from gs_codec.runtime.wording import counted
@@ -29,7 +29,7 @@ def command(
             metavar="DIR", help="Folder for the images, PNG; or a .json file for the cameras alone."
         ),
     ],
-    asked: Asked,
+    typed: Typed,
     antialiased: Annotated[
         bool | None,
         typer.Option(
@@ -43,28 +43,28 @@ def command(
     only_cameras = out.suffix.lower() == ".json"
     if only_cameras:
         drawing = ("background", "device", "antialiased")
-        asked.refuse(drawing, f"has no effect on cameras, which --out {out} asks for")
-        check_writable(out, asked["overwrite"])
+        typed.refuse(drawing, f"has no effect on cameras, which --out {out} asks for")
+        check_writable(out, typed["overwrite"])
     else:
-        check_folder(out, asked["overwrite"])
+        check_folder(out, typed["overwrite"])
     from gs_codec.cameras.camera_files import write_cameras
     from gs_codec.files.scenes import read_scene
     from gs_codec.views.draw import write_views
     from gs_codec.views.find import find_cameras
 
-    loaded = read_scene(scene, "drop", max_bytes=asked["max_bytes"])
-    views = find_cameras(cameras, loaded, asked["split"], asked["width"])
+    loaded = read_scene(scene, "drop", max_bytes=typed["max_bytes"])
+    views = find_cameras(cameras, loaded, typed["split"], typed["width"])
     if only_cameras:
-        write_cameras(out, views, asked["overwrite"])
+        write_cameras(out, views, typed["overwrite"])
         told, seconds = counted(len(views), "camera"), None
     else:
         start = time.perf_counter()
         with progress_bar() as progress:
-            drawn = asked["background"], antialiased, asked["device"]
+            drawn = typed["background"], antialiased, typed["device"]
             write_views(loaded, views, out, *drawn, progress)
         seconds = time.perf_counter() - start
         told = f"{counted(len(views), 'image')}, {seconds:.2f} s"
-    if asked["json"]:
+    if typed["json"]:
         print_document(
             input=str(scene), output=str(out), gaussians=loaded.count, sh_degree=loaded.sh_degree,
             seconds=seconds, views=[view.name for view in views],

@@ -1,4 +1,4 @@
-"""What a command was asked for by its options."""
+"""What was typed for the options of a command."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from gs_codec.preparation.steps import Plan, Steps
 Settings = TypeVar("Settings", Config, RateTarget, Plan, Steps)
 
 
-class Asked:
+class Typed:
     """What was typed for the options of a command.
 
     Parameters
@@ -68,7 +68,7 @@ class Asked:
     def __getitem__(self, name: str) -> Any:
         return self._values.get(name)
 
-    def typed(self, *names: str) -> bool:
+    def has(self, *names: str) -> bool:
         """Whether one of these options was typed."""
         return not self._typed.isdisjoint(names)
 
@@ -85,10 +85,10 @@ class Asked:
                 raise InvalidInput(f"{typed_name(name)} {why}")
 
     def build(self, settings: type[Settings], **others: Any) -> Settings:
-        """A dataclass of the library, with what was asked for and `others`."""
+        """A dataclass of the library, with what was typed and `others`."""
         names = {field: each.name or field for field, each in options_of(settings).items()}
-        asked = {field: self._values[name] for field, name in names.items() if name in self._values}
-        return settings(**asked | others)
+        found = {field: self._values[name] for field, name in names.items() if name in self._values}
+        return settings(**found | others)
 
 
 def takes(
@@ -102,10 +102,10 @@ def takes(
 ) -> Callable[[Callable[..., None]], Any]:
     """Give a command options by name, and the expert ones of dataclasses.
 
-    What was typed for them is the command's parameter `asked`; `defaults` are those that differ
+    What was typed for them is the command's parameter `typed`; `defaults` are those that differ
     from the library's, `without` are expert options that the command does not take, `hidden` are
     others that the help lists with the expert ones. `actions` are
-    names of those that it takes, which `Asked.actions` has; its help may hide them.
+    names of those that it takes, which `Typed.actions` has; its help may hide them.
     """
     experts = [
         name
@@ -119,7 +119,7 @@ def takes(
 
     def decorate(command: Callable[..., None]) -> Any:
         own = inspect.signature(command, eval_str=True).parameters.values()
-        kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "asked"]
+        kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "typed"]
         shared = [
             _parameter(name, (DEFAULTS | defaults).get(name), name in experts)
             for name in (*names, *experts)
@@ -131,7 +131,7 @@ def takes(
                 raise InvalidInput("--quiet and --verbose: expected only one of them")
             set_loudness(quiet, verbose, ctx.info_name in _RESULTS)
             arguments = {p.name: values[p.name] for p in kept}
-            command(**arguments, asked=Asked(ctx, values))
+            command(**arguments, typed=Typed(ctx, values))
 
         called.__doc__ = command.__doc__
         parameters = [_CONTEXT, *kept, *action_parameters(actions, actions_hidden), *shared]
@@ -139,8 +139,8 @@ def takes(
         called.__annotations__ = {p.name: p.annotation for p in parameters}
         listed = _listed("Expert options:", _expert(experts, DEFAULTS | defaults))
         if actions_hidden:
-            typed = [(f"--{n} {KINDS[n].metavar}".rstrip(), KINDS[n].help) for n in actions]
-            listed += ["", *_listed("Actions, done first, in the order given:", typed)]
+            kinds = [(f"--{n} {KINDS[n].metavar}".rstrip(), KINDS[n].help) for n in actions]
+            listed += ["", *_listed("Actions, done first, in the order given:", kinds)]
         called.epilog = "\n".join(listed)  # type: ignore[attr-defined]
         return called
 
@@ -200,7 +200,7 @@ _OF_ALL = ("extra", "nonfinite", "threads", "format")
 _OF_STEPS = ("profile", "coarseness")
 
 
-def config_of(asked: Asked, target: Path | None = None) -> Config:
+def config_of(typed: Typed, target: Path | None = None) -> Config:
     """The configuration that was asked for, with the format of a target's suffix.
 
     Raises
@@ -208,38 +208,38 @@ def config_of(asked: Asked, target: Path | None = None) -> Config:
     InvalidInput
         If an option is out of its range, or has no effect.
     """
-    form = _format_of(asked, target)
+    form = _format_of(typed, target)
     if form in FORMATS and form != EGS:
-        refuse_coding(asked, form, target)
-    profile = Config(asked["profile"]).profile
+        refuse_coding(typed, form, target)
+    profile = Config(typed["profile"]).profile
     if profile not in PROFILES:
-        asked.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
+        typed.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
-        asked.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
-    return asked.build(Config, format=form if form in FORMATS else EGS)
+        typed.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
+    return typed.build(Config, format=form if form in FORMATS else EGS)
 
 
-def refuse_coding(asked: Asked, form: str, target: Path | None) -> None:
+def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     """Refuse options of coding that have no effect on a format other than `.egs`."""
     settings: list[Any] = [Config]
     if f".{form}" in PLAIN:
         settings += [RateTarget, Steps]
-        asked.refuse(["gt_images"], f"has no effect on {target or form}")
+        typed.refuse(["gt_images"], f"has no effect on {target or form}")
     used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
     used = (*used, "spz_version") if form == "spz" else used
     used = (*used, "max_memory") if f".{form}" in IN_PARTS else used
     names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
     unused = [name for name in ("preset", "max_memory", *names) if name not in used]
-    asked.refuse(unused, f"has no effect on {target or form}, expected an .egs")
+    typed.refuse(unused, f"has no effect on {target or form}, expected an .egs")
 
 
-def _format_of(asked: Asked, target: Path | None) -> str:
+def _format_of(typed: Typed, target: Path | None) -> str:
     """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
     if target is None or is_stdout(target):
-        return asked["format"] or EGS
+        return typed["format"] or EGS
     form = format_of(known_suffix(target))
-    if form and asked["format"] not in (None, form):
-        asked.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
+    if form and typed["format"] not in (None, form):
+        typed.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
     return form
 
 
@@ -247,15 +247,15 @@ def _format_of(asked: Asked, target: Path | None) -> str:
 _TARGETS = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
 
 
-def target_of(asked: Asked) -> RateTarget | None:
+def target_of(typed: Typed) -> RateTarget | None:
     """The size or quality that was asked for; None if none was."""
-    if any(asked[name] is not None for name in _TARGETS):
-        return asked.build(RateTarget)
-    asked.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
+    if any(typed[name] is not None for name in _TARGETS):
+        return typed.build(RateTarget)
+    typed.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
     return None
 
 
-def plan_of(asked: Asked, config: Config) -> Plan | None:
+def plan_of(typed: Typed, config: Config) -> Plan | None:
     """The steps and views that were asked for; None if none were.
 
     Raises
@@ -263,19 +263,19 @@ def plan_of(asked: Asked, config: Config) -> Plan | None:
     InvalidInput
         If one of the options has no effect beside the others.
     """
-    if not asked["prune_geometry"]:
-        asked.refuse(["geometry_rule"], "needs --prune-geometry")
-    steps = asked.build(Steps)
+    if not typed["prune_geometry"]:
+        typed.refuse(["geometry_rule"], "needs --prune-geometry")
+    steps = typed.build(Steps)
     if not steps.refine:
-        asked.refuse(["checkpoint"], "needs --refine, whose state it keeps")
-        asked.refuse(["device"], "needs --refine")
-        asked.refuse(["keep_refined"], "needs --refine, whose result it keeps")
-    if not steps.wanted and not _goes_by_views(asked, config):
+        typed.refuse(["checkpoint"], "needs --refine, whose state it keeps")
+        typed.refuse(["device"], "needs --refine")
+        typed.refuse(["keep_refined"], "needs --refine, whose result it keeps")
+    if not steps.wanted and not _goes_by_views(typed, config):
         return None
-    return asked.build(Plan, steps=steps)
+    return typed.build(Plan, steps=steps)
 
 
-def action_plan(asked: Asked) -> Plan | None:
+def action_plan(typed: Typed) -> Plan | None:
     """The cameras that guide actions, if any were given.
 
     Raises
@@ -283,35 +283,35 @@ def action_plan(asked: Asked) -> Plan | None:
     InvalidInput
         If no action goes by them.
     """
-    guided = [action for action in asked.actions if KINDS[action.name].guided]
-    if asked["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
+    guided = [action for action in typed.actions if KINDS[action.name].guided]
+    if typed["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
         why = "'auto' has no effect on --remove-floaters, which needs cameras of a file"
-        asked.refuse(["cameras"], why)
-    if asked["cameras"] is None or not guided:
+        typed.refuse(["cameras"], why)
+    if typed["cameras"] is None or not guided:
         known = ", ".join(f"--{name}" for name, kind in KINDS.items() if kind.guided)
         why = "has no effect without --cameras" if guided else f"needs one of {known}"
-        asked.refuse(["cameras", "views", "width", "background"], why)
+        typed.refuse(["cameras", "views", "width", "background"], why)
         return None
-    return asked.build(Plan)
+    return typed.build(Plan)
 
 
-def _goes_by_views(asked: Asked, config: Config) -> bool:
+def _goes_by_views(typed: Typed, config: Config) -> bool:
     """Whether coding without preparation is camera-guided; refuses what has no effect."""
-    profile, measured = config.profile, asked["max_psnr_drop"] is not None
+    profile, measured = config.profile, typed["max_psnr_drop"] is not None
     if not measured:
-        asked.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
+        typed.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
     if profile not in ADAPTIVE_PROFILES:
         known = ", ".join(ADAPTIVE_PROFILES)
         why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
-        asked.refuse(["cameras", "views", "width", "background"], why)
+        typed.refuse(["cameras", "views", "width", "background"], why)
     # Where no step sizes can be chosen, a target prunes.
     fixed = config.format not in (EGS, *ROUNDED_FORMATS)
-    prunes = fixed and any(asked[name] is not None for name in _TARGETS)
+    prunes = fixed and any(typed[name] is not None for name in _TARGETS)
     if config.format in EXACT_FORMATS and not prunes:
         why = f"has no effect on .{config.format}, whose values stay: expected --prune or --refine"
-        asked.refuse(["cameras", "views", "width", "background"], why)
-    if asked["cameras"] is not None or measured or asked["allow_prune"] or prunes:
+        typed.refuse(["cameras", "views", "width", "background"], why)
+    if typed["cameras"] is not None or measured or typed["allow_prune"] or prunes:
         return True
     why = "has no effect without views, expected --cameras, --prune or --refine"
-    asked.refuse(["views", "width", "background"], why)
+    typed.refuse(["views", "width", "background"], why)
     return False

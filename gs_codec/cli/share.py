@@ -10,7 +10,7 @@ import typer
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.config import UP_AXES
 from gs_codec.preparation.steps import CAMERAS
 
@@ -26,7 +26,7 @@ def command(
             help="A .html file with all in it, or a folder for a web server.",
         ),
     ],
-    asked: Asked,
+    typed: Typed,
     second: Annotated[
         Path | None,
         typer.Argument(metavar="[B]", help="Another version of it.", show_default=False),
@@ -48,10 +48,10 @@ def command(
     sources = [first] if second is None else [first, second]
     with progress_bar() as progress:
         shared = share(
-            sources, out, cameras, progress=progress, max_bytes=asked["max_bytes"],
-            overwrite=asked["overwrite"], up=up,
+            sources, out, cameras, progress=progress, max_bytes=typed["max_bytes"],
+            overwrite=typed["overwrite"], up=up,
         )  # fmt: skip
-    if asked["json"]:
+    if typed["json"]:
         scenes = [
             {"name": one.name, "bytes": len(one.data), "encoded": one.encoded,
              "rendered": one.rendered and asdict(one.rendered)}

@@ -11,7 +11,7 @@ import typer
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES_PIPED, print_text, progress_bar
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian
@@ -23,21 +23,21 @@ _OF_EGS = ("threads", "max_memory", "tmc3")
 @takes("threads", "max_memory", "max_bytes", "tmc3", "json", hidden=["input_format"])
 def command(
     source: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
-    asked: Asked,
+    typed: Typed,
 ) -> None:
     """Check every checksum of an .egs and decode all of it, or read all of another scene."""
     from gs_codec.codecs.slabs import verify_file
     from gs_codec.files.scenes import is_egs
 
-    with piped_source(source, asked["input_format"]) as file, progress_bar() as progress:
+    with piped_source(source, typed["input_format"]) as file, progress_bar() as progress:
         if not is_egs(file):
-            asked.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
-            _verify_other(source, file, asked)
+            typed.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
+            _verify_other(source, file, typed)
             return
         report = verify_file(
-            file, asked["threads"], asked["max_bytes"], progress, asked["tmc3"], asked["max_memory"]
+            file, typed["threads"], typed["max_bytes"], progress, typed["tmc3"], typed["max_memory"]
         )
-    if asked["json"]:
+    if typed["json"]:
         told = asdict(report)
         print_document(
             input=str(source), format=EGS, input_bytes=told.pop("file_bytes"),
@@ -53,15 +53,15 @@ def command(
         )
 
 
-def _verify_other(source: Path, file: Path, asked: Asked) -> None:
+def _verify_other(source: Path, file: Path, typed: Typed) -> None:
     """Read a scene that is no .egs, at `file` and called `source`."""
     from gs_codec.formats.registry import check_file, overview_of
 
     start = time.perf_counter()
-    found = overview_of(file, asked["max_bytes"])
-    check_file(file, asked["max_bytes"])
+    found = overview_of(file, typed["max_bytes"])
+    check_file(file, typed["max_bytes"])
     seconds = time.perf_counter() - start
-    if asked["json"]:
+    if typed["json"]:
         told = found.as_dict()
         print_document(
             input=str(source), input_bytes=told.pop("file_bytes"),

@@ -6,18 +6,18 @@ from dataclasses import asdict
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import print_text, progress_bar
-from gs_codec.cli.request import Asked, takes
+from gs_codec.cli.request import Typed, takes
 from gs_codec.runtime.threads import using_threads
 
 
 @takes("threads", "json")
-def command(asked: Asked) -> None:
+def command(typed: Typed) -> None:
     """Compile all kernels that are not compiled yet, so that no later command has to."""
     from gs_codec.runtime.warming import warm
 
-    with using_threads(asked["threads"]), progress_bar() as progress:
+    with using_threads(typed["threads"]), progress_bar() as progress:
         report = warm(progress)
-    if asked["json"]:
+    if typed["json"]:
         print_document(**asdict(report) | {"folder": str(report.folder)})
     else:
         print_text(

@@ -1,1 +1,1 @@
-"""Profiles ``l``, ``m`` and ``s``: a step size for each attribute of each Gaussian."""
+"""Profiles ``l``, ``m`` and ``s``: individual step sizes for each attribute of each Gaussian."""

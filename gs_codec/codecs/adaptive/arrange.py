@@ -38,20 +38,21 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
-#: Log2 of the finest unit of fixed-point values.
+#: Log2 of the finest fixed-point unit.
 _FINEST = -18
 
-#: The finest unit of SH-AC, fixed-point: levels of 45 values of 400 then sum to less than 2**30, as
-#: tokens do not hold more.
+#: Finest fixed-point unit of SH-AC: the magnitudes of 45 levels of values up to 400 then sum to
+#: less than 2**30, the limit of tokens.
 _FINEST_SH = 32
 
-#: Most bits of a step size as a fixed-point integer.
+#: Maximum bits of a fixed-point step size.
 _STEP_BITS = 31
 
-#: Units and centres are chosen from a sample of at most twice this many Gaussians.
+#: Target size of the sample that units and the grid are chosen from; the actual size is less than
+#: twice this.
 _SAMPLE = 100_000
 
-#: Gaussians that are put on the grid at once.
+#: Number of Gaussians per task when positions are put on the grid.
 _CHUNK = 1 << 16
 
 
@@ -59,9 +60,9 @@ _CHUNK = 1 << 16
 class Arranged:
     """A scene to code, its lattices, and arrays in stream order.
 
-    ``order (N,)`` is the index in the scene, ``codes (N,)`` are those of `grid_codes`, ascending,
-    and ``classes (2, N)`` are shape classes and colour classes. Decoded values of the Gaussians in
-    `watched` are to be kept.
+    ``order (N,)`` has the index of each Gaussian in the scene, ``codes (N,)`` are the `grid_codes`,
+    ascending, and ``classes (2, N)`` are shape classes and colour classes. The encoder keeps
+    decoded values of the Gaussians in `watched`.
     """
 
     source: Scene
@@ -82,13 +83,13 @@ def arrange_scene(
 ) -> Arranged:
     """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
 
-    With `block`, each so many Gaussians stay together, and are only sorted among themselves.
-    Without `may_have_far`, the grid of positions spans all of them. See `Arranged` for `watched`.
+    With `block`, Gaussians are sorted only within each run of `block` Gaussians. Without
+    `may_have_far`, the position grid spans all Gaussians. See `Arranged` for `watched`.
 
     Raises
     ------
     ValueError
-        If `asked` is of another number of Gaussians.
+        If `asked` has another number of Gaussians than the scene.
     """
     some = slice(None, None, sample_stride(scene.count))
     opacity = scene.opacity[0, some]
@@ -118,23 +119,23 @@ def arrange_scene(
 
 
 def sample_stride(count: int) -> int:
-    """Every so many Gaussians, of `count`, one is in the sample that lattices are chosen from."""
+    """Stride of the sample of `count` Gaussians that lattices are chosen from."""
     return max(1, count // _SAMPLE)
 
 
 def blind_lattice(
     sample: Scene, bounds: Bounds, config: Config, may_have_far: bool = True
 ) -> Lattice:
-    """The lattices that `arrange_scene` chooses without cameras, for a scene that is not there.
+    """The lattices that `arrange_scene` chooses without cameras, from a sample of the scene.
 
     Parameters
     ----------
     sample : Scene
-        Every `sample_stride`-th of its Gaussians.
+        Every `sample_stride`-th Gaussian of the scene.
     bounds : tuple of two ndarray, shape (3,)
-        Lowest and highest x, y, z of its centres.
+        Lowest and highest x, y, z of the centres of the whole scene.
     config : Config
-        Without depths.
+        Its `depths` must be empty.
     may_have_far : bool
         As for `arrange_scene`.
     """
@@ -145,18 +146,18 @@ def blind_lattice(
 
 
 def _blind_steps(count: int, scales: NDArray[np.float64], config: Config) -> StepSizes:
-    """Step sizes of `count` Gaussians without cameras, from sorted log-scales of some."""
+    """Camera-free step sizes of `count` Gaussians, from the sorted log-scales of a sample."""
     none, fineness = np.zeros(count, np.uint8), config.adaptive_profile().fineness
     return StepSizes(none, none, blind_coefficients(scales, fineness), (SH_RATIO,) * 3)
 
 
 def _bounds(positions: NDArray[np.float32]) -> Bounds | None:
-    """Lowest and highest coordinates ``(3,)``; None without Gaussians."""
+    """Lowest and highest coordinates ``(3,)``; None if there are no Gaussians."""
     return (positions.min(axis=1), positions.max(axis=1)) if positions.size else None
 
 
 def order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
-    """Permutation ``(N,)`` that sorts each `block` Gaussians by their codes."""
+    """Permutation ``(N,)`` that sorts each run of `block` Gaussians by their codes."""
     starts = range(0, len(codes), block)
     order = np.empty(len(codes), np.int64)
 
@@ -168,7 +169,7 @@ def order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
 
 
 def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
-    """See `grid_codes`."""
+    """Apply `grid_codes` in parallel."""
     codes = np.empty(scene.count, np.int64)
 
     def work(start: int) -> None:
@@ -188,7 +189,7 @@ def _lattice(
     bounds: Bounds | None,
     may_have_far: bool,
 ) -> Lattice:
-    """Choose the lattices from attributes of `some` of the Gaussians; log-scales are sorted."""
+    """Choose the lattices from the sample `some`; its log-scales are sorted by length."""
     known = features(opacity, scales)
 
     def wanted(name: str) -> NDArray[np.float64]:

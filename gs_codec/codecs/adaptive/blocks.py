@@ -1,4 +1,4 @@
-"""Blocks of an encoder: the levels of every attribute, and the passes they are coded in."""
+"""Encoding of blocks: the levels of every attribute, and the passes that code them."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ from gs_codec.scene import sh_bands
 class PassData:
     """A pass: the token of each symbol ``(n,)``, its context, and the raw bits of some.
 
-    ``raw_symbols`` are the numbers of those with raw bits, ``raw_levels`` and ``raw_widths`` what
-    they are and how many.
+    ``raw_symbols`` are the indices of the symbols with raw bits; ``raw_levels`` are their integers,
+    ``raw_widths`` their numbers of raw bits.
     """
 
     tokens: NDArray[np.uint8]
@@ -58,7 +58,7 @@ class PassData:
         return cls(tokens, contexts.ravel(), raw_symbols, raw_levels, raw_widths)
 
     def count(self, counts: NDArray[np.int64]) -> None:
-        """Add the number of times that each token occurs to ``counts (contexts, ALPHABET)``."""
+        """Add the occurrences of each token to ``counts (contexts, ALPHABET)``."""
         _count(self.tokens, self.contexts, counts)
 
 
@@ -70,11 +70,11 @@ def _count(tokens, contexts, counts):
 
 @dataclass(frozen=True)
 class ShapedBlock:
-    """A block without its colours: a range of the stream, and what is coded and decoded so far.
+    """A block before its colours are coded: a range of the stream, coded and decoded.
 
-    ``grid_positions (3, n)`` are decoded, in half steps of the grid; ``far (3, f)`` are the centres
-    of its far Gaussians; ``shifts (n,)`` are those of the step sizes of its colours; ``coded`` is
-    the shape pass; ``clamped`` is the number of values clamped to the largest.
+    ``grid_positions (3, n)`` are decoded positions in half steps of the grid; ``far (3, f)`` are
+    the centres of its far Gaussians; ``shifts (n,)`` are the shifts of the colours' step sizes;
+    ``coded`` is the shape pass; ``clamped`` counts values clamped to the largest level.
     """
 
     start: int
@@ -103,7 +103,7 @@ class ShapedBlock:
 
 @dataclass(frozen=True)
 class Block:
-    """Everything of a block to be coded, and where its Gaussians are, as by `block_extent`."""
+    """A block ready for entropy coding, with its `block_extent`."""
 
     tree: bytes
     low_bits: bytes
@@ -113,14 +113,14 @@ class Block:
     clamped: int
 
     def kept(self) -> Block:
-        """The block with its arrays in the storage in use, memory or disk."""
+        """The block with its arrays moved to the storage in use (memory or disk)."""
         keep = current().keep
         kept = [PassData(*map(keep, vars(data).values())) for data in self.passes]
         return replace(self, passes=kept)
 
 
 def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
-    """Round positions, opacity, scales and rotation of a block."""
+    """Quantise positions, opacity, scales and rotation of a block."""
     source, lattice = arranged.source, arranged.lattice
     members, classes = arranged.order[start:stop], arranged.classes[:, start:stop]
     _, scales, vectors = sort_axes(source.log_scale[:, members], source.rot[:, members])
@@ -155,7 +155,7 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
 
 
 def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
-    """Round the colours of a block; `diffusing` spreads the errors of SH-AC to neighbours."""
+    """Quantise the colours of a block; `diffusing` spreads the errors of SH-AC to neighbours."""
     source, units = arranged.source, arranged.lattice.units
     members = arranged.order[shaped.start : shaped.stop]
     nearest = find_all_nearest(shaped.grid_positions)
@@ -193,7 +193,7 @@ def _keep_decoded(
     colours: NDArray[np.int64],
     levels: NDArray[np.int32],
 ) -> None:
-    """Keep what a decoder makes of the watched Gaussians of a block."""
+    """Store the decoded values of the watched Gaussians of a block."""
     watched, (start, stop) = arranged.watched, (shaped.start, shaped.stop)
     assert watched is not None
     at = watched.within(start, stop)

@@ -1,9 +1,9 @@
-"""Colours on lattices of unequal steps, in Y, Co, Cg.
+"""Colours in Y, Co, Cg, on lattices with different step sizes.
 
-SH-DC is predicted in a closed loop: from the nearest of the points just before, as `coding.colour`
-does, and the difference is rounded to the point's own step. FORMAT.md, section "Lattices",
-"Colours". SH-AC is rounded with error diffusion to neighbours, as splats overlap and their errors
-add up; only the encoder does this, and the format does not depend on it.
+SH-DC is predicted in a closed loop, from decoded values of the nearest preceding points, as in
+`coding.predicted_colour`; the difference is rounded to the Gaussian's own step. FORMAT.md, section
+"Lattices", "Colours". SH-AC is rounded with error diffusion to neighbours, because splats overlap
+and their errors add up. Only the encoder diffuses; the format does not depend on it.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, Nearest
 from gs_codec.coding.predicted_colour import predict, weigh
 from gs_codec.runtime.kernels import kernel
 
-#: Share of the neighbours' errors that a Gaussian takes over.
+#: Share of its neighbours' errors that a Gaussian compensates.
 SHARE = 0.6
 
-#: Gaussians whose values are moved together, so that planes are read a cache line at a time.
+#: Number of Gaussians transposed together, so that planes are read a cache line at a time.
 _CHUNK = 64
 
 
@@ -77,7 +77,7 @@ def _read(
 def code_colours(
     nearest: Nearest, colours: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.int64]]:
-    """Levels and contexts ``(n, 3)``, and decoded values ``(3, n)``, of colours in stream order.
+    """Levels and contexts ``(n, 3)``, and decoded values ``(3, n)``, of SH-DC in stream order.
 
     Parameters
     ----------
@@ -103,7 +103,10 @@ def read_colours(
     unit: int,
     shifts: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """The values ``(3, n)`` that `code_colours` gave; ``rows (contexts,)`` are tables.
+    """Decode the values ``(3, n)`` that `code_colours` returned.
+
+    ``rows (contexts,)`` are table numbers; `nearest`, `unit` and ``shifts (n,)`` are the arguments
+    of `code_colours`.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def read_colours(
 @kernel
 def _diffuse(near, distances, values, share, levels):
     channels, count = values.shape
-    # Errors of the last Gaussians: twice the window in which neighbours are found.
+    # Ring buffer of the errors of recent Gaussians: twice the window of the neighbour search.
     errors = np.zeros((2 * WINDOW, channels), np.float32)
     chunk = np.empty((_CHUNK, channels), np.float32)
     for first in range(0, count, _CHUNK):
@@ -150,7 +153,7 @@ def _diffuse(near, distances, values, share, levels):
 
 
 def round_diffusing(nearest: Nearest, values: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Round values ``(C, n)``, in steps, of Gaussians in stream order to levels ``(C, n)``."""
+    """Round values ``(C, n)``, in steps and stream order, to levels, with error diffusion."""
     levels = np.empty(values.shape, np.int32)
     _diffuse(*nearest, values, SHARE, levels)
     return levels

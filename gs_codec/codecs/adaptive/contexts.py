@@ -1,6 +1,6 @@
-"""Passes of a block: their streams, and the contexts that choose the tables of their symbols.
+"""Passes of a block: their streams, and the contexts that select symbols' tables.
 
-FORMAT.md, section "Passes", has the same list.
+FORMAT.md, section "Passes", specifies the same list.
 """
 
 from __future__ import annotations
@@ -17,43 +17,43 @@ from gs_codec.codecs.adaptive.rotation import TURNS
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import sh_bands
 
-#: Most classes of shape, and of colour.
+#: Maximum number of shape classes, and of colour classes.
 MAX_CLASSES = 16
 
 #: Number of contexts by shift; larger shifts share the last.
 SHIFT_CONTEXTS = 32
 
-#: Buckets of the values of the two Gaussians before.
+#: Number of buckets for the values of the two previous Gaussians.
 BEFORE = 8
 
-#: Number of shifts in a context of SH-DC, which is a colour, a shift and an activity.
+#: Number of shifts in a context of SH-DC, which consists of a channel, a shift and an activity.
 COLOUR_SHIFTS = 16
 
-#: Number of activities: how much the neighbours' colours differ.
+#: Number of activities: classes of how much the neighbours' colours differ.
 ACTIVITIES = 6
 
-#: Buckets of a sum of magnitudes.
+#: Number of buckets for a sum of magnitudes.
 SUMS = 16
 
-#: Number of sign sums in a context of an SH-AC level, which is what is left of its band's sum, the
-#: absolute sum of the signs of two neighbours, and the place of the coefficient in its band.
+#: Number of sign sums in a context of an SH-AC level, which consists of the remaining sum of its
+#: band, the absolute sum of two neighbours' signs, and the index of the coefficient in its band.
 SIGNS = 3
 
-#: Number of places in a band, rounded up to a power of two.
+#: Number of coefficients of a band, rounded up to a power of two.
 MEMBERS = 8
 
-#: Most tables of a list of contexts.
+#: Maximum number of tables of a context list.
 MAX_TABLES = 64
 
-#: Approximate bits of a table in the file.
+#: Approximate cost of a table in the file, in bits.
 _TABLE_BITS = 100.0
 
-#: Approximate bits of each symbol in use in a table.
+#: Approximate cost of each symbol in use in a table, in bits.
 _SYMBOL_BITS = 7.0
 
 
 class ContextList(NamedTuple):
-    """Contexts of one kind of symbol; neighbours in the list may share a table."""
+    """Contexts of one kind of symbol; neighbouring contexts may share a table."""
 
     name: str
     stream: str
@@ -62,10 +62,10 @@ class ContextList(NamedTuple):
 
 @dataclass(frozen=True)
 class Pass:
-    """A run of symbols whose contexts are of one or several lists.
+    """A sequence of symbols whose contexts come from one or several lists.
 
-    Without `turns`, all of its symbols are of one stream; else symbol i is of the stream of list
-    ``i % len(lists)``.
+    Without `turns`, all symbols are in one stream; with it, symbol i is in the stream of list ``i %
+    len(lists)``.
     """
 
     lists: tuple[ContextList, ...]
@@ -73,17 +73,17 @@ class Pass:
 
     @property
     def streams(self) -> list[str]:
-        """Its streams, in order."""
+        """The names of its streams, in order."""
         return list(dict.fromkeys(item.stream for item in self.lists))
 
     @property
     def cycle(self) -> NDArray[np.int64]:
-        """Number of the stream of each symbol, which repeats."""
+        """One period of the stream numbers of its symbols."""
         of_list = [self.streams.index(item.stream) for item in self.lists]
         return np.array(of_list if self.turns else [0])
 
 
-#: The pass of everything but colours: one symbol from each list for each Gaussian.
+#: The pass for everything but colours: one symbol from each list for each Gaussian.
 SHAPE_PASS = Pass(
     (
         ContextList("shape class", "classes", 2 * MAX_CLASSES - 1),
@@ -98,20 +98,20 @@ SHAPE_PASS = Pass(
 #: First context of each list of the shape pass.
 SHAPE_OFFSETS = np.array([0, *accumulate(item.contexts for item in SHAPE_PASS.lists)])
 
-#: Of opacity and scales: values of the two Gaussians before, added, are shifted down by this, and
-#: moved up by that. Values are in units of 2**-20, so buckets are 1 logit, or 0.5 log-scale, wide.
+#: The sum of the values of the two previous Gaussians, for opacity and scales, is shifted right by
+#: this. Values are in units of 2**-20, so buckets are 1 logit, or 0.5 log-scale, wide.
 BEFORE_SHIFTS = np.array([21, 20, 20, 20])
 BEFORE_CENTRES = np.array([4, 4, 0, 0])
 
 
 @inlined
 def before_bucket(attribute, total):
-    """Bucket of the sum of two values of opacity (0) or a scale (1-3)."""
+    """Bucket of the sum of two values, of opacity (0) or of a scale (1-3)."""
     place = (total >> BEFORE_SHIFTS[attribute]) + BEFORE_CENTRES[attribute]
     return min(max(place, 0), BEFORE - 1)
 
 
-#: Least sums of the buckets from 1 up; and the bucket of each sum that is not larger than the last.
+#: Lower bounds of buckets 1 and up; and a table of the bucket of each sum up to the last bound.
 _LEAST_SUMS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192])
 SUM_BUCKETS = np.searchsorted(_LEAST_SUMS, np.arange(193), side="right").astype(np.uint8)
 
@@ -144,15 +144,15 @@ def passes(coefficients: int) -> list[Pass]:
 
 
 def share_tables(histograms: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Merge neighbours of ``histograms (C, A)`` while tables cost more than they save.
+    """Merge neighbouring ``histograms (C, A)`` while separate tables cost more than they save.
 
-    More are merged if there are more than `MAX_TABLES`. Contexts that do not occur share the table
-    of the one before.
+    Merging continues until at most `MAX_TABLES` remain. Contexts that do not occur share the table
+    of the context before.
 
     Returns
     -------
     table_of : ndarray, shape (C,)
-        Table that each context uses; rises by 0 or 1 from context to context.
+        Table number of each context; it increases by 0 or 1 from one context to the next.
     histograms : ndarray, shape (T, A)
         Histogram of each table, A up to the last token that occurs.
     """
@@ -184,7 +184,7 @@ def _log2(value):
 
 @kernel
 def _cost(groups, first, second):
-    """Bits of two histograms under one table, with the table; of one, if it is twice the same."""
+    """Bits of two merged histograms, table included; of one histogram, if both are the same."""
     total, bits = np.int64(0), _TABLE_BITS
     for a in range(groups.shape[1]):
         count = groups[first, a]
@@ -198,7 +198,7 @@ def _cost(groups, first, second):
 
 @kernel
 def _merge(groups, begins):
-    """Merge groups ``(G, A)`` into ones before; `begins` stays True for those that are left."""
+    """Merge groups ``(G, A)`` into their predecessors; `begins` stays True for those left."""
     count = len(groups)
     after = np.arange(1, count + 1)
     costs, gains = np.empty(count), np.full(count, -np.inf)

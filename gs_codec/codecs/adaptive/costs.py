@@ -1,4 +1,4 @@
-"""What each Gaussian of profiles ``l``, ``m`` and ``s`` takes, and how finely it is rounded."""
+"""Bits and step sizes of each Gaussian of profiles ``l``, ``m`` and ``s``."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _FAR = "far"
 
 @dataclass(frozen=True)
 class BlockCosts:
-    """A block's Gaussians: what they take, and their step sizes.
+    """Bits and step sizes of the Gaussians of a block.
 
     Attributes
     ----------
     bits : dict of str to ndarray, shape (n,), float64
-        The information of a Gaussian's own symbols, by stream. Positions have it in ``low-bits``
-        alone: what is in ``geometry`` places several Gaussians together.
+        Code length of a Gaussian's own symbols, by stream. For positions, only ``low-bits`` counts:
+        the bits of ``geometry`` are shared by several Gaussians.
     steps : dict of str to ndarray, shape (k, n), float64
         Step sizes by stream, in the attribute's own domain: sides of a cell along x, y and z
-        (``geometry``; 0 of far Gaussians), logit, log-scale (the longest, and the differences of
-        the next two), sine of half an angle (roll and two tilts), SH (Y, Co and Cg alike).
+        (``geometry``; 0 for far Gaussians), logit, log-scale (the longest, and the differences of
+        the next two), sine of half an angle (roll and two tilts), SH (the same for Y, Co and Cg).
     """
 
     bits: dict[str, NDArray[np.float64]]
@@ -47,7 +47,7 @@ class BlockCosts:
 
 @kernel
 def _add(spans, rows, values, contexts, owners, cycle, costs):
-    """Add the bits of values to ``costs (streams, n)``: of tokens by the tables, and raw ones."""
+    """Add the bits of values, of tokens and raw ones, to ``costs (streams, n)``."""
     for symbol in range(len(values)):
         token = token_of(np.int64(values[symbol]))
         row = np.int64(rows[contexts[symbol]])
@@ -57,7 +57,7 @@ def _add(spans, rows, values, contexts, owners, cycle, costs):
 
 
 def block_costs(blocks: Blocks, number: int) -> BlockCosts:
-    """Decode a block, and tell what its Gaussians take.
+    """Decode block `number`; return the bits and step sizes of its Gaussians.
 
     Raises
     ------
@@ -78,9 +78,9 @@ def block_costs(blocks: Blocks, number: int) -> BlockCosts:
 
 
 def gaussian_classes(file: EgsFile) -> NDArray[np.uint8]:
-    """Classes of shape and of colour of each Gaussian ``(2, N)``, in stream order.
+    """Shape and colour class of each Gaussian ``(2, N)``, in stream order.
 
-    They count octaves of step size from the finest.
+    A class counts octaves of step size above the finest.
 
     Raises
     ------
@@ -102,7 +102,7 @@ _Symbols = tuple[NDArray[Any], NDArray[np.uint16], NDArray[np.integer]]
 def _coded_again(
     blocks: Blocks, found: DecodedBlock
 ) -> tuple[list[_Symbols], dict[str, NDArray[np.int64]]]:
-    """The symbols of each pass of a decoded block, and the shifts of its shapes."""
+    """Re-encode a decoded block: the symbols of each pass, and the shifts of its shapes."""
     lattice, shape = blocks.lattice, found.shape
     levels: dict[str, NDArray[np.int64]] = {}
     by_name: dict[str, NDArray[np.int64]] = {}
@@ -130,7 +130,7 @@ def _coded_again(
 def _steps(
     blocks: Blocks, found: DecodedBlock, shifts: dict[str, NDArray[np.int64]]
 ) -> dict[str, NDArray[np.float64]]:
-    """See `BlockCosts`."""
+    """Compute `BlockCosts.steps` of a decoded block."""
     units = blocks.lattice.units
     groups = {
         "opacity": ("opacity",),

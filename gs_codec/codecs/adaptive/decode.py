@@ -29,7 +29,7 @@ from gs_codec.scene import SH_COEFFICIENTS, group_rows, sh_bands
 
 
 def adaptive_sections(sh_degree: int) -> set[SectionId]:
-    """Sections that each block has for SH up to a degree."""
+    """Per-block sections needed to decode SH up to a degree."""
     listed = passes(SH_COEFFICIENTS[sh_degree])
     coded = {SectionId.of_stream(stream) for item in listed for stream in item.streams}
     return {*coded, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
@@ -56,13 +56,13 @@ def decode_adaptive(
 
 @dataclass(frozen=True)
 class DecodedBlock:
-    """A block in integers.
+    """A decoded block, before conversion to floats.
 
-    ``classes (2, n)`` are of shape and colour, ``grid_positions (3, n)`` half steps of the grid,
-    ``dropped (n,)`` the low bits of their Morton codes that are not coded, ``low_bits (n,)`` how
-    many are, ``far (3, f)`` the centres of the last ones that the grid does not have, ``shifts
-    (n,)`` of the colours' step sizes, ``colours (3, n)`` SH-DC as fixed-point Y, Co, Cg,
-    ``levels (3, K, n)`` of SH-AC.
+    ``classes (2, n)`` are shape and colour classes; ``grid_positions (3, n)`` are in half steps of
+    the grid; ``dropped (n,)`` is the number of low Morton bits that are not coded, ``low_bits
+    (n,)`` the number coded outside the tree; ``far (3, f)`` are the centres of the last Gaussians,
+    which are outside the grid; ``shifts (n,)`` are the shifts of the colours' step sizes; ``colours
+    (3, n)`` is SH-DC as fixed-point Y, Co, Cg; ``levels (3, K, n)`` are the levels of SH-AC.
     """
 
     classes: NDArray[np.int64]
@@ -78,7 +78,7 @@ class DecodedBlock:
 
 
 class Blocks:
-    """Decodes single blocks of a file, with SH up to a degree."""
+    """Decodes individual blocks of a file, with SH up to a degree."""
 
     def __init__(self, file: EgsFile, degree: int) -> None:
         self.file = file
@@ -126,7 +126,7 @@ class Blocks:
         return DecodedBlock(classes, shape, *of_places, nearest, shifts, colours, levels)
 
     def _read_tree(self, block: int) -> tuple[NDArray, NDArray, NDArray[np.float32]]:
-        """Morton codes ``(n,)`` without low bits, how many these are; far centres ``(3, f)``."""
+        """Morton codes ``(n,)`` without low bits; number of low bits; far centres ``(3, f)``."""
         (start, stop), grid = self.file.header.block_range(block), self.lattice.grid
         far = read_far(self.file, block)
         number = far.shape[1]
@@ -137,7 +137,7 @@ class Blocks:
         return codes, lefts, far
 
     def fill(self, block: int, groups: dict[str, NDArray[np.float32]], span: slice) -> None:
-        """Decode a block into a range of groups."""
+        """Decode a block into the range `span` of `groups`."""
         found = self.read(block)
         shape = found.shape
         positions = from_grid(found.grid_positions, self.lattice.grid, found.far)

@@ -1,4 +1,4 @@
-"""Bit depths given with profiles ``l``, ``m`` and ``s``, as step sizes."""
+"""Convert bit depths given for profiles ``l``, ``m`` and ``s`` to step sizes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.linear import combine
 from gs_codec.scene import Scene
 
-#: SH-AC step sizes are at most this many octaves from those of SH-DC.
+#: Maximum difference between step sizes of SH-AC and SH-DC, in octaves.
 _OCTAVES = 64.0
 
 
 def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
-    """Log2 of the geometric mean step size of each group in a paper profile of these depths.
+    """Log2 of the geometric mean step size of each group in a paper profile with these depths.
 
-    As there, far Gaussians are first moved nearer, and quaternions normalised. A constant group has
-    no step size.
+    As in those profiles, far Gaussians are first moved nearer, and quaternions normalised. A
+    constant group has no step size.
     """
     scene, _ = bring_nearer(scene)
     planes = {}
     if "rotation" in depths:
-        # In float64, where the squares neither underflow nor overflow.
+        # In float64, squares neither underflow nor overflow.
         norms = np.sqrt(np.sum(np.square(scene.rot, dtype=np.float64), axis=0))
         planes["rot"] = (scene.rot / norms).astype(np.float32)
     octaves: dict[str, list[float]] = {}
@@ -45,10 +45,10 @@ def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
 def as_deep(
     steps: StepSizes, some: slice, known: NDArray[np.float64], octaves: Mapping[str, float]
 ) -> StepSizes:
-    """Scale the step sizes of some groups so that their mean (log2) is the one in `octaves`.
+    """Scale the step sizes of some groups so that their mean log2 equals the value in `octaves`.
 
-    The mean is taken over `some` of the Gaussians, with features ``known (5, n)``; that of turns is
-    without what likeness of axes adds.
+    The mean is taken over `some` of the Gaussians, with features ``known (5, n)``; for turns, the
+    mean excludes the octaves that `likeness` adds.
     """
     coefficients = {name: row.copy() for name, row in steps.coefficients.items()}
 

@@ -33,7 +33,7 @@ from gs_codec.scene import Scene, gather
 
 @dataclass(frozen=True)
 class ShapedScene:
-    """A scene of which everything but the colours is rounded."""
+    """A scene with everything quantised except its colours."""
 
     header: Header
     arranged: Arranged
@@ -41,16 +41,16 @@ class ShapedScene:
 
     @property
     def source(self) -> Scene:
-        """The scene, with the colours it has now."""
+        """The scene, with its current colours."""
         return self.arranged.source
 
     @property
     def order(self) -> NDArray[np.uint32]:
-        """Index in the source of each Gaussian of the stream, ``(N,)``."""
+        """Index in the source of each Gaussian, ``(N,)``, in stream order."""
         return self.arranged.order
 
     def decoded(self) -> Scene:
-        """The decoded scene in stream order, except for its SH, which are the source's."""
+        """The decoded scene in stream order, except for its SH, which is still the source's."""
         opacity = np.concatenate([block.shape.opacity for block in self.blocks])
         decoded = [block.decoded(self.arranged.lattice.grid) for block in self.blocks]
         positions, log_scale, rot = (np.concatenate(p, axis=1) for p in zip(*decoded, strict=True))
@@ -69,7 +69,7 @@ class ShapedScene:
         return to_float(units << shifts).astype(np.float32)
 
     def with_colours(self, coloured: Scene) -> ShapedScene:
-        """The scene with the SH of `coloured`, which is in stream order."""
+        """Replace the SH by that of `coloured`, which is in stream order."""
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
         f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
@@ -85,9 +85,9 @@ def encode_adaptive(
     progress: Progress | None = None,
     watched: Watched | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None.
+    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` is None.
 
-    Decoded values of those in `watched` are kept.
+    `watched` receives the decoded values of its Gaussians.
     """
     header, arranged = _arrange(scene, config, steps, times, watched)
     return _code(
@@ -104,8 +104,8 @@ def encode_level(
 ) -> list[bytes | memoryview]:
     """Encode a coarser level of a scene, camera-free, to the pieces of a file.
 
-    Its blocks, as the header has them, stay as they are, with their `errors`; see FORMAT.md. It may
-    have far Gaussians if the header says so.
+    `header` gives the blocks, which are not rearranged, and whether there may be far Gaussians;
+    `errors` are the errors of the blocks. See FORMAT.md.
     """
     times = StageTimes()
     may_have_far = Feature.FAR in header.features
@@ -123,7 +123,7 @@ def _blocks(
     times: StageTimes,
     progress: Progress | None,
 ) -> list[Block]:
-    """All blocks, rounded."""
+    """Quantise all blocks."""
     advance = step_counter(progress, "quantise", header.block_count)
 
     def code(span: tuple[int, int]) -> Block:
@@ -141,9 +141,9 @@ def shape_scene(
     progress: Progress | None = None,
     watched: Watched | None = None,
 ) -> ShapedScene:
-    """Round everything but the colours of a cleaned scene; camera-free if `steps` are None.
+    """Quantise everything but the colours of a cleaned scene; camera-free if `steps` is None.
 
-    Decoded values of those in `watched` are kept once it is encoded.
+    `watched` receives the decoded values of its Gaussians once the scene is encoded.
     """
     header, arranged = _arrange(scene, config, steps, times, watched)
     advance = step_counter(progress, "quantise", header.block_count)
@@ -155,7 +155,7 @@ def shape_scene(
 def encode_shaped(
     shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene from `shape_scene`, with the colours that it has now."""
+    """Encode a scene from `shape_scene`, with its current colours."""
     header, arranged = shaped.header, shaped.arranged
     advance = step_counter(progress, "quantise", header.block_count)
 
@@ -192,7 +192,7 @@ def _code(
     progress: Progress | None,
     beside: Sequence[Section] = (),
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """The file of blocks on their lattices, with sections beside them."""
+    """Entropy-code blocks and return the file, with further sections in `beside`."""
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
         models, tables, costs = choose_models(listed, count_tokens(listed, blocks))
@@ -213,7 +213,7 @@ def _code(
 
 
 def count_tokens(listed: list[Pass], blocks: list[Block]) -> list[NDArray[np.int64]]:
-    """How often each token occurs in each context of each list of passes, ``(contexts, A)``."""
+    """Occurrences of each token in each context of each list of passes, ``(contexts, A)``."""
 
     def count(number: int) -> list[NDArray[np.int64]]:
         lists = listed[number].lists
@@ -228,7 +228,7 @@ def count_tokens(listed: list[Pass], blocks: list[Block]) -> list[NDArray[np.int
 def choose_models(
     listed: list[Pass], counted: list[NDArray[np.int64]]
 ) -> tuple[PassModels, list[FrequencyTable], list[ChannelCost]]:
-    """Models, their tables and the bits of each list, from `count_tokens` of all blocks."""
+    """Choose models, their tables and the bits of each list, from `count_tokens` of all blocks."""
     lists = [item for one in listed for item in one.lists]
     rows: dict[str, NDArray[np.int64]] = {}
     weights: list[NDArray[np.int64]] = []
@@ -251,7 +251,7 @@ def _cost(
     rows: NDArray[np.int64],
     tables: list[FrequencyTable],
 ) -> ChannelCost:
-    """Bits of a list, whose tokens occur ``counts (contexts, ALPHABET)`` times."""
+    """Bits of a list whose tokens occur ``counts (contexts, ALPHABET)`` times."""
     entropy = bits = float(dot(counts.sum(axis=0), RAW_WIDTHS))
     for row in np.unique(rows[counts.any(axis=1)]):
         histogram = counts[rows == row].sum(axis=0)
@@ -267,7 +267,7 @@ def block_sections(
     rows: list[NDArray[np.uint16]],
     tables: PassTables,
 ) -> list[Section]:
-    """Sections of a block."""
+    """Encode the sections of block `number`."""
     coded = [
         CodedPass(item.streams, item.cycle, own, *vars(data).values())
         for item, own, data in zip(listed, rows, block.passes, strict=True)

@@ -1,9 +1,10 @@
 """Choose the grid of positions, and which Gaussians are too far away for it.
 
-A grid has at most 21 bits an axis. If it can span all centres with the wanted step size, it does.
-If not, there are two ways: a coarser grid, or a grid that leaves some Gaussians outside. These are
-*far*, and their centres are stored as float32. The way with the lower estimated cost in bits is
-chosen; the cost of a coarser grid is the bits that would reduce other errors by as much.
+A grid has at most 21 bits per axis. If that is enough to span all centres with the wanted step
+size, it spans them. If not, there are two ways: a coarser grid, or a grid that leaves some
+Gaussians outside. These are *far*, and their centres are stored as float32. The way with the lower
+estimated cost in bits is chosen; the cost of a coarser grid is the number of bits that would reduce
+other errors by the same amount.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _FINEST = -120
 #: Log2 of the largest side of a cell.
 _COARSEST = 127
 
-#: Bits of a far centre beyond those of a centre on the grid.
+#: Extra bits of a far centre, compared with a centre on the grid.
 _FAR_BITS = 70.0
 
 #: Cost, in bits per Gaussian, of doubling the squared error of positions. Positions cause 3 of 59
@@ -43,13 +44,13 @@ _ERROR_BITS = 0.7
 #: forgoes at most 0.15 dB in views.
 _LEAST_SAVED = 0.5
 
-#: Compare grids by a sample of this many Gaussians, at most twice as many.
+#: Target size of the sample for comparing grids; the actual size is less than twice this.
 _SAMPLE = 10_000
 
 #: Bits of a float32's mantissa.
 _MANTISSA = 24
 
-#: Smallest coordinate, so that logarithms are finite.
+#: Minimum magnitude of a coordinate, so that logarithms are finite.
 _TINY = np.float32(1e-44)
 
 _LARGEST = float(np.finfo(np.float32).max)
@@ -61,17 +62,18 @@ def choose_grid(
     wanted: NDArray[np.float64],
     may_have_far: bool = True,
 ) -> tuple[PositionGrid, float]:
-    """The grid of positions, and log2 of the side of its cells.
+    """Choose the position grid; return it and log2 of the side of its cells.
 
     Parameters
     ----------
     bounds : tuple of two ndarray, shape (3,), or None
-        Of all centres; None if there are none.
+        Lowest and highest x, y, z of all centres; None if there are none.
     positions : ndarray, shape (3, n)
-        Some of the centres.
+        A sample of the centres.
     wanted : ndarray, shape (n,)
-        Log2 of the wanted step sizes of their positions.
+        Log2 of the wanted position step sizes of the sample.
     may_have_far : bool
+        Whether the grid may leave out far Gaussians.
     """
     if bounds is None:
         return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), 0.0
@@ -97,7 +99,7 @@ def _whole(low: NDArray[np.float64], high: NDArray[np.float64], unit: float) -> 
 def _origin(
     low: NDArray[np.float64], high: NDArray[np.float64], step: float
 ) -> NDArray[np.float64]:
-    """Lowest corner of the cells that span all centres ``(3,)``."""
+    """Lowest corner of a grid that spans all centres ``(3,)``."""
     # A flat axis has one cell, whose middle is the coordinate.
     return low - 0.5 * step * (high == low)
 
@@ -107,7 +109,7 @@ def _side(unit: float) -> float:
 
 
 def _bits(extent: NDArray[np.float64], step: float) -> list[int]:
-    """Bits of the cell numbers over an extent ``(3,)``."""
+    """Bits of cell indices over an extent ``(3,)``."""
     return [max(math.frexp(size / step)[1], 0) for size in extent]
 
 
@@ -123,7 +125,7 @@ def _with_far(
     wanted: NDArray[np.float64],
     coarsest: float,
 ) -> tuple[PositionGrid, float] | None:
-    """The best grid with far Gaussians; None if one that spans all is better."""
+    """The best grid with far Gaussians; None if a grid over all centres is better."""
     # Steps below the last bit of a coordinate gain nothing.
     largest = np.maximum(np.abs(positions).max(axis=0), _TINY)
     wanted = np.maximum(wanted, np.frexp(largest)[1] - _MANTISSA)
@@ -146,7 +148,7 @@ def _with_far(
 def _around_most(
     low: NDArray[np.float64], high: NDArray[np.float64], positions: NDArray[np.float32], step: float
 ) -> PositionGrid:
-    """The grid with this side of a cell that has the most of these centres inside."""
+    """The grid with this cell size that contains the most of these centres."""
     needed = _bits(high - low, step)
     bits = [min(number, MOST_AXIS_BITS) for number in needed]
     if sum(bits) > MOST_FAR_BITS:
@@ -156,7 +158,7 @@ def _around_most(
     cut = [axis for axis in range(3) if needed[axis] > bits[axis]]
     most, found = -1, _corner(whole)
     for first in range(len(cut)):
-        # With several clusters, the order of axes matters.
+        # With several clusters, the order of the axes matters.
         origin, inside = whole.copy(), positions
         for axis in cut[first:] + cut[:first]:
             origin[axis], chosen = _window(inside[axis], step * 2.0 ** bits[axis])
@@ -169,7 +171,7 @@ def _around_most(
 
 
 def _window(row: NDArray[np.float32], width: float) -> tuple[float, NDArray[np.bool_]]:
-    """The start of the interval of this width with the most coordinates, and which are inside."""
+    """The start of the interval of this width with most coordinates, and a mask of those inside."""
     values = np.sort(row.astype(np.float64))
     counts = np.searchsorted(values, values + width) - np.arange(len(values))
     first = int(np.argmax(counts))

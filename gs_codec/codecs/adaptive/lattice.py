@@ -1,7 +1,7 @@
-"""Values as multiples of 2**-20, the parameters of lattices, and rules that give step sizes.
+"""Fixed-point values (multiples of 2**-20), lattice parameters, and rules for step sizes.
 
-Whatever a decoder decides from values, it decides from these integers: rounding of floats could
-differ between machines.
+A decoder bases every decision on these integers, because rounding of floats could differ between
+machines.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ FRACTION_BITS = 20
 #: Values beyond this are clamped to it.
 LARGEST = 400.0
 
-#: No encoder writes values of this magnitude or more.
+#: Values written by any encoder are below this magnitude.
 TOO_LARGE = 4 * LARGEST
 
-#: The same as a fixed-point value.
+#: `TOO_LARGE` as a fixed-point value.
 FIXED_LIMIT = int(TOO_LARGE) << FRACTION_BITS
 
-#: Fraction bits of a rule's numbers.
+#: Fraction bits of a rule's coefficients.
 RULE_FRACTION_BITS = 16
 
-#: A step size is at most its unit times 2 to this power.
+#: Maximum shift: a step size is at most its unit times 2**31.
 MAX_SHIFT = 31
 
-#: Maximum bits of a cell's number on an axis.
+#: Maximum bits of a cell index on an axis.
 MOST_AXIS_BITS = 21
 
-#: Maximum bits of a Morton code if there are far Gaussians, whose keys have one more.
+#: Maximum bits of a Morton code if there are far Gaussians; their sort keys have one more bit.
 MOST_FAR_BITS = 62
 
 
 def to_fixed(values: NDArray[np.floating], limit: float) -> tuple[NDArray[np.int64], int]:
-    """Fixed-point values, and how many were clamped to `limit`."""
+    """Convert to fixed-point values; count how many were clamped to `limit`."""
     clamped = np.clip(values.astype(np.float64), -limit, limit)
     fixed = np.floor(clamped * (1 << FRACTION_BITS) + 0.5).astype(np.int64)
     return fixed, int(np.count_nonzero(np.abs(values) > limit))
@@ -50,7 +50,7 @@ def to_fixed(values: NDArray[np.floating], limit: float) -> tuple[NDArray[np.int
 def to_lattice(
     fixed: NDArray[np.int64], centre: int, unit: int, shifts: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Nearest levels ``(n,)`` of fixed-point values ``(n,)``."""
+    """Nearest levels ``(n,)`` of fixed-point values ``(n,)``; inverse of `from_lattice`."""
     steps = unit << shifts
     return (2 * (fixed - centre) + steps) // (2 * steps)
 
@@ -63,7 +63,7 @@ def from_lattice(
 
 
 def to_float(fixed: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Exact float64 of fixed-point values."""
+    """Convert fixed-point values to float64, exactly."""
     return fixed / float(1 << FRACTION_BITS)
 
 
@@ -71,8 +71,9 @@ def to_float(fixed: NDArray[np.int64]) -> NDArray[np.float64]:
 class StepRule:
     """``shift = class + intercept + opacity * min(logit, 0) + sum of scale_k * log_scale_k``.
 
-    Rounded down and clamped to 0 to `limit`. `intercept`, `opacity` and `scales` are in units of
-    1 / 2**16; the intercept includes a half where shifts should be rounded to nearest.
+    The result is rounded down and clamped to the range from 0 to `limit`. `intercept`, `opacity`
+    and `scales` are in units of 1 / 2**16; the intercept includes 0.5 if shifts should be rounded
+    to nearest.
     """
 
     intercept: int
@@ -82,7 +83,7 @@ class StepRule:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Intercept, and factors of opacity and of the three log-scales."""
+        """Intercept, and coefficients of opacity and of the three log-scales."""
         return (self.intercept, self.opacity, *self.scales)
 
     def shifts(
@@ -97,11 +98,11 @@ class StepRule:
         Parameters
         ----------
         classes : ndarray, shape (n,)
-            How many octaves coarser than the finest a Gaussian is.
+            Octaves by which a Gaussian's step sizes exceed the finest.
         weight : int
             Shift that one class adds, 1 or 3.
         opacity, scales : ndarray, shape (n,) and (3, n), int64
-            Fixed-point values; those that are not decoded yet have a coefficient of 0.
+            Fixed-point values; coefficients of values not decoded yet are 0.
         """
         out = np.empty(len(classes), np.int64)
         _shifts(*packed_rules([self]), weight, classes, opacity, scales, out)
@@ -109,16 +110,16 @@ class StepRule:
 
 
 def packed_rules(rules: Sequence[StepRule]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers ``(R, 5)`` and limits ``(R,)`` of rules, for kernels."""
+    """Coefficients ``(R, 5)`` and limits ``(R,)`` of rules, for kernels."""
     numbers = np.array([rule.numbers for rule in rules], np.int64)
     return numbers, np.array([rule.limit for rule in rules], np.int64)
 
 
 @inlined
 def rule_shift(numbers, limits, rule, classes, opacity, first, second, third, more):
-    """Shift of a Gaussian by one of several packed rules, and `more` octaves.
+    """Shift of a Gaussian by rule number `rule` of several packed rules, plus `more` octaves.
 
-    ``classes`` is what its class adds; opacity and scales are fixed-point values.
+    ``classes`` is the contribution of its class; opacity and scales are fixed-point values.
     """
     total = numbers[rule, 0] + (classes << RULE_FRACTION_BITS)
     total += (numbers[rule, 1] * min(opacity, 0)) >> FRACTION_BITS
@@ -139,7 +140,7 @@ def _shifts(numbers, limits, weight, classes, opacity, scales, out):
 
 @dataclass(frozen=True)
 class PositionGrid:
-    """Cells of positions: ``origin + (cell + 0.5) * step``.
+    """A grid of cells for positions; the centre of a cell is ``origin + (cell + 0.5) * step``.
 
     Attributes
     ----------
@@ -148,9 +149,9 @@ class PositionGrid:
     step : float
         Side of a cell, scene units.
     bits : tuple of three int
-        Bits of the cell's number on each axis.
+        Bits of a cell index on each axis.
     has_far : bool
-        Whether centres outside of the grid are stored as they are: Gaussians that are *far*.
+        Whether Gaussians outside the grid are stored exactly, as *far* Gaussians.
     """
 
     origin: tuple[float, float, float]
@@ -165,17 +166,17 @@ class PositionGrid:
 
     @property
     def key_bits(self) -> int:
-        """Bits of what Gaussians are sorted by; see `grid_codes`."""
+        """Bits of a sort key; see `grid_codes`."""
         return self.total_bits + self.has_far
 
 
 def _levels(row: NDArray[np.float32], axis: int, grid: PositionGrid) -> NDArray[np.float64]:
-    """Numbers of the cells of coordinates on an axis, of a grid without ends."""
+    """Cell indices of coordinates on an axis, as floats that may lie outside the grid."""
     return np.floor((row.astype(np.float64) - grid.origin[axis]) / grid.step)
 
 
 def outside(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np.bool_]:
-    """Which of ``positions (3, N)`` are outside of a grid."""
+    """Which of ``positions (3, N)`` are outside a grid."""
     found = np.zeros(positions.shape[1], np.bool_)
     for axis, row in enumerate(positions):
         levels = _levels(row, axis, grid)
@@ -184,10 +185,10 @@ def outside(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np.bo
 
 
 def grid_codes(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np.int64]:
-    """What Gaussians are sorted by, ``(N,)``: Morton codes of the cells of ``positions (3, N)``.
+    """Sort keys ``(N,)``: Morton codes of the cells of ``positions (3, N)``.
 
-    Those outside have the codes of the nearest cells, and come last if they are far: then they have
-    one more bit.
+    Positions outside get the codes of the nearest cells. If the grid has far Gaussians, theirs have
+    one more bit, so that they come last.
     """
     cells = np.empty(positions.shape, np.uint32)
     for axis, row in enumerate(positions):
@@ -199,17 +200,17 @@ def grid_codes(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np
 
 
 def far_among(codes: NDArray[np.int64], grid: PositionGrid) -> int:
-    """How many of some Gaussians, sorted by `grid_codes`, are far: the last ones."""
+    """Number of far Gaussians, the last ones, among Gaussians sorted by `grid_codes`."""
     return int(np.count_nonzero(codes >> grid.total_bits)) if grid.has_far else 0
 
 
 def far_codes(number: int, grid: PositionGrid) -> NDArray[np.int64]:
-    """Morton codes ``(number,)`` that stand for far Gaussians: the last cell on each axis."""
+    """Morton codes ``(number,)`` given to far Gaussians: the last cell on each axis."""
     return np.full(number, (1 << grid.total_bits) - 1, np.int64)
 
 
 def cell_widths(grid: PositionGrid) -> NDArray[np.int64]:
-    """Bits of the number of a cell on each axis ``(3, bits + 1)`` of so many low Morton bits."""
+    """Number of cell-index bits on each axis ``(3, bits + 1)`` among 0, 1, ... low Morton bits."""
     widths = np.zeros((3, grid.total_bits + 1), np.int64)
     for bit, axis in enumerate(bit_layout(grid.bits)[::-1]):
         widths[:, bit + 1] = widths[:, bit]
@@ -218,19 +219,19 @@ def cell_widths(grid: PositionGrid) -> NDArray[np.int64]:
 
 
 def cell_sides(dropped: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.float64]:
-    """Sides ``(3, n)`` of the cells of codes without ``dropped (n,)`` low bits, scene units."""
+    """Sides ``(3, n)``, in scene units, of the cells of codes without ``dropped (n,)`` low bits."""
     return np.ldexp(grid.step, cell_widths(grid)[:, dropped])
 
 
 def centres(
     codes: NDArray[np.int64], dropped: NDArray[np.int64], grid: PositionGrid
 ) -> NDArray[np.int64]:
-    """Centres ``(3, n)``, in half steps, of the cells of codes without their low bits.
+    """Centres ``(3, n)``, in half steps, of the cells of codes without low bits.
 
     The ``dropped (n,)`` low bits of ``codes (n,)`` are 0.
     """
     cells = 2 * decode_morton(codes, grid.bits).astype(np.int64)
-    # Not [:, dropped]: its rows, and those of what follows, would not be contiguous.
+    # Not [:, dropped], whose rows, and those of later results, would not be contiguous.
     cells += np.int64(1) << np.take(cell_widths(grid), dropped, axis=1)
     return cells
 
@@ -238,9 +239,9 @@ def centres(
 def from_grid(
     half_steps: NDArray[np.int64], grid: PositionGrid, far: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Positions ``(3, N)`` of grid positions in half steps, clamped to what float32 holds.
+    """Convert positions in half steps of the grid to floats ``(3, N)``, clamped to float32.
 
-    The last ones are those in ``far (3, f)`` instead, if there are any.
+    The last ones are replaced by ``far (3, f)``, if given.
     """
     positions = np.array(grid.origin)[:, None] + half_steps * (0.5 * grid.step)
     largest = float(np.finfo(np.float32).max)
@@ -252,10 +253,10 @@ def from_grid(
 
 @dataclass(frozen=True)
 class Lattice:
-    """Everything that the blocks of a scene are decoded with, except the tables.
+    """All parameters for decoding the blocks of a scene, except the tables.
 
-    ``centres`` (of opacity and the longest axis) and ``units`` are fixed-point values; units are
-    of opacity, scales, rotation, SH-DC and the SH bands.
+    ``centres`` (of opacity and the longest axis) and ``units`` are fixed-point values; there are
+    units for opacity, scales, rotation, SH-DC and each SH band.
     """
 
     grid: PositionGrid

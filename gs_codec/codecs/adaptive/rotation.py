@@ -1,11 +1,11 @@
 """Rotation as a roll about one axis of a Gaussian and two tilts of that axis.
 
-A turn in the plane of two axes is seen by how much their lengths differ: a needle needs hardly any
-roll about its longest axis, a disc about its shortest. The *pole* is that one of these two about
-which turns are rounded more coarsely. The quaternion is the product of the least turn that brings
-the pole's axis to where it is and, before it, a roll about it; written in the rolled frame, the two
-components of that least turn are turns about the other axes of the Gaussian itself, so that each
-of the three numbers has a step size of its own. FORMAT.md, section "Lattices".
+The more two axes differ in length, the more visible is a turn in their plane: the roll of a needle
+about its longest axis hardly shows, nor does that of a disc about its shortest. The *pole* is
+whichever of these two axes has the coarser step size for turns about it. The quaternion is a roll
+about the pole, followed by the smallest turn that brings the pole to its direction. In the rolled
+frame, the two components of that smallest turn (the tilts) are turns about the Gaussian's other two
+axes. So each of the three numbers has its own step size. FORMAT.md, section "Lattices".
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, StepRule, packed_rules, rule_shift
 from gs_codec.runtime.kernels import inlined, kernel
 
-#: Rules of the turns about the longest, the middle and the shortest axis.
+#: Rules for turns about the longest, the middle and the shortest axis.
 TURN_RULES = ("turn_0", "turn_1", "turn_2")
 
 #: Passes: the roll about the pole, the tilts about the middle axis and about the third.
 TURNS = ("roll", "tilt_0", "tilt_1")
 
-#: Rules of which each pass uses one; which, the pole tells.
+#: The rules that each pass may use; the pole selects one.
 _RULES_OF = {"roll": ("turn_0", "turn_2"), "tilt_0": ("turn_1",), "tilt_1": ("turn_0", "turn_2")}
 
-#: Sines of half angles are rounded to at most about this; with larger steps there is only level 0.
+#: Sines of half angles have at most about this step size; with larger steps only level 0 exists.
 LARGEST_STEP = 0.75
 
 
 def rules_of(name: str) -> tuple[str, ...]:
-    """Rules that a pass of opacity, scaling or rotation uses."""
+    """Rules that a pass of opacity, scaling or rotation may use."""
     return _RULES_OF.get(name, (name,))
 
 
 @inlined
 def _alike(first, second):
-    """Octaves by which a turn in the plane of two axes of fixed-point log-scales is coarser."""
+    """Octaves added to the step size of a turn between two axes of these fixed-point log-scales."""
     apart = abs(first - second)
     if apart >= 1 << (FRACTION_BITS - 1):
         return 0
@@ -54,7 +54,7 @@ def _likeness(scales, out):
 
 
 def likeness(scales: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Octaves that likeness of the other two axes adds to a turn about each axis, ``(3, n)``.
+    """Octaves added to turns about each axis, ``(3, n)``, for the likeness of the other two axes.
 
     ``scales (3, n)`` are fixed-point log-scales.
     """
@@ -65,9 +65,9 @@ def likeness(scales: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @inlined
 def turns_of(numbers, limits, rule, octaves, opacity, first, second, third):
-    """Shifts of the roll and of both tilts, and the pole, of a Gaussian.
+    """Shifts of a Gaussian's roll and two tilts, and its pole.
 
-    Rules of turns begin at number `rule`; the class adds `octaves`.
+    The rules of turns begin at number `rule`; `octaves` is the class of the Gaussian.
     """
     alike = _alike(second, third)
     longest = rule_shift(numbers, limits, rule, octaves, opacity, first, second, third, alike)
@@ -118,16 +118,17 @@ def _quaternions(turns, poles, rot):
         middle, third = middle / norm, third / norm
         rot[0, i] = real * upright
         rot[1 + poles[i], i] = roll * upright
-        # Axes in cyclic order from the pole: the middle one is the next of 0, the last of 2.
+        # Axes in cyclic order from the pole: the middle axis comes first after pole 0, second after
+        # pole 2.
         sign = 1.0 - poles[i]
         rot[2, i] = real * middle - sign * (roll * third)
         rot[3 - poles[i], i] = real * third + sign * (roll * middle)
 
 
 def turned_quaternions(turns: NDArray[np.float64], poles: NDArray[np.int8]) -> NDArray[np.float32]:
-    """Unit quaternions wxyz ``(4, n)``, real parts not negative.
+    """Unit quaternions wxyz ``(4, n)`` with real parts >= 0.
 
-    ``turns (3, n)`` are sines of half the angles of `TURNS`; too large ones are cut.
+    ``turns (3, n)`` are sines of half the angles of `TURNS`; values out of range are clamped.
     """
     rot = np.empty((4, len(poles)), np.float32)
     _quaternions(turns, poles, rot)
@@ -141,7 +142,7 @@ def _split_roll(vectors, poles, rolls, swings):
         a, b = (p + 1) % 3, (p + 2) % 3
         x, y, z = vectors[p, i], vectors[a, i], vectors[b, i]
         w = math.sqrt(max(1.0 - (x * x + y * y + z * z), 0.0))
-        # Half turns about the axes leave the Gaussian as it is.
+        # Half turns about the axes do not change the Gaussian.
         if w * w + x * x < y * y + z * z:
             w, x, y, z = -y, -z, w, x
         if abs(x) > abs(w):
@@ -158,10 +159,10 @@ def _split_roll(vectors, poles, rolls, swings):
 def split_roll(
     vectors: NDArray[np.float64], poles: NDArray[np.int8]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rolls ``(n,)`` and swings ``(2, n)`` of quaternions of vector parts ``(3, n)``.
+    """Split quaternions with vector parts ``(3, n)`` into rolls ``(n,)`` and swings ``(2, n)``.
 
-    Sines of half angles, within 45 degrees; a swing has components of the unrolled frame, along
-    the axes that follow the pole in cyclic order.
+    All are sines of half angles, within 45 degrees. A swing has two components in the unrolled
+    frame, along the axes that follow the pole in cyclic order.
     """
     rolls, swings = np.empty(len(poles)), np.empty((2, len(poles)))
     _split_roll(vectors, poles, rolls, swings)
@@ -171,7 +172,7 @@ def split_roll(
 def tilts_of(
     swings: NDArray[np.float64], rolls: NDArray[np.float64], poles: NDArray[np.int8]
 ) -> NDArray[np.float64]:
-    """Swings as tilts ``(2, n)`` about the middle axis and the third, after decoded rolls."""
+    """Convert swings to tilts ``(2, n)`` about the middle and third axis, given decoded rolls."""
     sines = np.clip(rolls, -1.0, 1.0)
     double = 2.0 * sines * np.sqrt(1.0 - sines * sines)
     cosines = 1.0 - 2.0 * sines * sines

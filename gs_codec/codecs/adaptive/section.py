@@ -37,7 +37,7 @@ from gs_codec.scene import SH_COEFFICIENTS
 
 _WHERE = "section 'lattice'"
 
-#: Mantissa bits of a sent table's weights.
+#: Mantissa bits of the weights of a transmitted table.
 MANTISSA = 3
 
 #: Step sizes are below 2 to this power, in units of 1 / 2**20.
@@ -46,7 +46,7 @@ _STEP_BITS = 31
 #: Bytes of the centre of a far Gaussian.
 FAR_BYTES = 12
 
-#: Intercept; factors of opacity and of three scales; limit.
+#: Struct layout of a rule: intercept; coefficients of opacity and of three scales; limit.
 _RULE = "5iB"
 
 #: The rules of a scene, in the order of the section.
@@ -60,15 +60,15 @@ UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
 class PassModels:
     """Tables of a scene's passes.
 
-    ``listed[name]`` has the number of the table of each context of a list; ``weights`` lists the
-    weights of each table.
+    ``listed[name]`` has the table number of each context of a list; ``weights`` has the weights of
+    each table.
     """
 
     listed: dict[str, NDArray[np.int64]]
     weights: list[NDArray[np.int64]]
 
     def rows(self, item: Pass) -> NDArray[np.uint16]:
-        """Number of the table of each context of a pass."""
+        """Table number of each context of a pass."""
         return np.concatenate([self.listed[own.name] for own in item.lists]).astype(np.uint16)
 
     def tables(self) -> list[FrequencyTable]:
@@ -85,7 +85,7 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
     for name in RULES:
         rule = lattice.rules[name]
         out += struct.pack("<" + _RULE, *rule.numbers, rule.limit)
-    # Neighbours may share a table: a mark is 1 where a context begins the next one.
+    # Neighbouring contexts may share a table: a mark of 1 starts the next table.
     marks = encode_marks([np.diff(rows).astype(np.int64) for rows in models.listed.values()])
     out += struct.pack("<2H", len(marks), len(models.weights)) + marks
     out += struct.pack(f"<{len(models.weights)}B", *(len(w) for w in models.weights))
@@ -102,7 +102,7 @@ def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
 def read_lattice(
     data: memoryview, coefficients: int, has_far: bool = False
 ) -> tuple[Lattice, PassModels]:
-    """The inverse of `write_lattice`.
+    """Invert `write_lattice`.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def _read_rule(reader: ByteReader) -> StepRule:
 
 
 def _check_steps(lattice: Lattice) -> None:
-    """Refuse units and limits with which step sizes could overflow."""
+    """Reject units and limits that allow step sizes to overflow."""
     limits = {name: rule.limit for name, rule in lattice.rules.items()}
     for name, unit in lattice.units.items():
         limit = max(limits[rule] for rule in SHAPE_RULES.get(name, ("colour",)))
@@ -172,7 +172,7 @@ def write_far(positions: NDArray[np.float32]) -> bytes:
 
 
 def read_far(file: EgsFile, block: int) -> NDArray[np.float32]:
-    """Centres ``(3, f)`` of the far Gaussians of a block, its last ones.
+    """Centres ``(3, f)`` of the far Gaussians of a block, which come last in it.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def read_far(file: EgsFile, block: int) -> NDArray[np.float32]:
 
 
 def far_count(file: EgsFile) -> int:
-    """Number of far Gaussians of a file, by the sizes of sections."""
+    """Number of far Gaussians of a file, from the sizes of its sections."""
     return sum(
         entry.size // FAR_BYTES
         for (section, _), entry in file.table.items()

@@ -1,8 +1,9 @@
-"""Levels of SH-AC, coefficient by coefficient, as what is left of the sum of a band.
+"""Levels of SH-AC, coefficient by coefficient, given the sum of magnitudes of a band.
 
-A Gaussian has symbols while something is left, under contexts by what is left and by the signs of
-the same coefficient of its two nearest neighbours. Symbols of one coefficient hardly depend on one
-another, so a processor decodes several at a time. FORMAT.md, section "Passes", "SH-AC".
+Each level is subtracted from that sum, and a Gaussian has symbols until the remaining sum is 0. The
+context of a symbol is the remaining sum, and the signs of the same coefficient of the two nearest
+neighbours. Symbols of one coefficient hardly depend on one another, so a processor decodes several
+at a time. FORMAT.md, section "Passes", "SH-AC".
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from gs_codec.coding.rans import LANES
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import sh_bands
 
-#: Number of contexts of the sum of all bands, which come first in the first pass.
+#: Number of contexts for the sum of all bands, which come first in the first pass.
 _OF_SUM = COLOUR_SHIFTS * SUMS
 
-#: Number of contexts of the band's share, which come next unless the band is the last.
+#: Number of contexts for a band's share, which come next unless the band is the last.
 _OF_SHARE = SUMS
 
-#: Number of contexts of the levels of a colour.
+#: Number of contexts for the levels of a colour.
 _OF_COLOUR = SUMS * SIGNS * MEMBERS
 
 
 def two_nearest(nearest: Nearest) -> NDArray[np.uint8]:
-    """How many Gaussians before each its two nearest neighbours are, ``(n, 2)``; 0 for none."""
+    """Distances back to each Gaussian's two nearest neighbours, ``(n, 2)``; 0 for none."""
     ago = (np.arange(len(nearest.near))[:, None] - nearest.near[:, :2]).astype(np.uint8)
-    # The second Gaussian has one neighbour.
+    # The second Gaussian has only one neighbour.
     ago[1:2, 1] = 0
     return ago
 
@@ -45,20 +46,20 @@ def _sign(value):
 
 @inlined
 def _sum_of_signs(signs, near, i):
-    # That of the Gaussian itself is still 0.
+    # A distance of 0 refers to the Gaussian itself, whose sign is still 0.
     first, second = np.uint64(i) - np.uint64(near[i, 0]), np.uint64(i) - np.uint64(near[i, 1])
     return np.int64(signs[first]) + np.int64(signs[second])
 
 
 @inlined
 def _context(left, sign):
-    """Context of a coefficient, without its place in the band."""
+    """Context of a coefficient, before adding its index in the band."""
     return (SIGNS * sum_bucket(left) + abs(sign)) * MEMBERS
 
 
 @kernel
 def _code(levels, near, shifts, first, last, left, shares, values, contexts, owners):
-    """Fill values, contexts and, unless it is None, owners; returns the number of symbols."""
+    """Fill `values`, `contexts` and, unless None, `owners`; return the number of symbols."""
     count, members = len(left), levels.shape[1]
     symbol, offset = 0, 0
     if first:
@@ -106,7 +107,7 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, own
 def _read_sums(
     words, end, states, spans, slots, rows, bits, limit, shifts, sums
 ):  # fmt: skip
-    """Decode the sums of all bands, first of a pass; returns a fault and positions reached."""
+    """Decode the sums of all bands, first in a pass; return a fault and the positions reached."""
     position = used = before = previous = np.int64(0)
     for i in range(len(sums)):
         if position > end or used > limit:
@@ -127,7 +128,7 @@ def _read_shares(
     words, end, states, spans, slots, rows, bits, limit, symbol, position, used, offset,
     left, shares,
 ):  # fmt: skip
-    """Decode a band's shares of what is left; returns a fault, the next symbol and positions."""
+    """Decode a band's shares of the remaining sums; return a fault, next symbol and positions."""
     for i in range(len(left)):
         shares[i] = 0
         if left[i] == 0:
@@ -151,7 +152,7 @@ def _read(
     words, ends, states, spans, slots, rows, bits, reached,
     near, shifts, first, last, left, levels,
 ):  # fmt: skip
-    """Decode ``levels (3, k, n)``, 0 before; `left` becomes what is left for further bands."""
+    """Decode ``levels (3, k, n)``, initially 0; `left` becomes the sum left for later bands."""
     count, members = len(left), levels.shape[1]
     end, limit = ends[0], 8 * (len(bits) - MORE_BITS)
     fault, symbol, position, used, offset = 0, 0, np.int64(0), np.int64(0), 0
@@ -192,7 +193,7 @@ def _read(
             )
             symbol += 1
             if k == 3 * members - 1:
-                # A sign; anything else is beyond what is left.
+                # A sign; any other value exceeds the remaining sum.
                 level = level * rest if abs(level) == 1 else rest + 1
             rest -= abs(level)
             if rest < 0:
@@ -214,17 +215,17 @@ def code_bands(
     shifts: NDArray[np.int64],
     owned: bool = False,
 ) -> list[tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.int64]]]:
-    """Integers to code, their contexts, and their owners, each ``(symbols,)``, of each band.
+    """Integers to code, their contexts and their owners, each ``(symbols,)``, for each band.
 
     Parameters
     ----------
     levels : ndarray, shape (3, K, n)
     near : ndarray, shape (n, 2)
-        As `two_nearest` gives them.
+        Result of `two_nearest`.
     shifts : ndarray, shape (n,)
-        Of the colours' step sizes.
+        Shifts of the colours' step sizes.
     owned : bool
-        Whether to tell which Gaussian each symbol is of; else there are no owners.
+        Whether to return the Gaussian that each symbol belongs to; otherwise owners are empty.
     """
     bands = [levels[:, band.start : band.stop] for band in sh_bands(levels.shape[1])]
     shares = [np.abs(band).sum(axis=(0, 1), dtype=np.int64) for band in bands]
@@ -235,7 +236,7 @@ def code_bands(
         values, contexts = np.empty(most, np.int64), np.empty(most, np.uint16)
         owners = np.empty(most if owned else 0, np.int64)
         ends = number == 1, number == len(bands)
-        # None is known when the kernel is compiled: encoders do without a branch for each symbol.
+        # None is known at compile time, so encoders avoid a branch for each symbol.
         told = owners if owned else None
         found = _code(band, near, shifts, *ends, left, share, values, contexts, told)
         coded.append((values[:found], contexts[:found], owners[:found]))
@@ -250,9 +251,9 @@ def read_bands(
     near: NDArray[np.uint8],
     shifts: NDArray[np.int64],
 ) -> None:
-    """The inverse of `code_bands`, into ``levels (3, K, n)`` that are 0 before.
+    """Invert `code_bands`, writing to ``levels (3, K, n)``, initially 0.
 
-    Of each band that the scene has there are tables, ``rows (contexts,)``; K may be that of fewer.
+    `rows` has the table numbers ``(contexts,)`` of each band of the scene; K may cover fewer bands.
 
     Raises
     ------

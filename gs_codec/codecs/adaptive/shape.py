@@ -1,4 +1,4 @@
-"""Classes, opacity, scale and rotation on their lattices; earlier ones give the step sizes.
+"""Classes, opacity, scales and rotation; the earlier attributes set the step sizes of later ones.
 
 FORMAT.md, section "Passes", the shape pass.
 """
@@ -43,8 +43,8 @@ from gs_codec.codecs.adaptive.tokens import read_token
 from gs_codec.coding.context_rans import BAD_CLASS, BAD_VALUE, MORE_BITS, OUT_OF_WORDS, PassReader
 from gs_codec.runtime.kernels import inlined, kernel
 
-#: ``code(name, shifts, unit, poles) -> levels``: an encoder rounds to them. Poles are those of
-#: `turn_shifts`, None before rotation.
+#: ``code(name, shifts, unit, poles) -> levels``; an encoder quantises to these levels. Poles come
+#: from `turn_shifts`; before rotation they are None.
 Coder = Callable[[str, NDArray[np.int64], int, NDArray[np.int8] | None], NDArray[np.int64]]
 
 
@@ -59,9 +59,10 @@ class Shape:
 
 
 def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Shape:
-    """Go through the attributes in the order of the stream; `code` gives the levels of each.
+    """Walk the attributes in stream order, for encoding and decoding.
 
-    It is called with the attribute's name, its shifts ``(n,)`` and its unit.
+    `code` returns the levels of each attribute, given its name, its shifts ``(n,)``, its unit, and
+    the poles; see `Coder`.
     """
     count = len(classes)
     scales = np.zeros((3, count), np.int64)
@@ -88,14 +89,14 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
 
 @inlined
 def _before_context(attribute, shift, total):
-    """Context of opacity (0) or a scale (1-3), by the sum of the two values before."""
+    """Context of opacity (0) or a scale (1-3), from the sum of the two previous values."""
     context = BEFORE * min(shift, SHIFT_CONTEXTS - 1) + before_bucket(attribute, total)
     return SHAPE_OFFSETS[2 + attribute] + context
 
 
 @kernel
 def _contexts(levels, shifts, steps, contexts):
-    """Fill ``contexts (n, 9)`` of ``levels (9, n)``; shifts and steps are of the last seven."""
+    """Fill ``contexts (n, 9)`` of ``levels (9, n)``; shifts and steps cover the last seven."""
     for i in range(contexts.shape[0]):
         last, before = max(i - 1, 0), max(i - 2, 0)
         some, more = np.int64(i > 0), np.int64(i > 1)
@@ -119,7 +120,8 @@ def shape_pass(
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
     """Integers to code and their contexts, ``(n, 9)``, of the shape pass.
 
-    Classes ``(2, n)`` are of shape and colour; levels and shifts ``(n,)`` of each attribute.
+    ``classes (2, n)`` are shape and colour classes; levels, shifts ``(n,)`` and units are given by
+    attribute.
     """
     names = [item.name for item in SHAPE_PASS.lists[2:]]
     streams = [item.stream for item in SHAPE_PASS.lists[2:]]
@@ -136,8 +138,9 @@ def _read(
     words, ends, states, spans, slots, rows, bits, reached,
     numbers, limits, units, centres, most, classes, opacity, scales, turns, poles,
 ):  # fmt: skip
-    """Decode classes ``(2, n)`` and shapes; rules are of opacity, scales and turns."""
-    # Positions in words and bits of the four streams; as variables, they stay in registers.
+    """Decode classes ``(2, n)`` and shapes; rules are those of opacity, scales and turns."""
+    # Positions in words and bits of the four streams, as local variables so that they stay in
+    # registers.
     p0, p1, p2, p3 = reached[0]
     u0, u1, u2, u3 = reached[1]
     limit, symbol = 8 * (len(bits) - MORE_BITS), 0
@@ -212,7 +215,7 @@ def read_shapes(
     lattice: Lattice,
     count: int,
 ) -> tuple[NDArray[np.int64], Shape]:
-    """Classes ``(2, n)`` of shape and colour, and shapes, of the shape pass.
+    """Decode the shape pass: shape and colour classes ``(2, n)``, and shapes.
 
     Raises
     ------
@@ -233,10 +236,10 @@ def read_shapes(
 
 
 class ShapeQuantiser:
-    """The `Coder` of an encoder: rounds the attributes, and keeps levels, shifts and units.
+    """The `Coder` of an encoder: quantises the attributes, and keeps levels, shifts and units.
 
-    Gaussians whose axes differ by at most half a step are rounded to no rotation. `targets` has
-    the turns of the others before rounding, each after the decoded ones before it.
+    Gaussians whose axes differ by at most half a step get no rotation. For the others, `targets`
+    has the turns before rounding, each given the decoded values of the turns before it.
     """
 
     def __init__(
@@ -261,7 +264,7 @@ class ShapeQuantiser:
     def __call__(
         self, name: str, shifts: NDArray[np.int64], unit: int, poles: NDArray[np.int8] | None
     ) -> NDArray[np.int64]:
-        """Levels of an attribute."""
+        """Quantise an attribute to levels."""
         group = "rotation" if name in TURNS else "opacity" if name == "opacity" else "scaling"
         centre, limit = 0, LARGEST
         if group == "opacity":
@@ -273,7 +276,7 @@ class ShapeQuantiser:
         elif name == "scale_0":
             values, centre = self.scales[0], self.lattice.centres[1]
         else:
-            # Each scale is clamped to the largest, but their difference can be larger.
+            # Each scale is clamped to the limit, but their difference can exceed it.
             scales = self.scales[int(name[-1])]
             self.clamped += int(np.count_nonzero(np.abs(scales) > LARGEST))
             values, limit = self._last - np.clip(scales, -LARGEST, LARGEST), TOO_LARGE
@@ -288,7 +291,7 @@ class ShapeQuantiser:
         return levels
 
     def _aim(self, name: str, poles: NDArray[np.int8]) -> None:
-        """Set the turn that is to be rounded; the roll is followed by two tilts."""
+        """Set the target of the next turn; two tilts follow the roll."""
         if name == "roll":
             step = to_float(self.lattice.units["scaling"] << self.shifts["scale_0"])
             self._round = self.scales[0] - self.scales[2] <= 0.5 * step

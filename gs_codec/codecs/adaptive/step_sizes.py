@@ -1,15 +1,16 @@
-"""Step sizes of every attribute of every Gaussian: from sensitivities, and without cameras.
+"""Step sizes of every attribute of every Gaussian, camera-guided or camera-free.
 
-A parameter of sensitivity s adds the error s d^2 / 12 if its step size is d, and halving d costs a
-bit: the total error is least for a given size if all errors are equal. The class of a Gaussian
-covers most of the differences of sensitivities; a rule predicts the rest from attributes that are
-decoded before. FORMAT.md, section "Notes on our encoder".
+A parameter of sensitivity s with step size d adds the error s d^2 / 12, and halving d costs one
+bit. So the total error is smallest for a given size if all parameters add the same error. The class
+of a Gaussian covers most of the differences in sensitivity; a rule predicts the rest from
+attributes that are decoded earlier. FORMAT.md, section "Notes on our encoder".
 
 Without cameras, log2 of a step size is log2 of the profile's fineness, minus a constant, minus a
-linear function of min(logit, 0) and of the log-scales relative to the scene's median. The numbers
-are rounded from gamma regressions on rendered sensitivities of five scenes, those of turns of six
-(RESULTS.md), with the constants moved so that a bit saves about the same error wherever it is
-spent. What a turn matters less because two axes are alike is not fitted: see `rotation`.
+linear function of min(logit, 0) and of the log-scales relative to the scene's median. The
+coefficients are rounded from gamma regressions on rendered sensitivities of five scenes (six for
+turns; RESULTS.md). The constants are adjusted so that a bit saves about the same error in every
+attribute. The lower sensitivity of turns between two axes of similar length is not fitted: see
+`rotation`.
 """
 
 from __future__ import annotations
@@ -32,10 +33,11 @@ from gs_codec.codecs.adaptive.rotation import TURN_RULES, likeness
 from gs_codec.coding.linear import combine, fitting
 from gs_codec.scene import SH_C0
 
-#: Number of classes: what these views hardly see must not become too coarse for others.
+#: Number of classes; limited, so that Gaussians hardly visible in these views are not too coarse in
+#: others.
 _CLASSES = 9
 
-#: Log2 of the coarsest step sizes: of logits, log-scales, sines of half angles, colours.
+#: Log2 of the coarsest step sizes: of logits, log-scales, sines of half angles, and colours.
 COARSEST = {"opacity": 1, "scaling": 1, "rotation": 1, "colour": 2}
 
 #: Share of Gaussians that are more sensitive than the finest class.
@@ -47,8 +49,9 @@ _LEAST_SEEN = 0.02
 #: Share of Gaussians whose step sizes may be coarser than wanted.
 _COARSER = 1e-3
 
-#: Octaves by which steps are finer than sensitivities ask for, which are those of small changes and
-#: know nothing of the refit: chosen on bonsai and mouse so that a bit saves about the same error.
+#: Octaves by which steps are finer than sensitivities suggest. Sensitivities hold for small changes
+#: and ignore the refit. Chosen on bonsai and mouse so that a bit saves about the same error
+#: everywhere.
 _FINER = {
     "opacity": -0.4,
     **{f"scale_{k}": 0.25 for k in range(3)},
@@ -56,19 +59,21 @@ _FINER = {
     "position": 0.1,
 }
 
-#: Rules are fitted to a sample of about this many Gaussians.
+#: Approximate size of the sample that rules are fitted to.
 _SAMPLE = 20_000
 
 #: Rounds of fitting all rules.
 _ROUNDS = 4
 
-#: Iterations of the fit of one rule.
+#: Iterations when fitting one rule.
 _TURNS = 12
 
-#: Largest factor of opacity or of a scale in a rule, in 1 / 2**16; times a value, it has 53 bits.
+#: Largest coefficient of opacity or of a scale in a rule, in units of 1 / 2**16; its product with a
+#: value has 53 bits.
 MAX_SLOPE = (1 << 22) - 1
 
-#: Which features (1, min(logit, 0), longest, middle, shortest log-scale) a group's rule has.
+#: Indices of the features (1, min(logit, 0), longest, middle, shortest log-scale) that each rule
+#: uses.
 _FEATURES = {
     "opacity": [0],
     "scale_0": [0, 1],
@@ -86,11 +91,10 @@ SHAPE_RULES = {
     "rotation": TURN_RULES,
 }
 
-#: SH-DC for a unit of colour.
+#: Log2 of the SH-DC change per unit of colour.
 _BY_COLOUR = math.log2(1 / SH_C0)
 
-#: Constant; then octaves per octave of opacity (where it is low) and of each scale, longest
-#: first.
+#: Rows: a constant; then octaves per unit of opacity (below 0.5) and of each scale, longest first.
 _LEVELS = {
     "opacity": (-3.0,),
     "scale_0": (-0.45, 0.75),
@@ -103,23 +107,23 @@ _LEVELS = {
     "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
 }
 
-#: Gaussians are flat (2DGS) if their shortest log-scale is this far below the middle one, by the
-#: median.
+#: A scene is flat (2DGS) if the median difference of its shortest and middle log-scale exceeds
+#: this.
 _FLAT = 4.0
 
-#: Features that differ by less than this share are alike, as scales of flat Gaussians are but for
-#: their rounding: a fit of their differences would make steps of that rounding.
+#: Features whose relative difference is below this count as linearly dependent. The two shortest
+#: scales of flat Gaussians differ only by rounding, and a fit must not depend on that.
 _ALIKE = 1e-4
 
-#: They are coded as if it were this far below.
+#: Flat Gaussians are coded as if that difference were this.
 _THICKNESS = 3.0
 
-#: Ratio of the step sizes of SH-AC to those of SH-DC.
+#: Ratio of the SH-AC step size to the SH-DC step size.
 SH_RATIO = 2.0**-0.25
 
 
 class Sensitivity(NamedTuple):
-    """Squared error that views gain for a squared unit of change of an attribute, float64.
+    """Squared error in views per squared change of an attribute, float64.
 
     Summed over views, pixels and colours, with image values 0-1. The errors of Gaussians and
     attributes are assumed to add up.
@@ -127,15 +131,15 @@ class Sensitivity(NamedTuple):
     Attributes
     ----------
     positions : ndarray, shape (N,)
-        Mean of the three axes, for a scene unit.
+        Per scene unit; mean of the three axes.
     log_scale : ndarray, shape (3, N)
-        Natural logarithm.
+        Per unit of the natural logarithm.
     rot : ndarray, shape (3, N)
-        A turn about each of the Gaussian's own axes, radian.
+        Per radian of a turn about each of the Gaussian's own axes.
     opacity : ndarray, shape (N,)
-        Logit.
+        Per unit of the logit.
     colour : ndarray, shape (N,)
-        One colour channel, 0-1: the sum of (alpha T)^2.
+        Per unit (0-1) of one colour channel: the sum of (alpha T)^2.
     """
 
     positions: NDArray[np.float64]
@@ -147,17 +151,17 @@ class Sensitivity(NamedTuple):
 
 @dataclass(frozen=True)
 class StepSizes:
-    """Classes and coefficients that give the wanted step sizes of a scene.
+    """Classes and coefficients that determine the step sizes of a scene.
 
     Attributes
     ----------
     shape_class, colour_class : ndarray, shape (N,), uint8
-        Octaves coarser than the finest.
+        Octaves above the finest step size.
     coefficients : dict of str to ndarray, shape (5,)
-        ``log2(step) = class + coefficients @ features`` for each rule; to those of turns,
-        `likeness` is added.
+        ``log2(step) = class + coefficients @ features`` for each rule; for turns, `likeness` is
+        added.
     sh_ratios : tuple of three float
-        Ratio of the step sizes of each SH-AC band to those of SH-DC.
+        Ratio of the step size of each SH-AC band to that of SH-DC.
     """
 
     shape_class: NDArray[np.uint8]
@@ -167,7 +171,7 @@ class StepSizes:
 
 
 def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
-    """Features ``(5, N)`` of the rules, from logits ``(N,)`` and log-scales ``(3, N)``."""
+    """Features ``(5, N)`` of the rules, from opacity logits ``(N,)`` and log-scales ``(3, N)``."""
     return np.stack([np.ones(len(opacity)), np.minimum(opacity, 0), *scales])
 
 
@@ -179,30 +183,31 @@ def fit_step_sizes(
     Parameters
     ----------
     sensitivity : Sensitivity
-        Its scales are in the order of `scales`.
+        Its log-scales are in the order of `scales`.
     opacity, scales : ndarray, shape (N,) and (3, N)
         Logits; log-scales, descending.
 
     Returns
     -------
     callable
-        Step sizes for the squared error that a parameter may add, summed as sensitivities are.
+        A function from the squared error that a parameter may add (summed like sensitivities) to
+        step sizes.
     """
     known = features(opacity, scales)
     alike = likeness(to_fixed(scales, LARGEST)[0])
     shape = {
         "opacity": sensitivity.opacity,
         **{f"scale_{k}": sensitivity.log_scale[k] for k in range(3)},
-        # Half angles are coded; what likeness of axes adds to their steps is not to be fitted.
+        # The sines of half angles are coded (factor 4); `likeness` is excluded from the fit.
         **dict(zip(TURN_RULES, sensitivity.rot * 4.0 ** (1 + alike), strict=True)),
         "position": sensitivity.positions,
     }
-    # Gaussians that hardly any view sees would distort the fit; any step size suits them.
+    # Gaussians that hardly any view sees would distort the fit, and any step size suits them.
     shape = {name: np.maximum(s, _least(s)) for name, s in shape.items()}
     some = slice(None, None, max(1, len(opacity) // _SAMPLE))
     offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
     shape_class, finest = _classify(_level(shape, offsets, known))
-    # SH_C0 is the change of colour for a unit of SH-DC; for one of SH-AC, its RMS.
+    # SH_C0 is the colour change per unit of SH-DC; for a unit of SH-AC it is the RMS change.
     by_sh = SH_C0**2 * sensitivity.colour
     colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
     colour_class, finest_colour = _classify(colour)
@@ -232,7 +237,7 @@ def _least(sensitivity: NDArray[np.float64]) -> float:
 def _fit_offsets(
     shape: dict[str, NDArray[np.float64]], known: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Fit log2 of the root of sensitivity, minus the Gaussian's level, to the features."""
+    """Fit log2 of the root of the sensitivity, minus the Gaussian's level, to the features."""
     level = np.mean([0.5 * np.log2(s) for s in shape.values()], axis=0)
     offsets: dict[str, NDArray[np.float64]] = {}
     for _ in range(_ROUNDS):
@@ -261,14 +266,14 @@ def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArra
     fitted = np.sum(fits * np.log(values), axis=1)
     for _ in range(_TURNS):
         expected = np.exp(np.clip(combine(fitted, known), -60, 60))
-        # Damped and cut off: a few values are thousands of times the mean.
+        # Damped and clipped, because a few values are thousands of times the mean.
         excess = np.clip(values / expected - 1, -1, 8)
         fitted = fitted + 0.7 * np.sum(fits * excess, axis=1)
     return fitted
 
 
 def finest_step(wanted: NDArray[np.float64], lowest: float, highest: float) -> float:
-    """Log2 of the finest step size: only a few of the wanted ones (log2) are below it."""
+    """Log2 of the finest step size; only a small share of the wanted ones (log2) is below it."""
     finest = float(np.quantile(wanted, _COARSER)) if wanted.size else highest
     return min(max(finest, lowest), highest)
 
@@ -278,8 +283,8 @@ def make_rule(
 ) -> StepRule:
     """The rule for ``log2(step) = class + coefficients @ features``, in integers.
 
-    `unit` and `coarsest` are log2 of the unit and of the largest step size; with `thirds`, shifts
-    count thirds of octaves.
+    `unit` and `coarsest` are log2 of the unit and of the largest step size. With `thirds`, a shift
+    is a third of an octave.
     """
     factor = 3 if thirds else 1
     numbers = [_fixed(factor * (coefficients[0] - unit) + 0.5, (1 << 31) - 1)]
@@ -295,12 +300,13 @@ def _fixed(number: float, largest: int) -> int:
 def blind_coefficients(
     scales: NDArray[np.float64], fineness: float
 ) -> dict[str, NDArray[np.float64]]:
-    """``log2(step) = coefficients @ features`` for each rule, without cameras.
+    """``log2(step) = coefficients @ features`` for each rule, camera-free.
 
     ``scales (3, N)`` are log-scales, descending; `fineness` is a factor on all step sizes.
     """
     octave = math.log(2)
-    # The thickness of flat Gaussians (2DGS) is not seen: their rules count from another one.
+    # The thickness of flat Gaussians (2DGS) is invisible, so their rules start from a nominal
+    # thickness.
     flat = scales.size > 0 and float(np.median(scales[1] - scales[2])) > _FLAT
     if flat:
         scales = np.stack([scales[0], scales[1], scales[1] - _THICKNESS])
@@ -320,7 +326,7 @@ def blind_coefficients(
 
 
 def expected_sensitivity(opacity: NDArray, scales: NDArray) -> Sensitivity:
-    """What the camera-free rules expect, in a common unit; log-scales ``(3, N)`` descending."""
+    """Sensitivities of the camera-free rules, up to a factor; log-scales ``(3, N)`` descend."""
     known = features(opacity, scales)
     rules = blind_coefficients(scales.astype(np.float64), 1.0)
     found = {name: 4.0 ** np.clip(-combine(row, known), -99, 99) for name, row in rules.items()}

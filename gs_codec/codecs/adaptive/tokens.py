@@ -1,7 +1,7 @@
 """Integers as tokens of a small alphabet and raw low bits (after JPEG XL's hybrid integers).
 
-Each magnitude below 16 has a token of its own. The token of a larger one gives its bit length and
-the two bits below the first; the rest is raw. FORMAT.md, section "Tokens".
+Each magnitude below 16 has its own token. The token of a larger one gives its bit length and the
+two bits below the leading one; the other bits are raw. FORMAT.md, section "Tokens".
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ DIRECT = 16
 DIRECT_BITS = 4
 KEPT_BITS = 2
 
-#: Magnitudes have at most this many bits.
+#: Maximum bits of a magnitude.
 MAX_BITS = 30
 
 #: Number of tokens.
 ALPHABET = 2 * (DIRECT + ((MAX_BITS - DIRECT_BITS) << KEPT_BITS))
 
-#: Number of raw bits that complete each token.
+#: Number of raw bits that follow each token.
 RAW_WIDTHS = np.array(
     [
         0 if size < DIRECT else ((size - DIRECT) >> KEPT_BITS) + DIRECT_BITS - KEPT_BITS
@@ -35,7 +35,7 @@ RAW_WIDTHS = np.array(
 
 @inlined
 def token_of(value):
-    """Token of an integer: twice that of its magnitude, plus 1 if it is negative."""
+    """Token of an integer: twice the token of its magnitude, plus 1 if it is negative."""
     size = abs(value)
     if size >= DIRECT:
         length = bit_length(size)
@@ -46,16 +46,16 @@ def token_of(value):
 
 @inlined
 def flipped(value, minus):
-    """The value, or the negative one if `minus` is -1 and not 0, without a branch."""
+    """Negate `value` if `minus` is -1 rather than 0, without a branch."""
     return (value ^ minus) - minus
 
 
 @inlined
 def read_token(words, position, states, symbol, spans, slots, row, bits, used, rarely):
-    """Decode an integer, symbol of a pass, under the table of number `row`.
+    """Decode an integer, symbol number `symbol` of a pass, with table number `row`.
 
-    `rarely` tells whether few tokens have raw bits, so that a processor guesses right that this has
-    none. Returns the integer and the positions after it in words and bits.
+    `rarely` says that few tokens have raw bits, so that a branch on them is well predicted. Returns
+    the integer and the positions after it in words and bits.
     """
     token, position = pull(
         words, position, states, symbol & (LANES - 1),
@@ -63,7 +63,7 @@ def read_token(words, position, states, symbol, spans, slots, row, bits, used, r
         PRECISION, RUN_BITS,
     )  # fmt: skip
     size = token >> 1
-    # Before the branch: of an array that is used only within, references would be counted.
+    # Before the branch: an array that is used only inside it would be reference-counted.
     at = used >> 3
     window = np.int64(bits[np.uint64(at)]) << 32 | np.int64(bits[np.uint64(at + 1)]) << 24
     window |= np.int64(bits[np.uint64(at + 2)]) << 16 | np.int64(bits[np.uint64(at + 3)]) << 8
@@ -89,10 +89,10 @@ def _tokenise(values, tokens, widths):
 def tokenise(
     values: NDArray[np.integer],
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-    """Tokens ``(n,)`` of integers below 2**30 in magnitude, and those with raw bits.
+    """Convert integers below 2**30 in magnitude to tokens ``(n,)`` and raw bits.
 
-    The latter are the numbers, in order, of the integers whose tokens need raw bits, the integers,
-    and the number of these bits.
+    The other three arrays describe the integers with raw bits: their indices, ascending; the
+    integers themselves; and their numbers of raw bits.
     """
     tokens, widths = np.empty((2, len(values)), np.uint8)
     _tokenise(values, tokens, widths)

@@ -21,30 +21,30 @@ from gs_codec.config import AdaptiveProfile
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.scene import Scene
 
-#: Log2 of the smallest step, and of the largest by the rule that it follows: as in an `.egs`.
+#: Log2 of the smallest step size; and of the largest, by rule, as in an `.egs`.
 _FINEST = -40.0
 _COARSEST = {"position": 40, "colour": COARSEST["colour"]} | {
     rule: COARSEST[group] for group, rules in SHAPE_RULES.items() for rule in rules
 }
 
-#: Its multiples are spread evenly between whole numbers.
+#: The fractional parts of its multiples are spread evenly over 0 to 1.
 _GOLDEN = 0.6180339887498949
 
 
 def camera_free_steps(scene: Scene, profile: AdaptiveProfile) -> StepSizes:
-    """The step sizes that a profile has without cameras."""
+    """The camera-free step sizes of a profile."""
     _, scales, _ = sort_axes(scene.log_scale, scene.rot)
     none = np.zeros(scene.count, np.uint8)
     return StepSizes(none, none, blind_coefficients(scales, profile.fineness), (SH_RATIO,) * 3)
 
 
 def wanted_steps(scene: Scene, steps: StepSizes) -> AttributeSteps:
-    """The step sizes of a scene without NaN, infinity or quaternions of norm 0."""
+    """Step sizes of each attribute of a scene without NaN, infinity or quaternions of norm 0."""
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     known = features(scene.opacity[0].astype(np.float64), scales)
 
-    # Where steps are whole octaves apart, writers that round to powers of two would round all at
-    # once to others: sizes of files would jump.
+    # Camera-guided step sizes are whole octaves apart. Without this dither, writers that round to
+    # powers of two would switch all of them at once, and file sizes would jump.
     between = np.arange(scene.count) * _GOLDEN % 1 - 0.5
 
     def wanted(rule: str, more: NDArray | float = 0.0) -> NDArray[np.float64]:
@@ -67,6 +67,6 @@ def wanted_steps(scene: Scene, steps: StepSizes) -> AttributeSteps:
         f_rest=colour * np.array(steps.sh_ratios)[:, None],
         opacity=wanted("opacity"),
         log_scale=log_scale,
-        # Each component of a quaternion has a share in turns about all three axes.
+        # Each quaternion component contributes to turns about all three axes.
         rot=np.mean(turns**-2.0, axis=0) ** -0.5,
     )

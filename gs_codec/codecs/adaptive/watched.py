@@ -1,7 +1,7 @@
 """Decoded values of some Gaussians, kept while a scene is encoded.
 
-With them, the loss in rendered views is measured without decoding the scene, which would take a
-third of the encoding time. They equal the values of a decoder.
+They allow measuring the loss in rendered views without decoding the scene, which would take a third
+of the encoding time. They equal the values of a decoder.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Watched:
     ----------
     scene : Scene
     index : ndarray, shape (M,), int64
-        Their indices in it; in stream order once they are settled.
+        Their indices in the scene; in stream order after `settle`.
     """
 
     def __init__(self, scene: Scene, index: NDArray[np.int64]) -> None:
@@ -36,14 +36,14 @@ class Watched:
 
     @classmethod
     def shown(cls, scene: Scene, shown: Sequence[NDArray[np.int64]]) -> Watched:
-        """Those that any of some windows show, each given by indices in the scene."""
+        """Watch all Gaussians that appear in any crop, each crop given by indices in the scene."""
         wanted = np.zeros(scene.count, np.bool_)
         for own in shown:
             wanted[own] = True
         return cls(scene, np.flatnonzero(wanted))
 
     def settle(self, order: NDArray[np.integer]) -> None:
-        """Find them in the stream, whose Gaussians have the indices ``order (N,)`` in the scene."""
+        """Locate them in the stream; ``order (N,)`` is the scene index of each of its Gaussians."""
         wanted = np.zeros(len(order), np.bool_)
         wanted[self.index] = True
         self._places = np.flatnonzero(wanted[order])
@@ -51,20 +51,20 @@ class Watched:
         self._by_index = np.argsort(self.index)
 
     def within(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Their places within a range of the stream, counted from `start`."""
+        """Their positions within a range of the stream, counted from `start`."""
         first, end = np.searchsorted(self._places, [start, stop])
         return self._places[first:end] - start
 
     def keep(self, start: int, stop: int, **planes: NDArray[np.float32]) -> None:
-        """Keep decoded attribute groups ``(C, m)`` of the Gaussians `within` a range."""
+        """Store decoded attribute groups ``(C, m)`` of the Gaussians `within` a range."""
         first, end = np.searchsorted(self._places, [start, stop])
         for group, values in planes.items():
             self._planes[group][:, first:end] = values
 
     def decoded(self) -> Scene:
-        """Their decoded values in stream order, once all blocks are coded."""
+        """Return their decoded values in stream order, once all blocks are coded."""
         return replace(self._head, **self._planes)
 
     def find(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Ascending places in `decoded` of the Gaussians with these indices in the scene."""
+        """Ascending positions in `decoded` of the Gaussians with these indices in the scene."""
         return np.sort(self._by_index[np.searchsorted(self.index, members, sorter=self._by_index)])

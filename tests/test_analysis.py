@@ -18,8 +18,7 @@ from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entrop
 from gs_codec.analysis.fits import fits_of
 from gs_codec.analysis.information import bin_count, into_bins, mutual_information
 from gs_codec.analysis.maps import maps_of, mean_by_attribute, mean_by_relation
-from gs_codec.analysis.page import page, picture, table
-from gs_codec.analysis.plots import draw_pictures, new_figure, plot_sensitivity, png_of
+from gs_codec.analysis.plots import draw_pictures, plot_sensitivity
 from gs_codec.analysis.sensitivity import (
     LEVELS,
     SCALES,
@@ -32,6 +31,9 @@ from gs_codec.codecs.entropygs.symbols import Coded, order_scene, quantise_and_m
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.pages.figures import new_figure, png_of
+from gs_codec.pages.html import page, picture
+from gs_codec.pages.tables import Table
 from gs_codec.views.estimate import auto_cameras
 
 GROUPS = {
@@ -446,9 +448,9 @@ def test_constant_attributes_have_no_error_over_the_mean():
     assert not any(errors["SH-AC"])
     assert not any(errors["opacity"])
     assert all(errors["rotation"])
-    assert png_of(plot_sensitivity(found)).startswith(b"\x89PNG")
+    assert png_of(plot_sensitivity, found).startswith(b"\x89PNG")
     nothing = replace(found, curves=tuple(c for c in found.curves if not any(c.errors)))
-    assert png_of(plot_sensitivity(nothing)).startswith(b"\x89PNG")
+    assert png_of(plot_sensitivity, nothing).startswith(b"\x89PNG")
 
 
 # Whole scenes
@@ -497,7 +499,7 @@ def test_what_is_left_out_is_said():
 
 
 def test_matplotlib_is_asked_for(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(MissingTool, match="matplotlib"):
         new_figure(1, 1)
 
@@ -506,7 +508,7 @@ def test_matplotlib_is_asked_for(monkeypatch):
 
 
 def test_text_is_escaped():
-    text = page("<&>", [table("<&>", ["<&>"], [["<&>"]]), picture(b"x", '"<&>"')])
+    text = page("<&>", [Table(["<&>"], [["<&>"]]).html("<&>"), picture(b"x", '"<&>"')])
     assert "<&>" not in text
     assert text.count("&lt;&amp;&gt;") == 7
 
@@ -523,11 +525,11 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
 @pytest.fixture
 def no_ink(monkeypatch):
     """Figures are made, but become no pixels, which take longest: reports of all degrees do."""
-    monkeypatch.setattr(plots, "png_of", lambda _: b"\x89PNG")
+    monkeypatch.setattr(plots, "png_of", lambda plot, *args: plot(*args) and b"\x89PNG")
 
 
 def test_numbers_alone_need_no_matplotlib(folder, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     write_ply(folder.path / "scene.ply", random_scene(300, 1, seed=17))
     before = folder.contents()
     status, out, _ = folder.run("analyze", "scene.ply", "--json")

@@ -358,7 +358,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(tmp_path, monkeypatch, a
 
 
 def test_without_matplotlib_nothing_is_begun(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     result = CliRunner().invoke(app, ["bench", "suite", "x.ply", "--out", str(tmp_path / "out")])
     assert isinstance(result.exception, MissingTool)
     assert not (tmp_path / "out").exists()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from gs_codec.analysis.analyse import Analysis
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.maps import Map
 from gs_codec.analysis.sensitivity import SCALES, SensitivityCurves
-from gs_codec.errors import MissingTool
+from gs_codec.pages.figures import new_figure, png_of
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import sh_bands
 
@@ -47,53 +46,30 @@ _TITLES = {
 }
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """A new figure; width and height in inches.
-
-    Raises
-    ------
-    MissingTool
-        If matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingTool("plots: need matplotlib (pip install matplotlib)") from None
-    return Figure(figsize=(width, height), dpi=110)
-
-
-def png_of(figure: Figure) -> bytes:
-    """The figure as PNG data."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    buffer = BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws a figure with a layout twice
-    return buffer.getvalue()
-
-
 def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[str, bytes]:
     """Draw the plots of an analysis: PNG data by file name."""
-    figures = list(_figures(analysis))
-    advance = step_counter(progress, "pictures", len(figures))
+    plots = list(_plots(analysis))
+    advance = step_counter(progress, "pictures", len(plots))
     pictures = {}
-    for name, figure in figures:
-        pictures[f"{name}.png"] = png_of(figure)
+    for name, plot, *args in plots:
+        pictures[f"{name}.png"] = png_of(plot, *args)
         advance()
     return pictures
 
 
-def _figures(analysis: Analysis) -> Iterator[tuple[str, Figure]]:
+def _plots(analysis: Analysis) -> Iterator[tuple[Any, ...]]:
+    """Name of each picture, the function that plots it, and what it plots."""
     if analysis.sh_degree:
-        yield "sh_ac_within_colours", plot_within_colours(analysis.maps)
-        yield "sh_ac_across_colours", plot_across_colours(analysis.maps)
-        yield "sh_ac_others", plot_others(analysis.maps)
-    yield "histograms", plot_attributes(analysis.fits)
+        yield "sh_ac_within_colours", plot_within_colours, analysis.maps
+        yield "sh_ac_across_colours", plot_across_colours, analysis.maps
+        yield "sh_ac_others", plot_others, analysis.maps
+    yield "histograms", plot_attributes, analysis.fits
     if analysis.sh_degree:
         for colour, letter in enumerate("rgb"):
-            yield f"histograms_sh_ac_{letter}", plot_sh(analysis.fits, colour)
+            yield f"histograms_sh_ac_{letter}", plot_sh, analysis.fits, colour
     if analysis.sensitivity is not None:
-        yield "sensitivity", plot_sensitivity(analysis.sensitivity)
-    yield "bits", plot_bits(analysis.bits)
+        yield "sensitivity", plot_sensitivity, analysis.sensitivity
+    yield "bits", plot_bits, analysis.bits
 
 
 def plot_within_colours(maps: Mapping[str, Map]) -> Figure:
@@ -157,6 +133,8 @@ def _draw_maps(figure: Figure, panels: Sequence[tuple[Axes, str, NDArray[np.floa
         image = axis.imshow(values, cmap="cividis", vmin=0.0, vmax=top, interpolation="nearest")
         axis.set_title(title, fontsize=10)
         axis.tick_params(length=0)
+        axis.grid(False)
+        axis.spines[:].set_visible(True)
     figure.set_layout_engine("constrained")
     label = "normalised mutual information"
     axes = [axis for axis, _, _ in panels]
@@ -203,9 +181,8 @@ def plot_sensitivity(sensitivity: SensitivityCurves) -> Figure:
     axis.set_xscale("log")
     axis.set_xlabel(f"error: {SCALES[sensitivity.scale]}")
     axis.set_ylabel("PSNR of views against the unchanged scene, dB")
-    axis.grid(alpha=0.3)
     if curves:
-        axis.legend(title=f"error in (hollow: {sensitivity.profile})", fontsize=9)
+        axis.legend(title=f"error in (hollow: {sensitivity.profile})")
     figure.tight_layout()
     return figure
 
@@ -219,7 +196,7 @@ def plot_bits(bits: dict[str, dict[str, float]]) -> Figure:
     _stack(below, {"lossless": bits["lossless"]})
     below.set_xlabel("bits per Gaussian")
     handles, labels = above.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", ncols=5, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="upper center", ncols=5)
     figure.tight_layout(rect=(0, 0, 1, 0.9))
     return figure
 
@@ -246,7 +223,7 @@ def _stack(axis: Axes, bits: dict[str, dict[str, float]]) -> None:
     axis.invert_yaxis()
     axis.margins(x=0.08)
     axis.set_xlim(left=0)
-    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(axis="y", visible=False)
 
 
 def plot_attributes(fits: Sequence[Fit]) -> Figure:

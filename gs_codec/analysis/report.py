@@ -12,10 +12,11 @@ import numpy as np
 from gs_codec.analysis.analyse import REFERENCE, Analysis, analyse_scene
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.information import BINS
-from gs_codec.analysis.page import heading, listing, number, page, paragraph, picture, table
-from gs_codec.analysis.plots import draw_pictures, new_figure
+from gs_codec.analysis.plots import draw_pictures
 from gs_codec.analysis.sensitivity import SCALES, THRESHOLD, Curve, ErrorScale
 from gs_codec.files.scenes import read_scene
+from gs_codec.pages.html import heading, listing, page, paragraph, picture
+from gs_codec.pages.tables import Table, number
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_writable, write_files
 from gs_codec.runtime.lazy import check_installed
@@ -35,14 +36,14 @@ _SCALE_TEXTS: dict[ErrorScale, str] = {
 
 _GROUPS = ("rotation", "scaling", "opacity", "sh-ac", "total")
 
-#: Columns of the tables of entropies: title, key in `entropy_by_group`, and digits.
+#: Columns of the tables of entropies: title, key in `entropy_by_group`, and format.
 _ENTROPY = (
-    ("entropy", "bits_per_symbol", 3),
-    ("coded", "coded_bits_per_symbol", 3),
-    ("over %", "coded_overhead_percent", 2),
-    ("parametric %", "parametric_overhead_percent", 2),
-    ("paper: entropy", "paper_bits_per_symbol", 3),
-    ("over %", "paper_overhead_percent", 2),
+    ("entropy", "bits_per_symbol", ".3f"),
+    ("coded", "coded_bits_per_symbol", ".3f"),
+    ("over %", "coded_overhead_percent", ".2f"),
+    ("parametric %", "parametric_overhead_percent", ".2f"),
+    ("paper: entropy", "paper_bits_per_symbol", ".3f"),
+    ("over %", "paper_overhead_percent", ".2f"),
 )
 
 
@@ -73,7 +74,7 @@ def analyse_file(
     check_installed("scipy", "analyze")
     if folder is not None:
         # Find out that the report cannot be written before doing the work.
-        new_figure(1, 1)
+        check_installed("matplotlib", "plots")
         target = Path(folder)
         there = next(path for path in (target, *target.absolute().parents) if path.exists())
         check_writable(there / "report.html")
@@ -131,8 +132,8 @@ def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
         "magnitude). Training leaves the SH-AC of a colour at zero if it is stuck at black; this "
         "makes otherwise independent channels look dependent."
     )
-    yield _means_table(analysis, "SH-AC with SH-AC", "pairs", ("", "-ycocg"), 3)
-    yield _means_table(analysis, "SH-AC with other attributes", "SH-AC with", ("-others",), 4)
+    yield _means_table(analysis, "SH-AC with SH-AC", "pairs", ("", "-ycocg"), ".3f")
+    yield _means_table(analysis, "SH-AC with other attributes", "SH-AC with", ("-others",), ".4f")
     yield picture(
         pictures["sh_ac_within_colours.png"],
         "SH-AC with SH-AC of the same colour. Grey: a channel with itself.",
@@ -152,11 +153,11 @@ def _colour_table(analysis: Analysis) -> str:
         for i, j in ((0, 1), (0, 2), (1, 2)):
             values = [number(found.information[bins].corrected[i, j]) for bins in BINS]
             rows.append([f"{found.rows[i]} and {found.rows[j]}", *values])
-    return table("SH-DC across colours", ["pair", "NMI", "widths"], rows)
+    return Table(["pair", "NMI", "widths"], rows).html("SH-DC across colours")
 
 
 def _means_table(
-    analysis: Analysis, caption: str, column: str, kinds: Sequence[str], digits: int
+    analysis: Analysis, caption: str, column: str, kinds: Sequence[str], form: str
 ) -> str:
     """Means over pairs of channels, of all Gaussians and of the coloured ones, by either bins."""
     columns = ["all Gaussians", "coloured", "all, widths", "coloured, widths"]
@@ -164,8 +165,8 @@ def _means_table(
     for kind in kinds:
         cells = [of[f"{part}{kind}"] for of in means for part in ("sh-ac", "sh-ac-coloured")]
         for name in cells[0]:
-            rows.append([name, *(number(cell[name], digits) for cell in cells)])
-    return table(f"{caption}: mean over the pairs", [column, *columns], rows)
+            rows.append([name, *(number(cell[name], form) for cell in cells)])
+    return Table([column, *columns], rows).html(f"{caption}: mean over the pairs")
 
 
 def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -181,11 +182,11 @@ def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[s
     )
     yield picture(pictures["histograms.png"], "All channels but SH-AC.")
     shaped = [fit for fit in analysis.fits if fit.channel.group != "f_rest"]
-    yield table(
-        f"Models at the depths of {REFERENCE}",
+    yield Table(
         ["channel", "bits", "entropy", "KS", "KL", "weight x mean ± sigma"],
         [_mixture_row(fit) for fit in shaped],
-    )
+        left=(0, -1),
+    ).html(f"Models at the depths of {REFERENCE}")
     flat = [fit for fit in analysis.fits if fit.channel.group == "f_rest"]
     if not flat:
         return
@@ -198,11 +199,10 @@ def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[s
     for letter in "RGB":
         name = f"histograms_sh_ac_{letter.lower()}.png"
         yield picture(pictures[name], f"SH-AC of {letter}, one row per SH degree.")
-    yield table(
-        f"SH-AC at the depths of {REFERENCE}",
+    yield Table(
         ["channel", "median", "scale", "zeros", "entropy", "KS", "KS of others", "KL"],
         [_laplace_row(fit) for fit in sorted(flat, key=lambda fit: fit.channel.index)],
-    )
+    ).html(f"SH-AC at the depths of {REFERENCE}")
 
 
 def _mixture_row(fit: Fit) -> list[str]:
@@ -238,9 +238,9 @@ def _entropy(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]
         rows = []
         for group in _GROUPS:
             if measured := known["groups"].get(group):
-                cells = [number(measured.get(key), digits) for _, key, digits in _ENTROPY]
+                cells = [number(measured.get(key), form) for _, key, form in _ENTROPY]
                 rows.append([group, known["depths"].get(group, ""), *cells])
-        yield table(profile, columns, rows)
+        yield Table(columns, rows).html(profile)
 
 
 def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -269,20 +269,20 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
         [
             curve.attribute,
             _tolerance(curve),
-            "-" if curve.tolerance_of_range is None else f"{curve.tolerance_of_range:.2e}",
+            number(curve.tolerance_of_range, ".2e"),
             f"{curve.profile_error:.2e}",
         ]
         for curve in found.ranked()
     ]
     caption = f"Error at which views fall to {THRESHOLD:.0f} dB: {SCALES[found.scale]}"
-    yield table(caption, columns, rows)
+    yield Table(columns, rows).html(caption)
 
 
 def _tolerance(curve: Curve) -> str:
     """The error at the threshold, or the largest one measured if views stay above it."""
     if curve.tolerance is not None:
         return f"{curve.tolerance:.2e}"
-    return f"> {curve.errors[-1]:.2e}" if curve.errors[-1] else "-"
+    return f"> {curve.errors[-1]:.2e}" if curve.errors[-1] else ""
 
 
 def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -293,5 +293,5 @@ def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
     )
     yield picture(pictures["bits.png"], "Bits per Gaussian by attribute.")
     bits = analysis.as_dict()["bits_by_profile"]
-    rows = [[part, *(number(of[part], 2) for of in bits.values())] for part in bits[REFERENCE]]
-    yield table("Bits per Gaussian", ["attribute", *bits], rows)
+    rows = [[part, *(number(of[part], ".2f") for of in bits.values())] for part in bits[REFERENCE]]
+    yield Table(["attribute", *bits], rows).html("Bits per Gaussian")

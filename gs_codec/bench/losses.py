@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_scene
-from gs_codec.bench.suite.tables import markdown
 from gs_codec.cameras.camera import Camera
 from gs_codec.config import RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene
+from gs_codec.pages.tables import Table, number
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
@@ -181,15 +181,13 @@ def loss_table(lines: Sequence[Line]) -> list[str]:
             ("worse", f"and at most {WORSE} dB more than camera-free at equal size"),
         )
     ]
-    return [*markdown(columns, rows), "", *met]
+    return [*Table(columns, rows, left=(0, -1)).markdown().splitlines(), "", *met]
 
 
 def _row(line: Line) -> list[str]:
     free = line[FREE]
-    said = free["reported"]
     row = [line["scene"], f"{line['gaussians']:,}", str(line["views"])]
-    row += [f"{free['bits_per_gaussian']:.1f}", f"{free['loss']:.3f}"]
-    row.append("-" if said is None else f"{said:.3f}")
+    row += [f"{free['bits_per_gaussian']:.1f}", f"{free['loss']:.3f}", number(free["reported"])]
     for way in (ESTIMATED, GIVEN):
         each = line[way]
         row.append(f"{each['bits_per_gaussian']:.1f}")

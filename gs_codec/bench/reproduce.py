@@ -14,12 +14,12 @@ from typing import Any
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
 from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
-from gs_codec.bench.suite.tables import escaped, markdown
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
 from gs_codec.metrics.image_quality import Quality
 from gs_codec.metrics.lpips import VARIABLE
+from gs_codec.pages.tables import Table, escaped, number
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.prepare_report import PrepareReport, StepReport, coding_steps
 from gs_codec.preparation.presets import PRESETS
@@ -159,7 +159,7 @@ def tables_of(lines: Sequence[Line]) -> str:
         ("Seconds", _seconds),
         ("Ablation", _ablation),
     ):
-        parts += [f"## {title}", "\n".join(table(lines, scenes))]
+        parts += [f"## {title}", table(lines, scenes).markdown()]
     facts = (host["command"], counted(host["iterations"], "iteration"), host["processor"])
     return "\n\n".join([*parts, ", ".join(map(escaped, facts))]) + "\n"
 
@@ -168,7 +168,7 @@ def _of(lines: Sequence[Line], kind: str, scene: str) -> list[Line]:
     return [line for line in lines if line["kind"] == kind and line["scene"] == scene]
 
 
-def _overheads(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
+def _overheads(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
     rows = []
     for scene in scenes:
         known = next(x for x in _of(lines, "profile", scene) if x["profile"] == "paper-m")["models"]
@@ -181,18 +181,18 @@ def _overheads(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
             rows.append([f"{escaped(scene)}, {name}", *cells])
     rows.append(["*the paper, overhead %*", *(f"{x:.2f}" for x in paper.OVERHEAD_PERCENT.values())])
     rows.append(["*the paper, bits*", *(f"{x:.3f}" for x in paper.ENTROPY_BITS.values())])
-    return markdown(["", *paper.ENTROPY_BITS], rows)
+    return Table(["", *paper.ENTROPY_BITS], rows)
 
 
-def _depths(_: Sequence[Line], __: Sequence[str]) -> list[str]:
+def _depths(_: Sequence[Line], __: Sequence[str]) -> Table:
     rows = [
         [f"`{profile}`", *(str(Config(profile).resolved_depths()[group]) for group in DEPTH_GROUPS)]
         for profile in PROFILES
     ]
-    return markdown(["", *DEPTH_GROUPS], rows)
+    return Table(["", *DEPTH_GROUPS], rows)
 
 
-def _results(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
+def _results(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
     rows = []
     for scene in scenes:
         for line in _of(lines, "profile", scene):
@@ -200,7 +200,7 @@ def _results(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
                 escaped(scene), f"`{line['profile']}`", f"{line['output_bytes'] / 1e6:.2f}",
                 f"{line['input_bytes'] / line['output_bytes']:.1f}x", line["geometry"],
                 *(
-                    _shown(line[kind][metric], f"{sign}.{digits}f")
+                    number(line[kind][metric], f"{sign}.{digits}f")
                     for metric, digits in _METRICS.values()
                     for kind, sign in (("quality", ""), ("delta", "+"))
                 ),
@@ -211,12 +211,7 @@ def _results(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
         f"{psnr:.2f}", f"{psnr - first:+.2f}", "", "", "", "",
     ])  # fmt: skip
     known = (label for name in _METRICS for label in (name, f"delta-{name.split()[0]}"))
-    return markdown(["scene", "profile", "MB", "times smaller", "geometry", *known], rows)
-
-
-def _shown(value: float | None, form: str) -> str:
-    """A figure; empty for one that is not known, such as the PSNR of equal images."""
-    return "" if value is None else format(value, form)
+    return Table(["scene", "profile", "MB", "times smaller", "geometry", *known], rows, left=(0, 1))
 
 
 def _delta(psnr: float, before: float | None) -> str:
@@ -224,7 +219,7 @@ def _delta(psnr: float, before: float | None) -> str:
     return "" if before is None else f"{psnr - before:+.2f}"
 
 
-def _seconds(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
+def _seconds(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
     rows = []
     for scene in scenes:
         for line in _of(lines, "profile", scene):
@@ -233,10 +228,10 @@ def _seconds(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
     for name, known in paper.SECONDS.items():
         cells = [f"{known[way]}" for way in ("encode", "decode")]
         rows.append([f"*the paper, {paper.MEAN_GAUSSIANS / 1e6:.2f} M, {name}*", "", *cells])
-    return markdown(["scene", "profile", "encode", "decode"], rows)
+    return Table(["scene", "profile", "encode", "decode"], rows, left=(0, 1))
 
 
-def _ablation(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
+def _ablation(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
     rows = []
     for scene in scenes:
         steps = [x for x in _of(lines, "step", scene) if x["profile"] in (None, "paper-m")]
@@ -246,12 +241,12 @@ def _ablation(lines: Sequence[Line], scenes: Sequence[str]) -> list[str]:
             rows.append([
                 escaped(scene) if step is first else "", step["step"], f"{step['gaussians']:,}",
                 f"{step['bytes'] / 1e6:.2f}", f"{first['bytes'] / step['bytes']:.1f}x",
-                "" if psnr is None else f"{psnr:.2f}",
+                number(psnr, ".2f"),
                 "" if psnr is None else _delta(psnr, first["psnr"]), f"{step['seconds']:.0f}",
                 *_published(known),
             ])  # fmt: skip
     columns = ["scene", "step", "Gaussians", "MB", "times smaller", "PSNR dB", "delta-PSNR", "s"]
-    return markdown([*columns, "*paper: times smaller*", "*delta-PSNR*"], rows)
+    return Table([*columns, "*paper: times smaller*", "*delta-PSNR*"], rows, left=(0, 1))
 
 
 def _published(known: tuple[float, float] | None) -> list[str]:

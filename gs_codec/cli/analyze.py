@@ -17,6 +17,7 @@ from gs_codec.cli.output import (
 )
 from gs_codec.cli.request import Typed, takes
 from gs_codec.errors import InvalidInput
+from gs_codec.pages.tables import Table
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted
@@ -75,11 +76,13 @@ def command(
         print_text(f"most sensitive first: {ranked}")
     bits = content["bits_by_profile"]
     print_table(
-        ["bits a Gaussian", *bits],
-        [
-            [part, *(f"{of_profile[part]:.2f}" for of_profile in bits.values())]
-            for part in next(iter(bits.values()))
-        ],
+        Table(
+            ["bits a Gaussian", *bits],
+            [
+                [part, *(f"{of_profile[part]:.2f}" for of_profile in bits.values())]
+                for part in next(iter(bits.values()))
+            ],
+        )
     )
     assert out is not None
     print_text(f"report: {out / 'report.html'}")

@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,9 +19,11 @@ from gs_codec.cli.output import print_status, print_table, print_text, progress_
 from gs_codec.cli.request import Typed, takes
 from gs_codec.config import PROFILE_CHOICES, PROFILES_SHOWN, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.pages.tables import Table
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder, write_files
+from gs_codec.runtime.lazy import check_installed
 
 
 def print_codecs(lines: list[dict[str, Any]]) -> None:
@@ -31,9 +33,9 @@ def print_codecs(lines: list[dict[str, Any]]) -> None:
 
     results = Results(lines)
     for scene in results.scenes:
-        columns, rows = codec_table(results, scene)
-        plain = [[cell.replace("`", "").replace("\\", "") for cell in row] for row in rows]
-        print_table([f"{scene}: codec", *columns[1:]], plain, sys.stderr)
+        table = codec_table(results, scene)
+        rows = [[cell.replace("`", "").replace("\\", "") for cell in row] for row in table.rows]
+        print_table(Table([f"{scene}: codec", *table.columns[1:]], rows), sys.stderr)
     for reason in results.absent:
         print_status(reason)
 
@@ -49,6 +51,15 @@ def _written(lines: Iterator[dict[str, Any]], target: Path) -> Iterator[dict[str
         for line in lines:
             print(json.dumps(line, allow_nan=False), file=file, flush=True)
             yield line
+
+
+def _printed(lines: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The result lines, each printed as JSON as soon as it is there."""
+    printed = []
+    for line in lines:
+        print_text(json.dumps(line))
+        printed.append(line)
+    return printed
 
 
 @takes("threads", "width", "overwrite")
@@ -82,7 +93,6 @@ def measure_suite(
     Ten minutes for each 100,000 Gaussians, or so, and as many again for refined ones;
     suite.jsonl has all lines measured so far.
     """
-    from gs_codec.analysis.plots import new_figure
     from gs_codec.bench.suite.report import write_report
     from gs_codec.bench.suite.run import Options, run_suite
 
@@ -90,18 +100,16 @@ def measure_suite(
         tuple(scenes or ()), repeats, typed["threads"], typed["width"], frozenset(skip or ())
     )
     check_folder(out, typed["overwrite"])
-    new_figure(1, 1)  # without matplotlib there is no report: refused before the work
+    check_installed("matplotlib", "plots")
     start = time.monotonic()
 
     def tell(stage: str) -> None:
         minutes, seconds = divmod(round(time.monotonic() - start), 60)
         print_status(f"{minutes:3}:{seconds:02} {stage}")
 
-    target, lines = make_folder(out) / "suite.jsonl", []
+    target = make_folder(out) / "suite.jsonl"
     check_writable(target)
-    for line in _written(run_suite(options, _typed(), tell), target):
-        print_text(json.dumps(line))
-        lines.append(line)
+    lines = _printed(_written(run_suite(options, _typed(), tell), target))
     tell("report")
     write_report(lines, out)
     print_codecs(lines)
@@ -160,11 +168,8 @@ def measure_captures(
     from gs_codec.bench.losses import loss_table, measure_losses
     from gs_codec.runtime.threads import using_threads
 
-    lines = []
     with using_threads(typed["threads"]), progress_bar() as progress:
-        for line in measure_losses(scenes, progress):
-            print_text(json.dumps(line))
-            lines.append(line)
+        lines = _printed(measure_losses(scenes, progress))
     for text in loss_table(lines):
         print_status(text)
 
@@ -221,11 +226,7 @@ def measure(
     from gs_codec.bench.measure import measure_scenes
 
     views, peers = (cameras, typed["gt_images"], typed["width"]), typed.command == "peers"
-    lines = []
-    for line in measure_scenes(scenes, configs, tile, repeats, *views, peers):
-        print_text(json.dumps(line))
-        lines.append(line)
-    print_codecs(lines)
+    print_codecs(_printed(measure_scenes(scenes, configs, tile, repeats, *views, peers)))
 
 
 for _name, _help in (

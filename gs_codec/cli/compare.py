@@ -17,6 +17,7 @@ from gs_codec.cli.output import (
     progress_bar,
 )
 from gs_codec.cli.request import Typed, takes
+from gs_codec.pages.tables import Table
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted
@@ -90,8 +91,10 @@ def command(
 def _print_attributes(comparison: Comparison) -> None:
     print_text(f"{counted(comparison.counts[0], 'Gaussian')}, matched by {comparison.matched_by}")
     print_table(
-        ["attribute", "unit", "max error", "rms error"],
-        [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
+        Table(
+            ["attribute", "unit", "max error", "rms error"],
+            [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
+        )
     )
     print_text("Invisible Gaussians count too; --cameras auto compares what cameras see")
 
@@ -111,7 +114,7 @@ def _print_views(comparison: Comparison) -> None:
     rows = [_row(view.name, view) for view in comparison.views]
     rows += [_row("mean", mean), _row(f"worst: {worst.name}", worst)]
     print_text("Gaussians: {:,} in A, {:,} in B".format(*comparison.counts))
-    print_table(columns, rows)
+    print_table(Table(columns, rows))
 
 
 def _row(name: str, view: View) -> list[str]:

@@ -20,6 +20,7 @@ from gs_codec.cli.output import (
 from gs_codec.cli.request import Typed, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import EGS
+from gs_codec.pages.tables import Table
 from gs_codec.report import bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text
 
@@ -117,28 +118,16 @@ def _print_statistics(statistics: Statistics) -> None:
     rows = [_attribute_row(attribute) for attribute in statistics.attributes]
     columns = ["min", "1 %", "median", "99 %", "max", "NaN", "Inf", "1 % to 99 %"]
     print_text("")
-    print_table(*_to_the_left(["attribute", "unit", *columns], rows, 1, -1))
+    print_table(Table(["attribute", "unit", *columns], rows, left=(0, 1, -1)))
     rows = [[s.name, f"{s.count:,}", _percent(s.share), s.rule] for s in statistics.shares]
     print_text("")
-    print_table(*_to_the_left(["Gaussians", "number", "share", "rule"], rows, -1))
+    print_table(Table(["Gaussians", "number", "share", "rule"], rows, left=(0, -1)))
     print_text(
         "",
         f"memory: {statistics.bytes_per_gaussian} bytes per Gaussian, floats "
         f"{size_text(statistics.raw_bytes)}; camera-free encoding takes up to "
         f"{size_text(needed_bytes(statistics.raw_bytes))}",
     )
-
-
-def _to_the_left(
-    names: list[str], rows: list[list[str]], *columns: int
-) -> tuple[list[str], list[list[str]]]:
-    """A table with some columns padded, so that they stand to the left."""
-    lines = [list(line) for line in (names, *rows)]
-    for column in columns:
-        width = max(len(line[column]) for line in lines)
-        for line in lines:
-            line[column] = line[column].ljust(width)
-    return lines[0], lines[1:]
 
 
 def _attribute_row(found: AttributeStatistics) -> list[str]:
@@ -200,11 +189,13 @@ def _print_info(file: Path, info: Info) -> None:
     if info.far:
         print_text(f"far Gaussians: {info.far:,}, with exact centres")
     print_table(
-        ["stream", "bytes", "bits/Gaussian", "depth", "models"],
-        [_stream_row(stream, info) for stream in info.streams],
+        Table(
+            ["stream", "bytes", "bits/Gaussian", "depth", "models"],
+            [_stream_row(stream, info) for stream in info.streams],
+        )
     )
     if info.levels:
-        print_table(
+        print_table(Table(
             ["level", "Gaussians", "blocks", "bytes", "least error", "largest error"],
             [
                 [
@@ -213,7 +204,7 @@ def _print_info(file: Path, info: Info) -> None:
                 ]
                 for one in info.levels
             ],
-        )  # fmt: skip
+        ))  # fmt: skip
     if info.skipped:
         print_text("skipped:", *(f"  {line}" for line in info.skipped))
 
@@ -221,16 +212,26 @@ def _print_info(file: Path, info: Info) -> None:
 def _print_channels(info: Info) -> None:
     if info.passes:
         print_table(
-            ["symbols", "stream", "tables", "finest step", "coarsest step"],
-            [
-                [p.name, p.stream, str(p.tables), f"{p.finest_step:.4g}", f"{p.coarsest_step:.4g}"]
-                for p in info.passes
-            ],
+            Table(
+                ["symbols", "stream", "tables", "finest step", "coarsest step"],
+                [
+                    [
+                        p.name,
+                        p.stream,
+                        str(p.tables),
+                        f"{p.finest_step:.4g}",
+                        f"{p.coarsest_step:.4g}",
+                    ]
+                    for p in info.passes
+                ],
+            )
         )
     else:
         print_table(
-            ["channel", "quantiser", "depth", "origin", "step", "model", "parameters"],
-            [_channel_row(channel) for channel in info.as_dict()["channels"]],
+            Table(
+                ["channel", "quantiser", "depth", "origin", "step", "model", "parameters"],
+                [_channel_row(channel) for channel in info.as_dict()["channels"]],
+            )
         )
 
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any, TextIO
 
 from gs_codec.errors import printable
+from gs_codec.pages.tables import Table
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.warned import log_warnings
 from gs_codec.runtime.wording import as_typed, size_text
@@ -93,16 +94,10 @@ def _show_compiling(shown: bool) -> None:
     logger.setLevel(logging.INFO if shown else logging.WARNING)
 
 
-def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None = None) -> None:
-    """Aligned columns; the first to the left, the others to the right."""
-    if not (_Loudness.results if file is None else _Loudness.status):
-        return
-    rows = [[printable(cell) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
-    for row in [columns, *rows]:
-        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
-        cells[0] = row[0].ljust(widths[0])
-        print("  ".join(cells).rstrip(), file=file)
+def print_table(table: Table, file: TextIO | None = None) -> None:
+    """A table, on stdout unless a file is given."""
+    if _Loudness.results if file is None else _Loudness.status:
+        print(table.text(), file=file)
 
 
 def bars(counts: Sequence[int]) -> str:
@@ -129,8 +124,7 @@ def print_prepared(prepared: dict[str, Any]) -> None:
     for reason, number in prepared["removed"].items():
         if number:
             print_text(f"pruned by {reason}: {number:,} of {prepared['input_gaussians']:,}")
-    columns, *rows = ablation_table(prepared)
-    print_table(columns, rows)
+    print_table(ablation_table(prepared))
 
 
 def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.config import PROFILES, Config
 from gs_codec.metrics.image_quality import Quality
+from gs_codec.pages.tables import Table
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.report import EncodeReport, RenderedLoss
 from gs_codec.runtime.atomic import write_files
@@ -129,16 +129,16 @@ def centres_checksum(positions: NDArray[np.float32]) -> int:
     return int(crc32c(np.ascontiguousarray(sizes.T, "<f4").tobytes()))
 
 
-def ablation_table(prepared: dict[str, Any]) -> list[list[str]]:
-    """Rows of a report's table, in the form of the paper's ablation; the first has the titles."""
-    rows = [["step", "Gaussians", "MB", "PSNR dB", "SSIM", "s"]]
+def ablation_table(prepared: dict[str, Any]) -> Table:
+    """A report's steps in the form of the paper's ablation."""
+    rows = []
     for step in prepared["steps"]:
         quality = step["quality"]
         psnr = "inf" if quality["psnr"] is None else f"{quality['psnr']:.3f}"
         size, seconds = f"{step['size_bytes'] / 1e6:.3f}", f"{step['seconds']:.1f}"
         looks = [psnr, f"{quality['ssim']:.4f}"]
         rows.append([step["name"], f"{step['gaussians']:,}", size, *looks, seconds])
-    return rows
+    return Table(["step", "Gaussians", "MB", "PSNR dB", "SSIM", "s"], rows)
 
 
 def save_report(folder: str | Path, report: PrepareReport) -> None:
@@ -157,16 +157,10 @@ def save_report(folder: str | Path, report: PrepareReport) -> None:
     plain = report.as_dict()
     files = {
         "report.json": json.dumps(plain, indent=1).encode() + b"\n",
-        "ablation.md": _markdown(ablation_table(plain)).encode(),
+        "ablation.md": f"{ablation_table(plain).markdown()}\n".encode(),
         "labels.npy": labels.getvalue(),
     }
     write_files(folder, files)
-
-
-def _markdown(rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    lines.insert(1, "|---" + "|---:" * (len(rows[0]) - 1) + "|")
-    return "\n".join(lines) + "\n"
 
 
 def coding_steps(

@@ -66,7 +66,7 @@ def pip_install(extra: str) -> str:
 
 
 def needed(module: str, what: str) -> ModuleType:
-    """A module of Open3D or scipy, which gs-codec-core goes without.
+    """A module of Open3D, scipy or matplotlib, which gs-codec-core goes without.
 
     Raises
     ------

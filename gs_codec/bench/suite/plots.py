@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.analysis.plots import new_figure
 from gs_codec.bench.side_by_side import BY_RENDERS, GUIDED, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES
+from gs_codec.pages.figures import make_logarithmic, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,17 +35,6 @@ _CURVES = {
 _COLOURS = ("#12858a", "#a3468f", "#8a6d00", "#b3203a", "#5a4fb0", "#3d7a1f")
 _MARKS = ("*", "P", "X", "v", "D", "<", ">")
 
-STYLE: dict[Any, Any] = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "font.size": 9.5,
-    "grid.color": "#e2e2e2",
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-}
-
 #: Ticks of the axis of losses, which is logarithmic beyond the first.
 _LOSSES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
@@ -64,7 +53,7 @@ def plot_rate(results: Results, scene: str) -> Figure:
         _dress_quality(axis, quality)
     axes[-1].margins(x=0.1)
     axes[-1].set_xlabel("bits / Gaussian")
-    _make_logarithmic(axes[-1], "x")
+    make_logarithmic(axes[-1], "x")
     return _with_legend(figure, axes[0])
 
 
@@ -87,7 +76,7 @@ def plot_time(results: Results, scene: str) -> Figure:
                 ends = [line[f"{way}_seconds"][end] for end in ("min", "max")]
                 axis.plot(ends, [value] * 2, color="#999999", zorder=1)
         axis.set_xlabel(f"seconds to {way}")
-        _make_logarithmic(axis, "x")
+        make_logarithmic(axis, "x")
     _dress_quality(axes[0], quality)
     return _with_legend(figure, axes[1])
 
@@ -101,7 +90,7 @@ def plot_frontier(results: Results, scene: str) -> Figure:
     for curve in _CURVES:
         _draw_profiles(axis, _profiles(lines, curve), curve, lambda line: line["ratio"], quality)
     axis.set_xlabel("times smaller than the PLY")
-    _make_logarithmic(axis, "x")
+    make_logarithmic(axis, "x")
     _dress_quality(axis, quality)
     return _with_legend(figure, axis)
 
@@ -125,8 +114,8 @@ def plot_scaling(results: Results) -> Figure:
     memory.set_ylabel("peak memory, MB")
     for axis in (times, memory):
         axis.set_xlabel("Gaussians")
-        _make_logarithmic(axis, "x")
-        _make_logarithmic(axis, "y")
+        make_logarithmic(axis, "x")
+        make_logarithmic(axis, "y")
         axis.legend()
     figure.tight_layout()
     return figure
@@ -205,17 +194,6 @@ def _dress_quality(axis: Axes, quality: Number) -> None:
     axis.set_ylim(min(1.3 * low, -_LOSSES[0]), max(1.3 * high, _LOSSES[0] / 4))
     axis.yaxis.set_major_locator(FixedLocator([*(-loss for loss in _LOSSES), 0, *_LOSSES]))
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:+g}" if value else "0"))
-
-
-def _make_logarithmic(axis: Axes, which: str) -> None:
-    """A logarithmic axis with plain numbers at 1, 2 and 5 of each decade."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    (axis.set_xscale if which == "x" else axis.set_yscale)("log")
-    side = axis.xaxis if which == "x" else axis.yaxis
-    side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    side.set_minor_locator(NullLocator())
-    side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
 
 
 def _with_legend(figure: Figure, axis: Axes) -> Figure:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.analysis.plots import new_figure, png_of
 from gs_codec.bench.side_by_side import is_ours
 from gs_codec.bench.suite import plots, tables
 from gs_codec.bench.suite.results import Results
+from gs_codec.pages.figures import png_of
+from gs_codec.pages.tables import escaped
 from gs_codec.runtime.atomic import write_files
+from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
@@ -52,33 +54,27 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     InvalidInput
         If a file cannot be written.
     """
-    new_figure(1, 1)  # without matplotlib nothing is begun
-    from matplotlib import rc_context
-
+    check_installed("matplotlib", "plots")
     results, pictures = Results(lines), dict[str, bytes]()
 
-    def draw(name: str, figure: Figure, shown: str) -> str:
+    def draw(name: str, shown: str, plot: Callable[..., Figure], *args: Any) -> str:
         plain = re.sub(r"[^A-Za-z0-9]+", "-", name)[:60].strip("-")
         file = f"{plain}.png" if f"{plain}.png" not in pictures else f"{plain}-{len(pictures)}.png"
-        figure.set_dpi(150)
-        pictures[file] = png_of(figure)
+        pictures[file] = png_of(plot, *args)
         return f"![{shown}]({file})"
 
-    with rc_context(plots.STYLE):
-        parts = ["# Benchmarks of gs_codec", _INTRODUCTION]
-        for scene in results.scenes:
-            parts += _scene_parts(results, scene, draw)
-        if results.of("geometry"):
-            table = tables.markdown(*tables.geometry_table(results))
-            parts += ["## Positions", _POSITIONS, "\n".join(table)]
-        if results.of("scaling"):
-            picture = draw("scaling", plots.plot_scaling(results), "Time and memory by Gaussians")
-            parts += ["## Scaling", _GROWTH, picture]
+    parts = ["# Benchmarks of gs_codec", _INTRODUCTION]
+    for scene in results.scenes:
+        parts += _scene_parts(results, scene, draw)
+    if results.of("geometry"):
+        parts += ["## Positions", _POSITIONS, tables.geometry_table(results).markdown()]
+    if results.of("scaling"):
+        picture = draw("scaling", "Time and memory by Gaussians", plots.plot_scaling, results)
+        parts += ["## Scaling", _GROWTH, picture]
     if results.of("device"):
-        table = tables.markdown(*tables.device_table(results))
-        parts += ["## On a CUDA device", _DEVICE, "\n".join(table)]
+        parts += ["## On a CUDA device", _DEVICE, tables.device_table(results).markdown()]
     parts += _circumstances(results)
-    headline = "\n".join(tables.headline(lines)) + "\n"
+    headline = tables.headline(lines).markdown() + "\n"
     text = "\n\n".join(part for part in parts if part) + "\n"
     write_files(
         folder,
@@ -94,15 +90,13 @@ def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
     """Tables and pictures of a scene."""
     codecs = results.of("beside", scene)
     parts = [f"## {tables.scene_title(results, scene)}", tables.views(results, scene)]
-    table = tables.markdown(*tables.codec_table(results, scene))
-    parts += ["\n".join(table), tables.rates(results, scene)]
-    rate = plots.plot_rate(results, scene)
-    parts.append(draw(f"rate-{scene}", rate, "Quality against bits for each Gaussian"))
+    parts += [tables.codec_table(results, scene).markdown(), tables.rates(results, scene)]
+    drawn = [("rate", "bits for each Gaussian", plots.plot_rate)]
     if codecs:
-        time = plots.plot_time(results, scene)
-        parts.append(draw(f"time-{scene}", time, "Quality against seconds"))
-        frontier = plots.plot_frontier(results, scene)
-        parts.append(draw(f"frontier-{scene}", frontier, "Quality against times smaller"))
+        drawn.append(("time", "seconds", plots.plot_time))
+        drawn.append(("frontier", "times smaller", plots.plot_frontier))
+    for name, over, plot in drawn:
+        parts.append(draw(f"{name}-{scene}", f"Quality against {over}", plot, results, scene))
     return parts
 
 
@@ -111,7 +105,7 @@ def _circumstances(results: Results) -> list[str]:
     machine, facts = results.first("machine"), []
     for name in ("command", "date", "commit", "processor", "threads", "system", "python"):
         if machine.get(name) is not None:
-            facts.append(f"- {name}: {tables.escaped(str(machine[name]))}")
+            facts.append(f"- {name}: {escaped(str(machine[name]))}")
     known = {x["codec"]: x["version"] for x in results.of("beside") if not is_ours(x["codec"])}
     versions = [f"{name} ({v})" for name, v in (machine.get("packages", {}) | known).items()]
     facts += [f"- versions: {', '.join(versions)}"] if versions else []
@@ -119,6 +113,6 @@ def _circumstances(results: Results) -> list[str]:
         f"- installed, {name}: {counted(size['packages'], 'package')}, {size_text(size['bytes'])}"
         for name, size in machine.get("installed", {}).items()
     ]
-    facts += [f"- not measured: {tables.escaped(reason)}" for reason in results.absent]
+    facts += [f"- not measured: {escaped(reason)}" for reason in results.absent]
     facts += [f"- left out with --skip: {group}" for group in machine.get("skipped", ())]
     return ["## Circumstances", "\n".join(facts)] if facts else []

@@ -8,6 +8,7 @@ from gs_codec.bench.side_by_side import BY_RENDERS, ESTIMATED, GUIDED, OURS_AS, 
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.config import LOSSLESS
+from gs_codec.pages.tables import Table, escaped, number
 from gs_codec.runtime.wording import counted
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
@@ -26,8 +27,8 @@ _SHOWN = (
 _LEFT_OUT = {"splat-transform, spz", "zstd, PLY"}
 
 
-def headline(lines: Sequence[Line]) -> list[str]:
-    """Lines of the README's table: codecs by effort, and for each scene how small and how good.
+def headline(lines: Sequence[Line]) -> Table:
+    """The README's table: codecs by effort, and for each scene how small and how good.
 
     Quality is delta-PSNR, or PSNR against the scene's own views; times are those of the first
     scene that has a codec.
@@ -47,11 +48,11 @@ def headline(lines: Sequence[Line]) -> list[str]:
         first = next(iter(measured.values()))
         rows.append([_name(first), *cells, *_times(first)])
     titles = [scene_title(results, scene) for scene in scenes]
-    return markdown(["codec", *titles, "encode", "decode"], rows)
+    return Table(["codec", *titles, "encode", "decode"], rows)
 
 
-def codec_table(results: Results, scene: str) -> tuple[list[str], list[list[str]]]:
-    """Columns and rows of all codecs of a scene, without empty columns.
+def codec_table(results: Results, scene: str) -> Table:
+    """All codecs of a scene, without empty columns.
 
     These are size, quality, times, memory, and bits of ours at that PSNR.
     """
@@ -61,32 +62,32 @@ def codec_table(results: Results, scene: str) -> tuple[list[str], list[list[str]
     rows = []
     for line in in_order(results, scene):
         worst, known = line.get("worst_psnr"), peaks.get(line["codec"], {})
-        psnr = "equal" if is_exact(line) else _number(psnr_of(line), ".2f")
-        cells = [*_size(line), psnr, _number(worst, ".2f"), _number(delta_of(line), "+.3f")]
+        psnr = "equal" if is_exact(line) else number(psnr_of(line), ".2f")
+        cells = [*_size(line), psnr, number(worst, ".2f"), number(delta_of(line), "+.3f")]
         memory = [known.get(f"{way}_peak_bytes") for way in ("encode", "decode")]
-        megabytes = [_number(x and x / 1e6, ".0f") for x in memory]
+        megabytes = [number(x and x / 1e6, ".0f") for x in memory]
         rows.append([*cells, *_times(line), *megabytes, *_ours(results, line)])
     columns += _OURS
     used = [i for i in range(len(columns)) if any(row[i] for row in rows)]
-    return [columns[i] for i in used], [[row[i] for i in used] for row in rows]
+    return Table([columns[i] for i in used], [[row[i] for i in used] for row in rows])
 
 
-def geometry_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """Columns and rows of ways to divide positions; processor seconds per million points."""
+def geometry_table(results: Results) -> Table:
+    """Ways to divide positions; processor seconds per million points."""
     columns = ["scene", "by", "depth", "build", "walk", "decode", "bits / point"]
     rows = []
     for line in results.of("geometry"):
         million = max(line["gaussians"], 1) / 1e6
         seconds = [line.get(f"{step}_seconds") for step in ("build", "walk", "decode")]
-        cells = [_number(x and x / million, ".2f") for x in seconds]
+        cells = [number(x and x / million, ".2f") for x in seconds]
         bits = line.get("bytes") and line["bytes"] * 8e-6 / million
         name = escaped(line["scene"])
-        rows.append([name, line["coder"], str(line["depth"]), *cells, _number(bits, ".1f")])
-    return columns, rows
+        rows.append([name, line["coder"], str(line["depth"]), *cells, number(bits, ".1f")])
+    return Table(columns, rows, left=(0, 1))
 
 
-def device_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """Columns and rows of what a CUDA device did, and whether its results are the CPU's."""
+def device_table(results: Results) -> Table:
+    """What a CUDA device did, and whether its results are the CPU's."""
     columns = ["device", "Gaussians", "block", "decode", "CPU", "as the CPU", "iterations / s"]
     rows = []
     for line in results.of("device"):
@@ -94,8 +95,8 @@ def device_table(results: Results) -> tuple[list[str], list[list[str]]]:
         for key in ("seconds", "cpu_seconds"):
             cells.append(_seconds(line[key]) if key in line else "")
         cells.append({True: "yes", False: "no", None: ""}[line.get("same")])
-        rows.append([*cells, _number(line.get("iterations_per_second"), ".0f")])
-    return columns, rows
+        rows.append([*cells, number(line.get("iterations_per_second"), ".0f")])
+    return Table(columns, rows)
 
 
 def rates(results: Results, scene: str) -> str:
@@ -145,18 +146,6 @@ def in_order(results: Results, scene: str) -> list[Line]:
     return sorted(results.of("beside", scene), key=kind)
 
 
-def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table; none without rows."""
-    lines = [columns, ["---"] * len(columns), *rows] if rows else []
-    return ["| " + " | ".join(line) + " |" for line in lines]
-
-
-def escaped(text: str) -> str:
-    """Text from elsewhere, such that it is no markup and stays in its cell."""
-    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
-    return "".join(f"\\{letter}" if letter in "\\|`*_[]" else letter for letter in plain)
-
-
 def _size(line: Line) -> list[str]:
     return [_name(line), _ratio(line), f"{line['bits_per_gaussian']:.1f}"]
 
@@ -203,7 +192,3 @@ def _seconds(value: float) -> str:
     if value < 0.0095:
         return f"{1000 * value:.1g} ms"
     return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
-
-
-def _number(value: float | None, how: str) -> str:
-    return "" if value is None else format(value, how)

@@ -1,4 +1,4 @@
-"""Build a self-contained page of HTML."""
+"""A page of HTML that needs no other file; its tables are from `Table.html`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { font-size: 1.2rem; margin-t
 table { border-collapse: collapse; margin: .8rem 0; font-size: .87rem; }
 th, td { padding: .18rem .45rem; text-align: right; border-bottom: 1px solid #ddd; }
 th { border-bottom: 1px solid #555; vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; }
+.left { text-align: left; }
 caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0;
           white-space: nowrap; }
 .wide { overflow-x: auto; }
@@ -54,18 +54,6 @@ def listing(lines: Sequence[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
-def table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Cells under their columns; the first column names the row."""
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
-    )
-    return (
-        f'<div class="wide"><table><caption>{escape(caption)}</caption>\n'
-        f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>"
-    )
-
-
 def picture(png: bytes, caption: str) -> str:
     """An embedded PNG; the caption is its alternative text too."""
     data, text = base64.b64encode(png).decode("ascii"), escape(caption)
@@ -73,8 +61,3 @@ def picture(png: bytes, caption: str) -> str:
         f'<figure><img alt="{text}" src="data:image/png;base64,{data}">\n'
         f"<figcaption>{text}</figcaption></figure>"
     )
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number as text for a cell; a dash for None."""
-    return "-" if value is None else f"{value:.{digits}f}"

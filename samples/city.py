@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gs_codec.formats.ply.file import ply_header, read_ply, vertex_rows
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import ply_header, vertex_rows
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import Scene
 

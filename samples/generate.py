@@ -17,7 +17,7 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 from samples.attributes import fill_sh, log_scales, noisy, opacities, rotations

@@ -19,7 +19,7 @@ from gs_codec.cli import output
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 # Assertions in the modules that tests share report values, too.
 pytest.register_assert_rewrite(*(path.stem for path in Path(__file__).parent.glob("*.py")))

@@ -30,7 +30,8 @@ from gs_codec.codecs import encode_scene
 from gs_codec.codecs.entropygs.symbols import Coded, order_scene, quantise_and_model
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.pages.figures import new_figure, png_of
 from gs_codec.pages.html import page, picture
 from gs_codec.pages.tables import Table

@@ -17,7 +17,7 @@ import gs_codec.edit
 import viewer
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.coding import encode_file
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 #: Values that no argument called `source`, `path` or `config` takes.
 WRONG = (None, 5, 1.5, ["a"], {"a": 1}, object(), True)

@@ -32,7 +32,8 @@ from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import write_scene
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.runtime.atomic import atomic_writer, leftovers
 from gs_codec.views.estimate import HEIGHT, WIDTH

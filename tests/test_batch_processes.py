@@ -24,7 +24,7 @@ from gs_codec.batch.scenes import Options
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 
 TESTS = Path(__file__).parent

@@ -23,7 +23,7 @@ from gs_codec.batch.local import Location
 from gs_codec.batch.redaction import redact_process, redacted, without_secrets
 from gs_codec.batch.remote import storage_of
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 LIMIT = 600
 

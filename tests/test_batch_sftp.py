@@ -17,7 +17,7 @@ from scenes import random_scene
 
 from gs_codec.batch.run import batch_mark
 from gs_codec.files.coding import encode_file
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 TESTS = Path(__file__).parent
 LIMIT = 600

@@ -20,7 +20,7 @@ from gs_codec.cli.main import app
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.rendering.renderer import render
 
 

@@ -23,7 +23,7 @@ from gs_codec.encoding import retry as checked
 from gs_codec.encoding.loss import Check, error_of
 from gs_codec.encoding.order import encode_by_plan, encode_camera_free
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance.calibrate import finer, wanted_error
 from gs_codec.guidance.windows import choose_windows, sample_of, windows_of
 from gs_codec.preparation.steps import Plan, Steps

@@ -28,7 +28,8 @@ from gs_codec.egs.sections import write_extra
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import write_scene
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import GROUPS
 
 COMMANDS = ("encode", "decode", "verify", "inspect", "compare", "bench")

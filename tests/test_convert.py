@@ -22,7 +22,8 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file, read_scene, write_scene
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.scene import Scene, coordinates_comment
 

@@ -17,7 +17,8 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.guidance.guide import steps_adding
 from gs_codec.scene import GROUPS, Scene, property_names
 

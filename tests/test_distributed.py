@@ -31,7 +31,7 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance import calibrate, windows
 from gs_codec.guidance.calibrate import wanted_error
 from gs_codec.scene import Scene

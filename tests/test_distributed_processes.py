@@ -17,7 +17,7 @@ from test_batch_processes import PATIENT, finish, wait_for
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 COUNT = 60_000
 

@@ -14,7 +14,7 @@ from scenes import random_scene
 
 from gs_codec.cli.documents import KEYS
 from gs_codec.cli.main import NAMES
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.report import SCHEMA, finite
 
 VIEWS = ["--cameras", "cameras.json"]

@@ -25,7 +25,7 @@ from gs_codec.config import Config
 from gs_codec.edit.floaters import FLOATERS, find_floaters
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.scene import Scene, join_scenes
 

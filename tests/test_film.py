@@ -23,7 +23,7 @@ from gs_codec.cameras.inria import as_camera
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from viewer.pictures import film, reels
 from viewer.pictures.screenshot import draw_request
 from viewer.scenes.flight import flythrough, read_poses, write_poses

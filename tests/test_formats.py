@@ -28,7 +28,7 @@ from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats import packed_values
-from gs_codec.formats.ply.file import vertex_rows
+from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.formats.registry import open_scene, overview_of
 from gs_codec.formats.splat import pack_splat
 from gs_codec.scene import SH_COEFFICIENTS, Scene

@@ -28,7 +28,8 @@ from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES, Config
 from gs_codec.egs.egs_file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed, TruncatedStream
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.programs import Limits
 
 EDGES = edge_scenes()

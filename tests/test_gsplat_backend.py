@@ -26,7 +26,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps

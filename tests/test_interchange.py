@@ -31,8 +31,8 @@ from gs_codec.files.scenes import compare_files, read_scene, write_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.packed_values import largest_omitted, largest_restored
-from gs_codec.formats.ply.file import write_ply
 from gs_codec.formats.ply.packed import pack_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.formats.spz.scene import pack_spz
 from gs_codec.metrics.attributes import compare_scenes

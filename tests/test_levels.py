@@ -28,7 +28,8 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.preparing import prepare_file
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.levels.adding import add_levels
 from gs_codec.levels.building import build_levels
 from gs_codec.levels.quarter import Clusters, merge_group

@@ -24,7 +24,8 @@ from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, Truncated
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import compare_files, read_scene
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import GROUPS, Scene
 
 LOSSLESS = Config("lossless", block_size=1024)

@@ -16,7 +16,7 @@ import gs_codec
 from gs_codec.cameras.image_files import write_png
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
 from gs_codec.metrics.lpips import LEAST, VARIABLE, load_lpips
 

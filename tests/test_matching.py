@@ -15,7 +15,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import compare_files, read_scene
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,8 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.attributes import Comparison, GroupError, compare_scenes
 from gs_codec.scene import Scene
 

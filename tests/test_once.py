@@ -17,7 +17,7 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file, read_scene
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 
 @pytest.fixture

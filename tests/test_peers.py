@@ -21,7 +21,8 @@ from gs_codec.bench.peers.splat_transform import VARIABLE, splat_transform_peers
 from gs_codec.bench.peers.spz import spz_peer
 from gs_codec.cli.main import app
 from gs_codec.errors import ToolFailed
-from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.views.find import find_cameras
 

@@ -25,7 +25,8 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_shift
 from gs_codec.formats.ply import header as ply_header
 from gs_codec.formats.ply.body import ply_of
-from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, offset_of

@@ -22,7 +22,8 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
 from gs_codec.preparation import optimise, pipeline
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene

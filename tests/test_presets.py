@@ -21,7 +21,8 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.presets import PRESETS, Preset
 from gs_codec.preparation.prune import keep_near
 from gs_codec.preparation.steps import Plan, Steps

@@ -30,7 +30,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import vertex_rows, write_ply
+from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views

@@ -19,7 +19,7 @@ from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Results, bd_rate
 from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from samples.generate import generate
 
 ROOT = Path(__file__).parents[1]

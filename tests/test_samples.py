@@ -11,7 +11,8 @@ import pytest
 
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from samples import generate as module
 from samples.generate import TARGET, generate, main, orbit_cameras

@@ -27,7 +27,7 @@ from gs_codec.formats.codebook import (
     make_table,
     nearest_rows,
 )
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.formats.sog.palette import fit_palette
 from gs_codec.formats.sog.writer import pack_sog

@@ -22,7 +22,8 @@ from gs_codec.config import PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime import arrays as storage
 from gs_codec.runtime.arrays import Disk, Memory, bounded, current, empty, using
 from gs_codec.runtime.threads import run_all, using_threads

@@ -28,7 +28,7 @@ from gs_codec.cli import main
 from gs_codec.cli.main import app
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.rendering.renderer import render
 from samples.generate import generate, orbit_cameras
 

@@ -27,7 +27,7 @@ from gs_codec.config import DEPTH_GROUPS, LOSSLESS, PROFILE_CHOICES, PROFILES, C
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedStream
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 HERE = all(importlib.util.find_spec(name) for name in ("torch", "torchac"))
 EDGES = edge_scenes()

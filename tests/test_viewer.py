@@ -28,7 +28,8 @@ from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.prepare_report import centres_checksum
 from viewer.main import app
 from viewer.pictures import screenshot

@@ -11,7 +11,7 @@ from scenes import SHARED, random_scene
 import gs_codec
 from gs_codec.cameras.inria import as_camera
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.threads import using_threads

@@ -15,7 +15,7 @@ from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.config import Config
 from gs_codec.egs.egs_file import read_file
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.views import estimate as auto_cameras
 from viewer.pictures.centres import KINDS, centres
 from viewer.pictures.layers import UNKNOWN, block_colour, heat, reason_colour

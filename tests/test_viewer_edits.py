@@ -15,7 +15,8 @@ from gs_codec.edit import Action
 from gs_codec.files.conversion import convert_file
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply.file import read_ply, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import write_ply
 from viewer.scenes import edits as editing
 from viewer.scenes.edits import HOW, Edits
 from viewer.scenes.opened import Opened, Pruned, open_scene, turned

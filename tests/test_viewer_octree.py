@@ -16,7 +16,7 @@ import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from viewer.pictures.cubes import Cubes, draw_cubes
 from viewer.pictures.layers import Points, heat
 from viewer.pictures.octree_cells import Octree

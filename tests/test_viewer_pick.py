@@ -14,7 +14,7 @@ import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import open_scene as open_file
 from gs_codec.scene import ANTIALIASED
 from viewer.pictures.drawer import splats

@@ -16,7 +16,7 @@ import gs_codec
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.formats.cloud import to_cloud
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.views.find import find_cameras
 from samples.generate import generate
 from viewer.scenes import trial_list

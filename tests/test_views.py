@@ -20,7 +20,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
 from gs_codec.preparation.pipeline import choose_views

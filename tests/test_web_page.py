@@ -35,7 +35,7 @@ from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files import sharing
 from gs_codec.files.scenes import turn_scene
 from gs_codec.files.sharing import share
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import ANTIALIASED, Scene

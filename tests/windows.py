@@ -16,7 +16,7 @@ from PIL import Image
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from samples.generate import generate
 from viewer.scenes.pose import look_at
 

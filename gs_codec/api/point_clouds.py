@@ -15,7 +15,7 @@ from gs_codec.files.coding import read_source
 from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.formats.cloud import from_cloud, to_cloud
-from gs_codec.formats.ply.file import vertex_rows
+from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.levels.adding import add_levels, check_levels
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress, RateReport

@@ -17,7 +17,7 @@ from gs_codec.bench.sources import MeasuredScene, open_scene
 from gs_codec.config import Config, changed_options
 from gs_codec.encoding.order import encode_camera_free
 from gs_codec.files.scenes import compare_files
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 
 
 def measure_scenes(

@@ -17,7 +17,7 @@ from typing import Any
 
 from gs_codec.bench.sources import tile_scene
 from gs_codec.errors import GsCodecError
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import Scene
 
 _RUN_AND_TELL = """

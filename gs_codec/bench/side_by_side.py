@@ -19,7 +19,8 @@ from gs_codec.codecs.decode import decode_as
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, PROFILE_CHOICES, Config, RateTarget
 from gs_codec.encoding.order import encode_by_plan, encode_planned
 from gs_codec.errors import InvalidInput, ToolFailed
-from gs_codec.formats.ply.file import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps

@@ -18,7 +18,7 @@ from gs_codec.egs.index import bounds_of, index_of
 from gs_codec.errors import InvalidInput
 from gs_codec.files.decoding import DecodeReport
 from gs_codec.files.suffixes import check_target
-from gs_codec.formats.ply.file import ply_header, vertex_rows
+from gs_codec.formats.ply.writer import ply_header, vertex_rows
 from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import atomic_writer

@@ -24,7 +24,7 @@ from gs_codec.distributed.survey import Job, choose_lattice, look
 from gs_codec.distributed.workers import Workers, do_all
 from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.levels import errors_section, level_header
-from gs_codec.formats.ply.body import to_rows
+from gs_codec.formats.ply.planes import to_rows
 from gs_codec.levels.adding import config_of_levels
 from gs_codec.levels.building import Level, coarser
 from gs_codec.report import StageTimes

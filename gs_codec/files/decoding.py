@@ -10,7 +10,7 @@ from pathlib import Path
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.files.suffixes import check_target
-from gs_codec.formats.ply.file import write_vertices
+from gs_codec.formats.ply.writer import write_vertices
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import atomic_writer

@@ -31,7 +31,7 @@ from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.extra_properties import scene_without
 from gs_codec.formats.ply.dialects import with_filter
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.adding import add_levels

@@ -11,7 +11,7 @@ import numpy as np
 
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.packed_values import spans
-from gs_codec.formats.ply.file import vertex_rows
+from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import Scene
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import GROUPS, Scene, join_scenes
 from samples.captures.initial import (

@@ -35,7 +35,7 @@ from gs_codec.errors import GsCodecError
 from gs_codec.formats import checkpoint as of_trainers
 from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.pickled import parse_pickle
-from gs_codec.formats.ply.file import write_ply
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.sog.files import parse_meta, read_pixels
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.formats.zip_file import write_zip

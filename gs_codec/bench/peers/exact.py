@@ -12,7 +12,8 @@ import zstandard
 from gs_codec.bench.host import version_of
 from gs_codec.bench.peers.peer import Peer, scene_of_ply
 from gs_codec.config import Extra
-from gs_codec.formats.ply.file import read_ply, vertex_rows
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import GROUPS, Scene, channel_count, group_rows
 

@@ -1,4 +1,4 @@
-"""Rows of the elements of PLY files, and the planes that the codec works on."""
+"""Rows of the elements of PLY files."""
 
 from __future__ import annotations
 
@@ -18,51 +18,13 @@ from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.ply.dialects import layout_names
 from gs_codec.formats.ply.header import Element, PlyHeader, read_header
-from gs_codec.runtime.arrays import empty
+from gs_codec.formats.ply.planes import TILE, for_tiles
 from gs_codec.runtime.mapped import FileBytes, located
-from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
-
-#: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
-_TILE = 4096
-_CHUNK = 1 << 16
 
 #: ``nan(ind)``, ``nan(snan)``, ``1.#QNAN``, ``1.#IND00``; ``1.#INF``.
 _NOT_A_NUMBER = re.compile(rb"\b(?:nan\(\w*\)|1\.#(?:[qs]nan|ind)\d*)", re.IGNORECASE)
 _INFINITY = re.compile(rb"\b1\.#inf\d*", re.IGNORECASE)
-
-
-def to_planes(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Planes ``(C, N)`` of rows ``(N, C)``."""
-    planes = empty((rows.shape[1], len(rows)), np.float32)
-
-    def gather(start: int, stop: int) -> None:
-        for channel, plane in enumerate(planes):
-            plane[start:stop] = rows[start:stop, channel]
-
-    _for_tiles(gather, len(rows))
-    return planes
-
-
-def to_rows(planes: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Rows ``(N, C)`` of C planes ``(N,)``."""
-    rows = np.empty((len(planes[0]), len(planes)), np.float32)
-
-    def scatter(start: int, stop: int) -> None:
-        for channel, plane in enumerate(planes):
-            rows[start:stop, channel] = plane[start:stop]
-
-    _for_tiles(scatter, len(rows))
-    return rows
-
-
-def _for_tiles(move: Callable[[int, int], None], count: int) -> None:
-    def run(start: int) -> None:
-        end = min(start + _CHUNK, count)
-        for tile in range(start, end, _TILE):
-            move(tile, min(tile + _TILE, end))
-
-    run_all(run, range(0, count, _CHUNK))
 
 
 @dataclass(frozen=True)
@@ -88,7 +50,7 @@ class Rows:
 
     def for_tiles(self, use: Callable[[slice, NDArray], None]) -> None:
         """Call ``use(place, rows)`` with all rows, tile by tile, from several threads."""
-        _for_tiles(lambda a, b: use(slice(a, b), self.read(a, b)), self.count)
+        for_tiles(lambda a, b: use(slice(a, b), self.read(a, b)), self.count)
 
     def all(self) -> NDArray:
         """All rows at once."""
@@ -104,9 +66,9 @@ class Rows:
         def read(start: int, stop: int) -> NDArray:
             wanted = index[start:stop]
             found = np.empty(len(wanted), self.dtype)
-            for tile in np.unique(wanted // _TILE).tolist():
-                own, first = wanted // _TILE == tile, tile * _TILE
-                rows = self.read(first, min(first + _TILE, self.count))
+            for tile in np.unique(wanted // TILE).tolist():
+                own, first = wanted // TILE == tile, tile * TILE
+                rows = self.read(first, min(first + TILE, self.count))
                 found[own] = rows[wanted[own] - first]
             return found
 

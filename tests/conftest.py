@@ -164,7 +164,7 @@ def run_viewer(monkeypatch, capsys):
 @pytest.fixture
 def folder(trio, tmp_path, monkeypatch, capsys):
     """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
-    from test_cameras import inria_entry, write_json
+    from camera_files import inria_entry, write_json
 
     for path in trio:
         shutil.copy(path, tmp_path)

@@ -215,3 +215,34 @@ def shared_scene_path(name: str) -> Path:
     if not path.exists():
         pytest.skip(f"shared scene {name} is not on this machine")
     return path
+
+
+#: Zeros, denormals, the least and the greatest normal, infinities, NaN quiet and signalling.
+PATTERNS = np.array(
+    [
+        *(0x00000000, 0x80000000, 0x00000001, 0x80000001, 0x007FFFFF, 0x00800000),
+        *(0x7F7FFFFF, 0x7F800000, 0xFF800000, 0x7FC00000, 0xFFC00000, 0x7F800001),
+        *(0xFFBFFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 0x3F800000),
+    ],
+    np.uint32,
+)
+
+
+def any_bits(count: int, sh_degree: int, seed: int) -> Scene:
+    """Bit patterns of all kinds: NaN payloads, infinities, zeros of both signs, denormals."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(count, sh_degree, seed)
+    for group in GROUPS:
+        bits = getattr(scene, group).view(np.uint32)
+        bits[:] = np.where(rng.random(bits.shape) < 0.3, rng.choice(PATTERNS, bits.shape), bits)
+        wild = rng.integers(0, 1 << 32, bits.shape, np.uint32)
+        bits[:] = np.where(rng.random(bits.shape) < 0.2, wild, bits)
+    return scene
+
+
+def rich_scene(count: int, degree: int) -> Scene:
+    """With comments, normals and extra properties."""
+    rng = np.random.default_rng(7)
+    extra = {"label": rng.integers(0, 200, count, np.uint8), "weight": rng.normal(size=count)}
+    scene = random_scene(count, degree, seed=60)
+    return replace(scene, comments=("a b", "c"), has_normals=True, extra=extra)

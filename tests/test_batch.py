@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 from batch_work import OneProcess
+from camera_files import inria_entry, write_json
 from command_line import Folder, assert_one_error_line
 from scenes import random_scene
-from test_cameras import inria_entry, write_json
 
 from gs_codec import __version__
 from gs_codec.batch import local, memory, remote, run, scenes

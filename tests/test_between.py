@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from test_render import straight
+from splats import straight
 
 from gs_codec.cameras.between import cameras_between
 from gs_codec.cameras.camera import Camera

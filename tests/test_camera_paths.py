@@ -9,7 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_cameras import HUGE, POINT, POSITION, assert_refused, damaged, pixel, read_damaged
+from camera_files import (
+    HUGE,
+    MATRIX,
+    POINT,
+    POSITION,
+    assert_refused,
+    camera_path,
+    damaged,
+    pixel,
+    pose,
+    project,
+    read_damaged,
+    step,
+)
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras
@@ -22,29 +35,6 @@ def write(path: Path, value: Any) -> Path:
 
 
 # nerfstudio
-
-#: The camera of `test_cameras`, whose columns are right (-y), up (z) and back (-x).
-MATRIX = [0, 0, -1, 1, -1, 0, 0, 2, 0, 1, 0, 3, 0, 0, 0, 1]
-FOV = math.degrees(2 * math.atan(0.75))  # 150 pixels at a distance of 200
-
-
-def step(**changes: Any) -> dict[str, Any]:
-    return {"camera_to_world": MATRIX, "fov": FOV, "aspect": 4 / 3} | changes
-
-
-def camera_path(*steps: Any, **changes: Any) -> dict[str, Any]:
-    whole = {
-        "default_fov": 50.0,
-        "keyframes": [{"matrix": MATRIX, "fov": FOV, "aspect": 4 / 3}],
-        "camera_type": "perspective",
-        "render_width": 400,
-        "render_height": 300,
-        "fps": 24,
-        "seconds": 4,
-        "is_cycle": False,
-        "camera_path": list(steps) or [step()],
-    }
-    return whole | changes
 
 
 def test_point_is_at_its_pixel(tmp_path):
@@ -111,17 +101,6 @@ def test_bad_path_is_refused_in_one_line(name, tmp_path):
 
 #: SuperSplat's world has y up; a point of a scene (x, y, z) is at (-x, -y, z) in it.
 TURN = np.array([-1, -1, 1])
-
-
-def pose(**changes: Any) -> dict[str, Any]:
-    return {"position": [0, 0, 5], "target": [0, 0, 0], "fov": 90} | changes
-
-
-def project(*poses: Any, **changes: Any) -> dict[str, Any]:
-    """The document.json of a project."""
-    named = [{"name": f"camera_{i}", "frame": 30 * i} | each for i, each in enumerate(poses)]
-    sets = [{"name": "set0", "poses": named}]
-    return {"version": 0, "camera": {"fov": 75}, "poseSets": sets, "splats": []} | changes
 
 
 def settings(*keyframes: dict[str, Any], **changes: Any) -> dict[str, Any]:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from orbits import facing, images, orbit, visible_scene
 from reference_renderer import render_reference, sh_basis
 from scenes import assert_same_floats, edge_scenes, random_scene, with_threads
 
-from gs_codec.cameras.camera import Camera
 from gs_codec.preparation import compact_sh as module
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.sh_weights import (
@@ -19,41 +19,9 @@ from gs_codec.preparation.sh_weights import (
     squared_weights,
     with_coefficients,
 )
-from gs_codec.rendering.renderer import render
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS
 
 EDGES = edge_scenes()
-
-
-def orbit(views: int, seed: int = 0, distance: float = 5.0, side: int = 40) -> list[Camera]:
-    """Cameras all around that look at the origin."""
-    rng = np.random.default_rng(seed)
-    return [facing(rng.normal(size=3), f"view {i}", distance, side) for i in range(views)]
-
-
-def facing(direction, name="facing", distance=5.0, side=40) -> Camera:
-    forward = -np.asarray(direction, np.float64) / np.linalg.norm(direction)
-    right = np.cross(np.roll(forward, 1) + np.array([0.1, 0.2, 0.3]), forward)
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    size = (side, side, 1.2 * side, 1.2 * side, side / 2, side / 2)
-    return Camera(name, *size, rotation, -distance * forward)
-
-
-def visible_scene(count: int, seed: int, sh_degree: int = 3, bright: float = 0.0) -> Scene:
-    """Large Gaussians of middling opacity, colours well above black for `bright` of 3."""
-    scene = random_scene(count, sh_degree, seed)
-    rng = np.random.default_rng(seed)
-    return replace(
-        scene,
-        f_dc=(0.4 * scene.f_dc + bright).astype(np.float32),
-        opacity=rng.uniform(-2, 2, (1, count)).astype(np.float32),
-        log_scale=rng.uniform(-3, -1.5, (3, count)).astype(np.float32),
-    )
-
-
-def images(scene: Scene, cameras: list[Camera]) -> np.ndarray:
-    return np.array([render(scene, camera, device="cpu").colour for camera in cameras])
 
 
 # Weights

@@ -10,8 +10,8 @@ from pathlib import Path
 import foreign
 import numpy as np
 import pytest
+from appearance import assert_seen_alike
 from scenes import assert_same_bits, random_scene, thorough
-from test_similarity import assert_seen_alike
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from appearance import assert_seen_alike, matrix_of, some_turn
 from scenes import DAMAGE, assert_same_bits, random_scene
 from scipy.spatial.transform import Rotation
-from test_similarity import assert_seen_alike, matrix_of, some_turn
 
 from gs_codec import edit
 from gs_codec.cameras.camera import Camera

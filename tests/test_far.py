@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import reference_decoder
 from damage import REFUSALS, with_section
+from orbits import cameras, quality
 from scenes import (
     SHARED,
     assert_same_floats,
@@ -22,7 +23,6 @@ from scenes import (
     with_far,
 )
 from test_distributed import in_tasks, saved, whole
-from test_guide import cameras, quality
 from test_levels import AWAY, NEAR, encoded, in_level
 from test_web_decoder import NODE, digest, run
 

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from appearance import assert_held_exactly, assert_seen_alike
 from scenes import assert_same_floats, random_scene
-from test_similarity import assert_seen_alike
 
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.registry import open_scene
-from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.scene import SH_COEFFICIENTS
 
 KHR = "KHR_gaussian_splatting"
 CODES = {"<f4": 5126, "<u1": 5121, "<i1": 5120, "<u2": 5123, "<i2": 5122}
@@ -143,16 +143,6 @@ def test_attributes_are_as_specified(count, degree):
     np.testing.assert_array_equal(colours[:, 3], np.rint(255 * share))
     assert document["extensionsUsed"] == [KHR]
     assert document["meshes"][0]["primitives"][0]["mode"] == 0
-
-
-def assert_held_exactly(back: Scene, scene: Scene) -> None:
-    """Equal, but for what is rounded once in linear form, and the length of quaternions."""
-    for group in ("positions", "f_dc", "f_rest"):
-        np.testing.assert_array_equal(getattr(back, group), getattr(scene, group))
-    np.testing.assert_allclose(back.log_scale, scene.log_scale, atol=1e-6)
-    np.testing.assert_allclose(back.opacity, scene.opacity, atol=1e-3)
-    unit = scene.rot / np.linalg.norm(scene.rot, axis=0)
-    np.testing.assert_allclose(np.abs((back.rot * unit).sum(axis=0)), 1, atol=1e-6)
 
 
 @pytest.mark.parametrize("form", ["glb", "gltf"])

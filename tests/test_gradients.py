@@ -9,7 +9,7 @@ import pytest
 from scenes import antialiased as compensated
 from scenes import with_threads
 from scipy.ndimage import correlate1d
-from test_render import TEAL, crowd, render, splats, straight, turned
+from splats import TEAL, crowd, noise, render, splats, straight, turned
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.frame import make_frame
@@ -22,11 +22,6 @@ from gs_codec.scene import GROUPS, SH_C0, Scene
 pytestmark = pytest.mark.thorough
 
 STEP = 1e-5
-
-
-def noise(camera: Camera, seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return rng.random((camera.height, camera.width, 3)).astype(np.float32)
 
 
 # Loss

@@ -11,11 +11,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from gardens import CAMERAS, SCENE, garden, psnr, refit, views
 from scenes import antialiased as compensated
 from scenes import random_scene
-from test_gradients import noise
-from test_optimise import CAMERAS, SCENE, garden, psnr, refit, views
-from test_render import TEAL, crowd, turned
+from splats import TEAL, crowd, noise, turned
 from typer.testing import CliRunner
 
 from gs_codec.bench import device

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from orbits import cameras, quality
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.cameras.camera import Camera
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
@@ -27,16 +27,6 @@ from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate, orbit_cameras
-
-
-def cameras(count: int, width: int = 90, height: int = 60) -> list[Camera]:
-    return [
-        Camera(
-            f"{i}", width, height, c["fx"], c["fy"], width / 2, height / 2,
-            np.array(c["rotation"]).T, np.array(c["position"]), "test" if i % 3 == 1 else "train",
-        )
-        for i, c in enumerate(orbit_cameras(count, width, height))
-    ]  # fmt: skip
 
 
 def compacting(strength: float) -> AdaptiveProfile:
@@ -62,10 +52,6 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     return Plan(Steps(), cameras(12))
-
-
-def quality(original: Scene, decoded: Scene, views: list[Camera]) -> float:
-    return draw_reference_views(original, views, (0, 0, 0)).quality(decoded).psnr
 
 
 def test_by_views_the_same_bytes_show_more(scene, plan):

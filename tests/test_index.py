@@ -9,8 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from damage import with_section
-from scenes import edge_scenes, random_scene
-from test_lossless import any_bits
+from scenes import any_bits, edge_scenes, random_scene
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from orbits import cameras
 from scenes import assert_same_floats, edge_scenes, random_scene
-from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec

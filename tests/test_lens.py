@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_files import Image, Intrinsics, both_forms, write_model
 from scenes import random_scene
-from test_cameras import Image, Intrinsics, both_forms, write_model
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from damage import COUNT, with_checksums, with_section
 from reference_decoder import decode as reference_decode
-from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
+from scenes import PATTERNS, REAL_SCENES, any_bits, edge_scenes, random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
@@ -30,27 +30,6 @@ from gs_codec.scene import GROUPS, Scene
 
 LOSSLESS = Config("lossless", block_size=1024)
 KEPT = replace(LOSSLESS, keep_order=True)
-#: Zeros, denormals, the least and the greatest normal, infinities, NaN quiet and signalling.
-PATTERNS = np.array(
-    [
-        *(0x00000000, 0x80000000, 0x00000001, 0x80000001, 0x007FFFFF, 0x00800000),
-        *(0x7F7FFFFF, 0x7F800000, 0xFF800000, 0x7FC00000, 0xFFC00000, 0x7F800001),
-        *(0xFFBFFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 0x3F800000),
-    ],
-    np.uint32,
-)
-
-
-def any_bits(count: int, sh_degree: int, seed: int) -> Scene:
-    """Bit patterns of all kinds: NaN payloads, infinities, zeros of both signs, denormals."""
-    rng = np.random.default_rng(seed)
-    scene = random_scene(count, sh_degree, seed)
-    for group in GROUPS:
-        bits = getattr(scene, group).view(np.uint32)
-        bits[:] = np.where(rng.random(bits.shape) < 0.3, rng.choice(PATTERNS, bits.shape), bits)
-        wild = rng.integers(0, 1 << 32, bits.shape, np.uint32)
-        bits[:] = np.where(rng.random(bits.shape) < 0.2, wild, bits)
-    return scene
 
 
 def unit_quaternions(count: int, seed: int) -> Scene:

@@ -9,9 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 from damage import HEADER, with_checksums
-from scenes import assert_same_floats, random_scene
+from scenes import any_bits, assert_same_floats, random_scene
 from test_adaptive_codec import BLOCK
-from test_lossless import any_bits
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.part import Part

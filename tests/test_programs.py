@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from orbits import cameras
 from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
-from test_guide import cameras
 
 from gs_codec.bench.peers.splat_transform import find_program
 from gs_codec.config import Config

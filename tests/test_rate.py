@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from orbits import cameras
 from PIL import Image
 from scenes import made_up_sensitivity, random_scene, thorough, told
-from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec

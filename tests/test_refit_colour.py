@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from orbits import images, orbit, visible_scene
 from reference_renderer import render_reference
-from scenes import assert_same_floats, with_threads
-from test_compact_sh import EDGES, images, orbit, visible_scene
+from scenes import assert_same_floats, edge_scenes, with_threads
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.preparation import image_operator as module
@@ -20,6 +20,7 @@ from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.rendering.project import TILE
 from gs_codec.scene import GROUPS, Scene
 
+EDGES = edge_scenes()
 TEAL = (0.1, 0.7, 0.6)
 
 

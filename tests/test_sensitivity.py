@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes import antialiased as compensated
 from scenes import edge_scenes, with_threads
-from test_render import TEAL, splats, straight, turned
+from splats import TEAL, splats, straight, turned
 
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity
 from gs_codec.guidance.sensitivity import sensitivity

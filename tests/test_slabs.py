@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import os
 import tracemalloc
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene
+from scenes import edge_scenes, random_scene, rich_scene
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.codecs import decode_part, encode_parts, encode_scene, slabs
@@ -22,17 +21,8 @@ from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.levels.adding import add_levels
-from gs_codec.scene import Scene
 
 BLOCK = 1024
-
-
-def rich_scene(count: int, degree: int) -> Scene:
-    """With comments, normals and extra properties."""
-    rng = np.random.default_rng(7)
-    extra = {"label": rng.integers(0, 200, count, np.uint8), "weight": rng.normal(size=count)}
-    scene = random_scene(count, degree, seed=60)
-    return replace(scene, comments=("a b", "c"), has_normals=True, extra=extra)
 
 
 @pytest.fixture(autouse=True)

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene
-from test_slabs import rich_scene
+from scenes import edge_scenes, random_scene, rich_scene
 
 from gs_codec.codecs import encode_parts, encode_scene, memory_limit, slabs
 from gs_codec.codecs.memory_limit import least_memory

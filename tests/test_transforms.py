@@ -9,38 +9,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
-from test_cameras import (
+from camera_files import (
     HUGE,
     POINT,
+    POSE,
     POSITION,
+    SHARED,
     assert_refused,
     damaged,
+    frame,
     inria_entry,
     pixel,
     read_damaged,
     write_json,
     write_model,
+    write_transforms,
 )
+from PIL import Image
 
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import find_image
 from gs_codec.errors import InvalidInput
-
-#: The camera of `test_cameras`: at (1, 2, 3), it looks along x; the columns are right (-y), up (z)
-#: and back (-x).
-POSE = [[0, 0, -1, 1], [-1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1]]
-SHARED = {"fl_x": 100.0, "fl_y": 200.0, "cx": 190.0, "cy": 160.0, "w": 400, "h": 300}
-
-
-def frame(name: str = "images/a.jpg", **changes: Any) -> dict[str, Any]:
-    return {"file_path": name, "transform_matrix": POSE} | changes
-
-
-def write_transforms(path: Path, *frames: Any, **shared: Any) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({**shared, "frames": frames or [frame()]}))
-    return path
 
 
 def write_image(path: Path, width: int = 400, height: int = 300) -> Path:
@@ -160,7 +149,7 @@ def test_zeros_are_no_distortion(tmp_path):
 
 
 def test_distorted_camera_is_that_of_the_same_colmap_model(tmp_path):
-    from test_cameras import Intrinsics
+    from camera_files import Intrinsics
 
     parameters = (500.0, 520.0, 380.0, 310.0, -0.12, 0.03, 0.002, -0.001)
     model = write_model(

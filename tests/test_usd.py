@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from appearance import assert_held_exactly, assert_seen_alike
 from damage import changed
 from scenes import assert_same_bits, random_scene
-from test_gltf import assert_held_exactly
-from test_similarity import assert_seen_alike
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.files.scenes import read_scene, stated_bytes

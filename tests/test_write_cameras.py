@@ -9,11 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_files import (
+    SHARED,
+    Image,
+    Intrinsics,
+    camera_path,
+    frame,
+    inria_entry,
+    project,
+    random_model,
+    write_json,
+    write_model,
+    write_transforms,
+)
+from camera_files import pose as supersplat_pose
 from scenes import random_scene, shared_scene_path
-from test_camera_paths import camera_path, project
-from test_camera_paths import pose as supersplat_pose
-from test_cameras import Image, Intrinsics, inria_entry, random_model, write_json, write_model
-from test_transforms import SHARED, frame, write_transforms
 
 import gs_codec
 from gs_codec.cameras.camera import Camera

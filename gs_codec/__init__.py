@@ -6,8 +6,8 @@ Scenes are Open3D point clouds, one attribute tensor for each property of the Ga
     data = gs_codec.encode(cloud, gs_codec.Config("m"))
     decoded = gs_codec.decode(data)
 
-Names are loaded when first used, so that ``import gs_codec`` stays cheap. Errors are all
-`GsCodecError`; nothing is printed, and no function changes what it is given.
+Names are loaded on first use, so ``import gs_codec`` is fast. Every error is a `GsCodecError`.
+Nothing is printed, and no function modifies its arguments.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gs_codec.runtime.lazy import lazy_names
 
 __version__ = "1.0.0"
 
-#: Modules, and what they have for everybody.
+#: Modules and their public names.
 _PUBLIC = {
     "gs_codec.config": ("Config", "RateTarget"),
     "gs_codec.preparation.steps": ("Plan", "Steps"),

@@ -10,10 +10,10 @@ from typing import Any, Literal, get_args
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 
-#: What to do with properties beyond the INRIA layout.
+#: Handling of properties beyond the INRIA layout.
 Extra = Literal["keep", "drop", "error"]
 
-#: What gives the probabilities of symbols of a paper profile, and what codes them.
+#: Source of the symbol probabilities of a paper profile.
 Models = Literal["parametric", "table", "best"]
 Coder = Literal["rans", "torchac"]
 
@@ -23,39 +23,39 @@ DEPTH_GROUPS = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "s
 #: Depth groups of SH-AC, one for each band.
 SH_STREAMS = DEPTH_GROUPS[5:]
 
-#: Most bits a group may have: three 21-bit axes fill a Morton code, 12 bits fill a table.
+#: Maximum bits of a group: three 21-bit axes fill a Morton code, 12 bits fill a table.
 MAX_DEPTH = {group: 21 if group == "geometry" else 12 for group in DEPTH_GROUPS}
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option of the commands, made from a field of a dataclass: its values and help.
+    """A command-line option defined by a dataclass field: its values and help text.
 
-    The commands build their options from these, so that an option is written down once.
+    The commands build their options from these, so each option is defined once.
 
     Parameters
     ----------
     help : str
-        One sentence for the help of a command; of a switch that is on by default, what switching it
-        off does.
+        One sentence of help text; for a switch that is on by default, the effect of switching it
+        off.
     kind : type
         ``bool``, ``int``, ``float``, ``str`` or ``Path``.
     name : str, optional
         The option's name if it differs from the field's.
     metavar : str, optional
-        What stands for the value in the help.
+        Placeholder of the value in the help.
     shown : str, optional
-        What the help shows as the default.
+        The default as the help shows it.
     low, high : float, optional
         Range of the values, both included.
     expected : str, optional
         The range in words.
     alone : int, optional
-        What the option means without a value.
+        Value of the option when typed without one.
     values : mapping or tuple, optional
-        The accepted words; a mapping gives the value of each.
+        Accepted words; a mapping gives the value of each.
     keys : tuple of str
-        The accepted keys, if the field is a mapping.
+        Accepted keys, if the field is a mapping.
     unit : {"bytes"}, optional
         Sizes are typed with units: ``5MB``.
     expert : bool
@@ -80,7 +80,7 @@ class Option:
     percent: bool = False
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse a value of field `name` that is not in `values`, or outside the range."""
+        """Reject a value of field `name` that is not in `values`, or out of range."""
         if isinstance(self.values, tuple) and self.values and value not in self.values:
             raise InvalidInput(f"{name} '{value}': expected one of {', '.join(self.values)}")
         if self.kind not in (int, float) or self.keys:
@@ -92,7 +92,7 @@ class Option:
 
 
 def option(default: Any, help: str, **rest: Any) -> Any:  # noqa: A002
-    """A field of a dataclass with its `Option`; the default of a mapping is its type."""
+    """A dataclass field with its `Option`; a `default` of ``dict`` means an empty mapping."""
     metadata = {"option": Option(help, **rest)}
     if default is dict:
         return field(default_factory=dict, metadata=metadata)
@@ -100,12 +100,12 @@ def option(default: Any, help: str, **rest: Any) -> Any:  # noqa: A002
 
 
 def options_of(settings: Any) -> dict[str, Option]:
-    """The options of a dataclass by its fields' names."""
+    """The options of a dataclass by field name."""
     return {f.name: f.metadata["option"] for f in fields(settings) if "option" in f.metadata}
 
 
 def changed_options(settings: Any) -> dict[str, Any]:
-    """The values of a dataclass that differ from its defaults, by the options' names."""
+    """The values of a dataclass that differ from the defaults, by option name."""
     default = type(settings)()
     return {
         described.name or field: value
@@ -115,7 +115,7 @@ def changed_options(settings: Any) -> dict[str, Any]:
 
 
 def check_options(settings: Any) -> None:
-    """Refuse values of a dataclass's fields that their options do not allow; None is allowed."""
+    """Reject field values of a dataclass that their options do not allow; None is allowed."""
     for name, described in options_of(settings).items():
         if (value := getattr(settings, name)) is not None:
             described.check(name, value)
@@ -126,26 +126,26 @@ def _depths(*bits: int) -> Mapping[str, int]:
 
 
 #: Bits per group. The paper's Table 2 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
-#: geometry of S (15-16); these values were chosen by rendered views (bench/RESULTS.md).
+#: geometry of S (15-16); these values were chosen by comparing rendered views (bench/RESULTS.md).
 PROFILES: Mapping[str, Mapping[str, int]] = {
     "paper-l": _depths(17, 8, 8, 8, 8, 5, 5, 5),
     "paper-m": _depths(16, 8, 8, 8, 8, 4, 4, 4),
     "paper-s": _depths(15, 8, 7, 7, 7, 4, 3, 3),
 }
 
-#: Options that these profiles alone have, beside those of G-PCC.
+#: Options that apply only to paper profiles, in addition to those of G-PCC.
 PAPER_OPTIONS = ("models", "laplace_scales", "coder")
 
-#: Largest depths that G-PCC can code.
+#: Maximum depths that G-PCC can code.
 GPCC_DEPTHS: Mapping[str, int] = {"geometry": 18, "sh-dc": 8}
 
-#: The profile that keeps every bit, and so has no depths.
+#: The bit-exact profile, which has no depths.
 LOSSLESS = "lossless"
 
 
 @dataclass(frozen=True)
 class AdaptiveProfile:
-    """A profile with a step size for each attribute of each Gaussian, by how visible it is.
+    """A profile with a step size for each attribute of each Gaussian, based on visibility.
 
     Parameters
     ----------
@@ -157,8 +157,8 @@ class AdaptiveProfile:
     fineness : float
         Without cameras: factor on all step sizes, see `blind_coefficients`.
     of_loss : float
-        With cameras: quantisation may also add this share of the error that the scene, pruned or
-        not, has before it is coded.
+        With cameras: quantisation may also add this share of the error that the (pruned) scene
+        already has before coding.
     """
 
     error: float
@@ -167,7 +167,7 @@ class AdaptiveProfile:
     of_loss: float
 
     def scaled(self, factor: float) -> AdaptiveProfile:
-        """The profile with step sizes `factor` times as large; errors scale with its square."""
+        """The profile with step sizes multiplied by `factor`; errors scale with its square."""
         square = factor**2
         return AdaptiveProfile(
             self.error * square,
@@ -179,7 +179,7 @@ class AdaptiveProfile:
 
 _M = AdaptiveProfile(error=2.6e-5, compaction=1.5e-5, fineness=0.0063, of_loss=0.3)
 
-#: Half, once and 2.25 times the step sizes of `m`.
+#: Step sizes are 0.5, 1 and 2.25 times those of `m`.
 ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = {
     "l": _M.scaled(0.5),
     "m": _M,
@@ -188,10 +188,10 @@ ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = {
 
 PROFILE_CHOICES = (*ADAPTIVE_PROFILES, *PROFILES, LOSSLESS)
 
-#: Long names that are accepted for the short ones.
+#: Long names of the profiles.
 PROFILE_WORDS: Mapping[str, str] = {"high": "l", "medium": "m", "low": "s"}
 
-#: Axes that may be up; the first is the default, as in trainers.
+#: Axes that may point up; the first is the default, as in trainers.
 UP_AXES = ("-y", "y", "-z", "z", "-x", "x")
 
 #: The profiles as help lists them.
@@ -202,24 +202,24 @@ PROFILES_SHOWN = ", ".join(
 
 @dataclass(frozen=True)
 class RateTarget:
-    """A rate target: a size, ratio, bits per Gaussian or PSNR loss to meet.
+    """A rate target: a file size, compression ratio, bits per Gaussian or PSNR loss to meet.
 
-    Files are at most as large as a size allows, and at most 2 % smaller unless the finest step
-    sizes take less.
+    Files never exceed a size target, and are at most 2 % smaller unless the finest step sizes
+    already fit.
 
     Parameters
     ----------
     size : int, optional
-        Largest file size, in bytes.
+        Maximum file size, in bytes.
     ratio : float, optional
-        Smallest compression ratio, against the PLY, or against the float32 attributes if the scene
+        Minimum compression ratio, relative to the PLY, or to the float32 attributes if the scene
         comes from a compressed file.
     bits : float, optional
-        Most bits per Gaussian of the input.
+        Maximum bits per Gaussian of the input.
     psnr_drop : float, optional
-        Largest PSNR loss in dB, mean over the views.
+        Maximum PSNR loss in dB, averaged over the views.
     allow_prune : bool
-        Whether Gaussians may be pruned to leave more bits to the others. Default False.
+        Whether Gaussians may be pruned, which leaves more bits for the others. Default False.
 
     Raises
     ------
@@ -270,7 +270,7 @@ class RateTarget:
                 raise InvalidInput(f"target {name} {value}: expected a number above 0")
 
     def limit(self, count: int, ply_bytes: int) -> int | None:
-        """Largest file size in bytes for a scene; None if the target is a PSNR loss."""
+        """Maximum file size in bytes for a scene; None if the target is a PSNR loss."""
         if self.size is not None:
             return int(self.size)
         if self.ratio is not None:
@@ -281,7 +281,7 @@ class RateTarget:
 
 
 def as_rate_target(target: RateTarget | Mapping[str, float]) -> RateTarget:
-    """Make a target from a mapping of its parameters; a target is returned as it is.
+    """Make a target from a mapping of its parameters; return a target unchanged.
 
     Raises
     ------
@@ -320,63 +320,62 @@ class Config:
     Parameters
     ----------
     profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
-        ``l``, ``m``, ``s``: step sizes by how visible each Gaussian is; ``high``, ``medium`` and
-        ``low`` are other names for them. ``paper-*``: quantisation depths of the paper's Table 2.
-        ``lossless``: every bit is kept. Default ``m``.
+        ``l``, ``m``, ``s``: step sizes based on the visibility of each Gaussian; ``high``,
+        ``medium`` and ``low`` are aliases. ``paper-*``: quantisation depths of the paper's Table 2.
+        ``lossless``: bit-exact. Default ``m``.
     depths : mapping of str to int
-        Bits per group that override those of a paper profile (its rate control, Section 4.4).
-        With ``l``, ``m``, ``s``, the geometric mean of a group's step sizes is then that of a paper
-        profile with these bits; visible Gaussians still have finer ones. Neither `coarseness` nor
-        a target changes them.
-        Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,
-        ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
+        Bits per group, overriding those of a paper profile (its rate control, Section 4.4). With
+        ``l``, ``m``, ``s``, the geometric mean of a group's step sizes becomes that of a paper
+        profile with these bits; visible Gaussians still get finer steps. Neither `coarseness` nor a
+        target changes them. Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``,
+        ``rotation``, ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
     nonfinite : {"error", "drop"}
-        What to do with Gaussians that hold NaN or infinity. Default ``error``, but
-        ``lossless`` then keeps them.
+        Handling of Gaussians with NaN or infinity. Default ``error``; ``lossless`` then keeps them.
     extra : {"error", "keep", "drop"}
-        What to do with properties beyond the INRIA layout and with normals that are not
-        all zero. ``keep`` stores them bit-exactly. Default ``error``.
+        Handling of properties beyond the INRIA layout and of normals that are not all zero.
+        ``keep`` stores them bit-exactly. Default ``error``.
     threads : int or None
-        Worker threads, 1-256; None is one for each available processor, but a single one codes
-        fewer than 4096 Gaussians. Never changes the bytes.
+        Worker threads, 1-256; None means one per available processor, or a single one for fewer
+        than 4096 Gaussians. The number never changes the bytes.
     block_size : int
-        Most Gaussians in an independently decodable block, 1024-65536. Default 16384.
+        Maximum Gaussians per independent block, 1024-65536. Default 16384.
     keep_order : bool
-        With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
+        With ``lossless``, also keep the order of the Gaussians, for a larger file. Default False.
     coarseness : float
-        With ``l``, ``m``, ``s``: factor on all step sizes (their rate control) except those of
-        `depths`, 1/64-64; without cameras, times what the scene needs. Default 1.
+        With ``l``, ``m``, ``s``: factor on all step sizes except those of `depths` (the rate
+        control of these profiles), 1/64-64. Without cameras, it multiplies the calibrated step
+        sizes of the scene. Default 1.
     geometry : {"octree", "gpcc", "auto"}
         With a paper profile, the coder of positions and SH-DC: ours (``octree``) or MPEG's
-        reference software ``tmc3`` (``gpcc``), for depths up to 18 and 8. ``auto`` is ``gpcc`` if
-        the depths allow it and the program is found, else ``octree``. Default ``octree``.
+        reference software ``tmc3`` (``gpcc``), for depths up to 18 and 8. ``auto`` selects ``gpcc``
+        if the depths allow it and the program is found, else ``octree``. Default ``octree``.
     tmc3 : str or None
-        Path of the program, for ``gpcc`` and ``auto``; None looks in the environment variable
-        ``GS_CODEC_TMC3``, then in PATH.
+        Path of the program, for ``gpcc`` and ``auto``; None searches the environment variable
+        ``GS_CODEC_TMC3``, then PATH.
     verify : bool
-        Decode the output of ``tmc3`` once and compare. Default True.
+        Whether to decode the output of ``tmc3`` and compare it with the input. Default True.
     models : {"parametric", "table", "best"}
-        With a paper profile, what gives the probabilities of symbols: as published, Laplace
-        distributions for SH-AC and Gaussian mixtures for the rest (``parametric``), tables in the
-        file (``table``), or for each channel the cheapest of all, which is ours (``best``). Default
-        ``parametric``.
+        With a paper profile, the source of symbol probabilities. ``parametric``, as published:
+        Laplace distributions for SH-AC and Gaussian mixtures for the rest. ``table``: tables in the
+        file. ``best``, our extension: the cheapest model for each channel. Default ``parametric``.
     laplace_scales : float or None
         With a paper profile, SH-AC are rectified to this many Laplace scales (mean absolute
-        deviations) on either side of their median, 0.1-1000; None is 3 for each bit of depth.
+        deviations) on either side of their median, 0.1-1000; None means 3 per bit of depth.
     coder : {"rans", "torchac"}
-        With a paper profile, the entropy coder: ours, or the paper's, a Python package (extra
-        ``paper``) that decoding needs too. Default ``rans``.
+        With a paper profile, the entropy coder: ours (``rans``), or the paper's (``torchac``), a
+        Python package (extra ``paper``) that decoding needs too. Default ``rans``.
     format : str
         ``egs``, ``spz``, ``sog``, ``compressed.ply``, ``splat``, ``glb``, ``gltf``, ``usd``,
-        ``usda``, ``usdc`` or ``usdz``.
-        Format of the file; where it has a name, its suffix says so too. Others than ``egs`` take
-        profiles ``l``, ``m`` and ``s``, and neither `depths` nor `block_size`. Default ``egs``.
+        ``usda``, ``usdc`` or ``usdz``. Format of the file; the suffix of a file name must agree.
+        Formats other than ``egs`` support profiles ``l``, ``m`` and ``s``, but neither `depths` nor
+        `block_size`. Default ``egs``.
     lod : bool
-        With ``l``, ``m``, ``s``: add coarser levels of a quarter, a sixteenth ... of the Gaussians,
-        for views from afar and first views; about a third more bytes. Default False.
+        With ``l``, ``m``, ``s``: add coarser levels with a quarter, a sixteenth ... of the
+        Gaussians, for distant views and a quick first view; about a third more bytes. Default
+        False.
     strict : bool
-        With ``l``, ``m``, ``s``: fail if rendered views lose more than twice the loss that the
-        profile aims at. Default False: a warning.
+        With ``l``, ``m``, ``s``: fail if rendered views lose more than twice the profile's target.
+        Default False: only warn.
     spz_version : {3, 4}
         With format ``spz``: 4 is smaller, 3 is read by more programs. Default 3.
 
@@ -500,13 +499,13 @@ class Config:
         self._check_geometry()
 
     def chosen_extra(self, keeps: bool = False) -> Extra:
-        """What `extra` asks for; ``auto`` keeps properties if `keeps`, or with profile lossless."""
+        """Resolve `extra`: ``auto`` keeps properties if `keeps`, or with profile ``lossless``."""
         if self.extra != "auto":
             return self.extra
         return "keep" if keeps or self.profile == LOSSLESS else "drop"
 
     def _check_format(self) -> None:
-        """Refuse what only an `.egs` has."""
+        """Reject options that only `.egs` supports."""
         if self.spz_version != 3 and self.format != "spz":
             raise InvalidInput(f"spz_version: format '{self.format}', expected 'spz'")
         if self.format == EGS:
@@ -539,14 +538,14 @@ class Config:
 
     @property
     def may_use_gpcc(self) -> bool:
-        """Whether G-PCC is asked for, or allowed where its program is found."""
+        """Whether G-PCC is selected, or allowed if its program is found."""
         if self.geometry == "octree" or self.profile not in PROFILES:
             return False
         depths = self.resolved_depths()
         return all(depths[group] <= most for group, most in GPCC_DEPTHS.items())
 
     def asked_depths(self) -> dict[str, int]:
-        """Bits of the groups of `DEPTH_GROUPS` that `depths` names."""
+        """Bits of the groups in `DEPTH_GROUPS` that `depths` sets."""
         asked = {}
         for group, bits in self.depths.items():
             members = SH_STREAMS if group == "sh-ac" else (group,)
@@ -559,14 +558,14 @@ class Config:
         return asked
 
     def resolved_depths(self) -> dict[str, int]:
-        """Bits of every group in `DEPTH_GROUPS` of a paper profile, overrides applied."""
+        """Bits of every group in `DEPTH_GROUPS` of a paper profile, with overrides applied."""
         if self.profile not in PROFILES:
             raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
         return {**PROFILES[self.profile], **self.asked_depths()}
 
     @property
     def has_steps(self) -> bool:
-        """Whether what is written follows the step sizes of profile ``l``, ``m`` or ``s``."""
+        """Whether the output follows the step sizes of profile ``l``, ``m`` or ``s``."""
         return self.profile in ADAPTIVE_PROFILES and self.format in (EGS, *ROUNDED_FORMATS)
 
     def adaptive_profile(self) -> AdaptiveProfile:
@@ -577,11 +576,11 @@ class Config:
 
 
 def as_config(config: Config | str | None) -> Config:
-    """The configuration of a profile's name; None is that of profile ``m``."""
+    """Make a configuration from a profile name; None means profile ``m``."""
     return Config(config) if isinstance(config, str) else config or Config()
 
 
 def check_threads(threads: int | None) -> None:
-    """Refuse a number of worker threads that is not 1-256, or None for all processors."""
+    """Check that a number of worker threads is 1-256, or None for all processors."""
     if threads is not None:
         options_of(Config)["threads"].check("threads", threads)

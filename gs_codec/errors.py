@@ -12,7 +12,7 @@ def printable(text: str) -> str:
 
 
 class GsCodecError(Exception):
-    """Base of every error gs_codec raises on purpose; its text is one printable line.
+    """Base class of all gs_codec errors; the message is one printable line.
 
     Examples
     --------
@@ -23,7 +23,7 @@ class GsCodecError(Exception):
     missing.ply: No such file or directory
     """
 
-    #: Whether the error concerns another file than the one being read; its text names that file.
+    #: Whether the error concerns a file other than the one being read; the message names that file.
     of_another_file = False
 
     def __init__(self, text: str = "") -> None:
@@ -31,7 +31,7 @@ class GsCodecError(Exception):
 
 
 class InvalidInput(GsCodecError):
-    """A scene, file, or option that cannot be used as given."""
+    """A scene, file or option that cannot be used."""
 
 
 class CorruptStream(GsCodecError):
@@ -39,11 +39,11 @@ class CorruptStream(GsCodecError):
 
 
 class TruncatedStream(GsCodecError):
-    """An `.egs` stream that is shorter than its header says."""
+    """An `.egs` stream that is shorter than its header states."""
 
 
 class UnsupportedVersion(GsCodecError):
-    """An `.egs` stream of a later version of the format, or with features unknown here."""
+    """An `.egs` stream of a later format version, or with unknown features."""
 
 
 class MissingTool(GsCodecError):
@@ -55,5 +55,5 @@ class ToolFailed(GsCodecError):
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an exception, on one printable line."""
+    """The message of an exception, as one printable line."""
     return printable(" ".join((getattr(error, "strerror", None) or str(error)).split()))

@@ -1,4 +1,4 @@
-"""What encoding did: sizes, models, entropy, times."""
+"""Reports of an encode: sizes, models, entropy, times."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from gs_codec.config import RateTarget
 
 log = logging.getLogger(__name__)
 
-#: Mean squared error against photographs that is assumed where there are none: 30 dB.
+#: Mean squared error against photographs that is assumed if there are none; equals 30 dB.
 NOMINAL_ERROR = 1e-3
 
-#: Version of the keys of JSON documents and of lines in reports of batches; it rises when one is
-#: removed or changes its meaning.
+#: Version of the keys of JSON documents and of lines in reports of batches; it increases when a key
+#: is removed or changes its meaning.
 SCHEMA = 1
 
-#: Sections that all entropy-coded channels have together.
+#: Sections that all entropy-coded channels share.
 _SHARED = ("states", "channels", "lattice")
 
-#: Called with a stage's name, steps done, and steps in all.
+#: Called with a stage's name, the steps done, and the total number of steps.
 Progress = Callable[[str, int, int], None]
 
 
@@ -57,14 +57,14 @@ class ChannelCost:
     stream : str
         The stream that codes it, as `inspect` names it.
     model : str
-        Kind of model that its table was made from.
+        Kind of model that produced its table.
     coded_bits : float
-        Code length of the symbols under the table in use.
+        Code length of the symbols with the table in use.
     parametric_bits : float
-        Code length under the cheapest fitted distribution; where tables alone are sent, as with
-        profiles ``l``, ``m`` and ``s``, the same as `coded_bits`.
+        Code length with the cheapest fitted distribution; equal to `coded_bits` if only tables are
+        sent, as with profiles ``l``, ``m`` and ``s``.
     shannon_bits : float
-        Their entropy times their number: the least that any static table can take.
+        Entropy of the symbols times their number: the lower bound for any static table.
     """
 
     name: str
@@ -82,7 +82,7 @@ class RateReport:
     Attributes
     ----------
     target : RateTarget
-        What was asked for.
+        The target.
     coarseness : float
         Factor on the profile's step sizes.
     steps : dict of str to tuple of float
@@ -90,18 +90,18 @@ class RateReport:
     file_bytes : int
         Size of the file.
     predicted_bytes : int or None
-        With cameras: size expected before colours were refitted.
+        With cameras: the size predicted before colours were refitted.
     psnr_drop : float or None
-        PSNR loss of the views in dB, if the target is one.
+        PSNR loss of the views in dB, if the target is a PSNR loss.
     predicted_drop : float or None
-        The same, expected from sensitivities.
+        The PSNR loss in dB that was predicted from sensitivities.
     encodings : int
         Number of times the scene was encoded, including attempts with more Gaussians.
     pruned : int
         Gaussians pruned to meet the target.
     at_end : bool
-        Whether no step sizes come nearer to the target: they are the finest possible, or for a
-        PSNR loss the coarsest.
+        Whether the target is out of reach: the step sizes are the finest possible, or for a PSNR
+        loss the coarsest.
     """
 
     target: RateTarget
@@ -118,29 +118,29 @@ class RateReport:
 
 @dataclass(frozen=True)
 class RenderedLoss:
-    """What the views of a coded scene lose, measured in windows that did not choose its steps.
+    """Loss in rendered views, measured in crops that were not used to choose step sizes.
 
     Attributes
     ----------
     psnr : float
         PSNR of the coded scene against the original, dB.
     loss : float
-        PSNR against photographs that a scene of 30 dB loses by that, dB.
+        Resulting PSNR loss against photographs, for a scene of 30 dB, in dB.
     worst : float
-        The same of the 95th percentile of the windows.
+        The same for the 95th percentile of the crops, in dB.
     windows : int
-        Number of windows.
+        Number of crops.
     views : str
-        ``given``: parts of held-out cameras, or of views between given ones; ``likely``: of places
-        where cameras may have been.
+        ``given``: crops of held-out cameras, or of views between given ones; ``likely``: crops of
+        views from estimated cameras.
     away : float, optional
-        With given cameras: the loss in likely views, which other cameras may have.
+        With given cameras: the loss in likely views, from other positions.
     aimed : float, optional
-        The loss that the step sizes aim at; None for a fixed size or fixed bits.
+        Target loss of the step sizes, dB; None for a fixed size or fixed depths.
     encodings : int
-        Number of times the scene was encoded to get there.
+        Number of times the scene was encoded.
     remedy : str, optional
-        What was done because the first result was worse than aimed at.
+        What was changed because the first result missed the target.
     """
 
     psnr: float
@@ -155,22 +155,22 @@ class RenderedLoss:
 
 
 def psnr_loss(error: float) -> float:
-    """PSNR that views of 30 dB lose by an added mean squared error, dB."""
+    """PSNR loss in dB of 30 dB views to which a mean squared error is added."""
     return 10 * math.log10(1 + error / NOMINAL_ERROR)
 
 
 @dataclass(frozen=True)
 class ActionReport:
-    """What an action did.
+    """Result of an action.
 
     Attributes
     ----------
     action : str
-        As it was typed, without dashes.
+        The action as typed, without dashes.
     before, after : int
-        Number of Gaussians before and after it.
+        Number of Gaussians before and after the action.
     details : dict of str to int
-        With ``remove-floaters``, how many were removed for each reason.
+        With ``remove-floaters``, number of removed Gaussians by reason.
     seconds : float
         Wall time.
     """
@@ -184,12 +184,12 @@ class ActionReport:
 
 @dataclass(frozen=True)
 class EncodeReport:
-    """What `encode` did to a scene.
+    """Result of `encode`.
 
     Attributes
     ----------
     count : int
-        Gaussians coded.
+        Number of coded Gaussians.
     raw_bytes : int
         Size of their float32 attributes.
     section_bytes : dict of str to int
@@ -197,37 +197,37 @@ class EncodeReport:
     costs : list of ChannelCost
         Code lengths and entropies of the rANS-coded channels.
     rectified : int
-        SH-AC values moved to the edge of their Laplace range; with profiles `l`, `m` and `s`,
-        values of any attribute clamped to the largest of the lattice.
+        Number of SH-AC values clamped to their Laplace range; with profiles `l`, `m` and `s`, of
+        values of any attribute clamped to the lattice.
     zero_quaternions : int
-        Quaternions of norm 0, coded as the identity.
+        Number of quaternions of norm 0, which are coded as the identity.
     dropped : int
-        Gaussians left out because they held NaN or infinity.
+        Number of Gaussians dropped because of NaN or infinity.
     seconds : dict of str to float
         Wall time of each stage.
     coarseness : float
-        Factor on the step sizes of profile ``l``, ``m`` or ``s``: what was asked for, times what
-        the scene needs without cameras, or what met a target.
+        Factor on the step sizes of profile ``l``, ``m`` or ``s``: the configured one, times the
+        calibrated one if camera-free; or the one that met a target.
     lost : tuple of str
-        What a format other than `.egs` cannot hold, in words; with profiles ``paper-*``, how many
-        Gaussians were moved nearer.
+        Sentences on what a format other than `.egs` cannot represent; with profiles ``paper-*``, on
+        Gaussians moved nearer.
     rate : RateReport, optional
         How the target was met, if one was given.
     rendered : RenderedLoss, optional
-        What rendered views lose; None if that was not measured, as with profile ``lossless``.
+        Loss in rendered views; None if not measured, as with profile ``lossless``.
     prepared : dict, optional
-        What preparation did, if there was any: `PrepareReport.as_dict`, with the steps of coding.
+        Report of preparation, if any: `PrepareReport.as_dict`, including the coding steps.
     input_bytes : int
         Size of the file that was encoded; 0 if the scene was in memory.
     ratio : float
-        Compression ratio against that file, or against its floats if it is compressed or was
-        edited; 0 if the scene was in memory.
+        Compression ratio relative to that file, or to its floats if it is compressed or was edited;
+        0 if the scene was in memory.
     actions : tuple of ActionReport
-        What each action did.
+        Report of each action.
     sh_degree : int
         SH degree coded.
     float_bytes : int
-        Size of the floats of the scene that was encoded, before pruning; 0 if it was in memory.
+        Size of the source scene's floats, before pruning; 0 if the scene was in memory.
     """
 
     count: int
@@ -256,12 +256,12 @@ class EncodeReport:
 
     @property
     def entropy_overhead(self) -> float:
-        """Size of words, states, models and quantisers over Shannon entropy, less 1."""
+        """Relative excess of words, states, models and quantisers over the Shannon entropy."""
         entropy = sum(cost.shannon_bits for cost in self.costs)
         return self.coded_bits(self.costs) / entropy - 1 if entropy else 0.0
 
     def coded_bits(self, channels: Sequence[ChannelCost]) -> float:
-        """Bits of all channels of some streams, with an equal share for each of what all use.
+        """Bits of all channels of some streams, with their share of the common sections.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class EncodeReport:
         Returns
         -------
         float
-            Words, and a share of states, models and quantisers.
+            Bits of words, and a share of states, models and quantisers, equal for each stream.
         """
         names = {cost.stream for cost in channels}
         shared = sum(self.section_bytes.get(name, 0) for name in _SHARED)
@@ -280,12 +280,12 @@ class EncodeReport:
 
 
 def bits_per_gaussian(size: int, count: int) -> float | None:
-    """Bits of a file for each Gaussian in it; None without Gaussians."""
+    """Bits per Gaussian of a file; None without Gaussians."""
     return 8 * size / count if count else None
 
 
 def finite(value: Any) -> Any:
-    """A value for JSON, which has neither NaN nor infinity: they become None."""
+    """Convert a float for JSON, which has neither NaN nor infinity: these become None."""
     if isinstance(value, dict):
         return {name: finite(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
@@ -294,7 +294,7 @@ def finite(value: Any) -> Any:
 
 
 def step_counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None]:
-    """A callback that counts the steps of a stage for `progress`, if there is one."""
+    """Make a callback that reports one more step of a stage to `progress`, if given."""
     done = 0
 
     def advance() -> None:

@@ -16,10 +16,10 @@ from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.runtime.wording import counted
 
-#: SH-AC coefficients of one colour for each SH degree.
+#: Number of SH-AC coefficients per colour, for each SH degree.
 SH_COEFFICIENTS = (0, 3, 8, 15)
 
-#: Number of coefficients of degree 4, which some programs write; degree 4 itself is left out.
+#: Number of coefficients of degree 4, which some programs write and we discard.
 DEGREE_4 = 24
 
 #: Attribute groups of a scene, in the order reports list them.
@@ -28,7 +28,7 @@ GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 #: Value of the SH basis function of degree 0: a colour is 0.5 + SH_C0 * f_dc.
 SH_C0 = 0.28209479177387814
 
-#: What stands for a scale of 0, which has no logarithm (the least float32 above 0).
+#: Log-scale that represents a scale of 0, which has no logarithm (log of the smallest float32).
 FLAT = -103.0
 
 #: Factors of the SH basis functions of degrees 1, 2 and 3.
@@ -42,7 +42,7 @@ SH_C3 = (
     1.445305721320277,
 )
 
-#: Name of an extra property: printable, without spaces; `_TYPES` has the types.
+#: Valid names of extra properties: printable, without spaces; `_TYPES` has the types.
 _NAME = re.compile("[!-~]{1,255}")
 _LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")
 _RENDER_MODE = re.compile(r"\s*(?:SplatRenderMode:|antialiased\s)\s*(\w+)\s*", re.IGNORECASE)
@@ -55,16 +55,16 @@ _OFFSET = re.compile(r"\s*CoordinateOffset:\s*(\S+)\s+(\S+)\s+(\S+)\s*", re.IGNO
 #: Translation of centres, x, y, z.
 Shift = tuple[float, float, float]
 
-#: Properties that are no attribute of a Gaussian, but are turned with it.
+#: Extra properties that are rotated with the Gaussians.
 NORMALS = ("nx", "ny", "nz")
 
-#: Comment of a scene that was trained with opacity compensation.
+#: PLY comment of a scene that was trained with opacity compensation.
 ANTIALIASED = "SplatRenderMode: mip"
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 
 
 def sh_bands(coefficients: int = SH_COEFFICIENTS[-1]) -> list[range]:
-    """SH-AC coefficients of each band, of a scene with this many per colour."""
+    """SH-AC coefficient indices of each band, for this many coefficients per colour."""
     edges = [edge for edge in SH_COEFFICIENTS if edge <= coefficients]
     return [range(first, last) for first, last in pairwise(edges)]
 
@@ -72,7 +72,7 @@ def sh_bands(coefficients: int = SH_COEFFICIENTS[-1]) -> list[range]:
 def sh_values(x, y, z, coefficients, basis):
     """Fill ``basis (15, ...)`` with the first `coefficients` SH-AC values in a unit direction.
 
-    Plain arithmetic: kernels compile it, and components may be arrays.
+    Kernels compile this function; x, y and z may also be arrays.
     """
     if coefficients >= 3:
         basis[0] = -SH_C1 * y
@@ -122,7 +122,7 @@ def float_bytes(count: int, sh_degree: int) -> int:
 
 
 def coordinates_comment(system: str) -> str:
-    """Comment that names the system that centres and rotations are in."""
+    """PLY comment that names the coordinate system of centres and rotations."""
     return f"CoordinateSystem: {system}"
 
 
@@ -133,24 +133,24 @@ def stated_comments(coordinates: str | None, antialiased: bool) -> tuple[str, ..
 
 
 def comment_lines(comments: Iterable[str]) -> list[str]:
-    """Comments, of which some may have several lines, line by line."""
+    """Split comments into single lines."""
     return [line for comment in comments for line in comment.split("\n")]
 
 
 def coordinates_of(comments: Iterable[str]) -> str | None:
-    """The coordinate system that comments name, as `Scene.coordinates`."""
+    """The coordinate system named in comments, as in `Scene.coordinates`."""
     found = [m[1].upper() for m in map(_COORDINATES.fullmatch, comment_lines(comments)) if m]
     return found[-1] if found else None
 
 
 def antialiased_of(comments: Iterable[str]) -> bool:
-    """Whether comments ask for opacity compensation, as `Scene.antialiased`."""
+    """Whether comments ask for opacity compensation, as in `Scene.antialiased`."""
     found = [m[1].lower() for m in map(_RENDER_MODE.fullmatch, comment_lines(comments)) if m]
     return bool(found) and found[-1] in ("mip", "1")
 
 
 def offset_of(comments: Iterable[str]) -> Shift | None:
-    """What to add to centres for the coordinates of the source, by the last comment on it."""
+    """Offset from stored centres to source coordinates, from the last comment that states one."""
     found = [m for m in map(_OFFSET.fullmatch, comment_lines(comments)) if m]
     try:
         x, y, z = map(float, found[-1].groups())
@@ -160,7 +160,7 @@ def offset_of(comments: Iterable[str]) -> Shift | None:
 
 
 def with_offset(comments: Iterable[str], offset: Iterable[float] | None) -> tuple[str, ...]:
-    """Comments with this offset, or with none, in place of theirs; see `offset_of`."""
+    """Replace the offset stated in comments, or remove it if None; see `offset_of`."""
     kept = tuple(each for each in comments if not _OFFSET.fullmatch(each))
     if offset is None:
         return kept
@@ -168,7 +168,7 @@ def with_offset(comments: Iterable[str], offset: Iterable[float] | None) -> tupl
 
 
 def other_comments(comments: Iterable[str]) -> tuple[str, ...]:
-    """The comment lines that are neither on the coordinate system nor on antialiasing."""
+    """The comment lines that concern neither the coordinate system nor antialiasing."""
     lines = comment_lines(comments)
     return tuple(
         line for line in lines if not (_COORDINATES.fullmatch(line) or _RENDER_MODE.fullmatch(line))
@@ -200,7 +200,7 @@ class Scene:
     rot : ndarray, shape (4, N), float32
         Quaternion wxyz as stored, of any norm.
     has_normals : bool
-        Whether the file had (all-zero) normals, to be written back.
+        Whether the file had (all-zero) normals, so that they can be written back.
     comments : tuple of str
         Comment lines of the PLY header.
     extra : mapping of str to ndarray, each shape (N,)
@@ -258,7 +258,7 @@ class Scene:
 
     @property
     def antialiased(self) -> bool:
-        """Whether the scene was trained with opacity compensation, by the last comment on it.
+        """Whether the scene was trained with opacity compensation; the last comment on it counts.
 
         Brush and splat-transform write ``SplatRenderMode: mip``, Postshot ``antialiased 1``.
         """
@@ -266,7 +266,7 @@ class Scene:
 
     @property
     def coordinates(self) -> str | None:
-        """Where +x, +y and +z point (``RDF``: right, down, forward), by the last comment on it.
+        """Directions of +x, +y, +z (``RDF``: right, down, forward); the last comment on it counts.
 
         None without such a comment, as in the trainer's PLY. The `.spz` format has a fixed system.
         """
@@ -278,7 +278,7 @@ class Scene:
         return float_bytes(self.count, self.sh_degree)
 
     def take(self, index: NDArray) -> Scene:
-        """The Gaussians that `index` (positions or mask) selects, in that order."""
+        """Gaussians selected by `index` (indices or mask), in that order."""
         changes: dict[str, Any] = {group: gather(getattr(self, group), index) for group in GROUPS}
         changes["extra"] = {
             name: gather(column[None], index)[0] for name, column in self.extra.items()
@@ -286,16 +286,16 @@ class Scene:
         return replace(self, **changes)
 
     def between(self, start: int, stop: int) -> Scene:
-        """Gaussians `start` to `stop`, the last not included; nothing is copied."""
+        """Gaussians `start` to `stop`, the latter excluded; without copying."""
         changes: dict[str, Any] = {group: getattr(self, group)[:, start:stop] for group in GROUPS}
         changes["extra"] = {name: column[start:stop] for name, column in self.extra.items()}
         return replace(self, **changes)
 
 
 def join_scenes(parts: Sequence[Scene]) -> Scene:
-    """One scene of the Gaussians of all parts, which have the properties of the first.
+    """Concatenate scenes; properties other than Gaussians are those of the first.
 
-    It is of the highest SH degree; SH-AC that a part does not have are 0.
+    The result has the highest SH degree of all parts; missing SH-AC are 0.
     """
     if len(parts) == 1:
         return parts[0]
@@ -311,7 +311,7 @@ def join_scenes(parts: Sequence[Scene]) -> Scene:
 
 
 def _side_by_side(parts: Sequence[NDArray[np.float32]], rows: int) -> NDArray[np.float32]:
-    """Planes of all parts; of SH-AC, each colour of a part may have fewer rows than others."""
+    """Concatenate planes; parts may have fewer SH-AC rows per colour, which are filled with 0."""
     joined = empty((rows, sum(part.shape[1] for part in parts)), np.float32)
     start = 0
     for part in parts:
@@ -329,9 +329,9 @@ def _side_by_side(parts: Sequence[NDArray[np.float32]], rows: int) -> NDArray[np
 
 
 def gather(planes: NDArray, index: NDArray) -> NDArray:
-    """Columns of ``planes (C, N)`` that `index` (positions or mask) selects, in that order."""
+    """Columns of ``planes (C, N)`` selected by `index` (indices or mask), in that order."""
     index = np.asarray(index)
-    # Converted once, not for each row; indices are in range, so nothing is clipped.
+    # Convert once instead of per row. Indices are in range, so clipping changes nothing.
     indices = np.flatnonzero(index) if index.dtype == bool else index.astype(np.intp, copy=False)
     gathered = empty((len(planes), len(indices)), planes.dtype)
 

@@ -1,8 +1,7 @@
-"""The package `viewer`, which stands beside gs_codec, by a name inside gs_codec.
+"""An alias of the top-level package `viewer`, inside gs_codec.
 
-`gs_codec.viewer` is that package itself, loaded when it is asked for. Nothing else in gs_codec
-knows the viewer, which is built on it; so it is imported by its name here, out of the order of
-imports that the layout prescribes.
+`gs_codec.viewer` is that package itself, loaded on first use. The viewer is built on gs_codec, so
+this import runs against the import order of the layout; nothing else in gs_codec uses the viewer.
 """
 
 from __future__ import annotations

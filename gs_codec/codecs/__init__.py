@@ -1,4 +1,4 @@
-"""Scene to stream and back: the order of the stages is decided here alone."""
+"""Scene to stream and back. Only this package knows the order of the stages."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Which blocks at which level a camera needs. FORMAT.md, section "Selection".
+"""Select the blocks and levels of detail that a camera needs. FORMAT.md, section "Selection".
 
-All is done in binary64 with operations that are rounded alike everywhere, so every reader selects
-the same blocks.
+All arithmetic is binary64, with operations that are rounded alike everywhere, so every reader
+selects the same blocks.
 """
 
 from __future__ import annotations
@@ -21,53 +21,53 @@ from gs_codec.egs.levels import check_errors, errors_of, within
 
 @runtime_checkable
 class View(Protocol):
-    """What selection needs of a camera; see `Camera`."""
+    """The camera attributes that selection needs; see `Camera`."""
 
     @property
     def width(self) -> int:
-        """Pixels."""
+        """Image width, pixels."""
 
     @property
     def height(self) -> int:
-        """Pixels."""
+        """Image height, pixels."""
 
     @property
     def fx(self) -> float:
-        """Focal length, pixels."""
+        """Horizontal focal length, pixels."""
 
     @property
     def fy(self) -> float:
-        """Focal length, pixels."""
+        """Vertical focal length, pixels."""
 
     @property
     def cx(self) -> float:
-        """Principal point, pixels."""
+        """Principal point, x, pixels."""
 
     @property
     def cy(self) -> float:
-        """Principal point, pixels."""
+        """Principal point, y, pixels."""
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """World to camera, shape (3, 3)."""
+        """World-to-camera rotation, shape (3, 3)."""
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Centre in the world, shape (3,)."""
+        """Camera centre in the world, shape (3,)."""
 
 
 class Seen(NamedTuple):
-    """What a view shows of a level's blocks, each ``(blocks,)``.
+    """The blocks of a level, as seen in a view; each array is ``(blocks,)``.
 
     Attributes
     ----------
     counts : ndarray, int64
-        Gaussians.
+        Number of Gaussians.
     in_view : ndarray, bool
     distances : ndarray, float64
-        From the camera to the block's second box, scene units.
+        Distance from the camera to the box of the block's ellipsoids, scene units.
     errors : ndarray, float64
-        Pixels; 0 of level 0.
+        Error in pixels; 0 at level 0.
     """
 
     counts: NDArray[np.int64]
@@ -79,22 +79,22 @@ class Seen(NamedTuple):
 def select_blocks(
     levels: Sequence[EgsFile], view: View, budget: int | None, tolerance: float
 ) -> list[list[int]]:
-    """Numbers of the blocks of each level to draw, ascending.
+    """Select the blocks of each level to draw; returns their numbers, ascending.
 
     Parameters
     ----------
     levels : sequence of EgsFile
-        The file, and its levels, each of which is coarser than the one before.
+        The file, then its levels, from fine to coarse.
     view : View
     budget : int, optional
-        Most Gaussians.
+        Maximum number of Gaussians.
     tolerance : float
-        Largest error in pixels of a block that is drawn in place of finer ones.
+        Maximum error in pixels of a block that is drawn in place of finer ones.
 
     Raises
     ------
     CorruptStream
-        If a level's errors are below those of the one before.
+        If a level's errors are below those of the finer level.
     """
     seen = _look(levels, view)
     chosen: list[list[int]] = [[] for _ in levels]
@@ -124,7 +124,7 @@ def select_blocks(
 
 
 def _nearest(seen: Seen, blocks: list[int], budget: int) -> list[int]:
-    """The nearest of some blocks, as many as a budget holds, ascending."""
+    """The nearest blocks that fit into the budget, ascending."""
     kept = []
     for block in sorted(blocks, key=lambda block: (seen.distances[block], block)):
         budget -= int(seen.counts[block])
@@ -135,7 +135,7 @@ def _nearest(seen: Seen, blocks: list[int], budget: int) -> list[int]:
 
 
 def _look(levels: Sequence[EgsFile], view: View) -> list[Seen]:
-    """What a view shows of all levels."""
+    """Evaluate all levels for a view."""
     found = []
     before = np.zeros(levels[0].header.block_count, np.float32)
     for number, file in enumerate(levels):
@@ -147,7 +147,7 @@ def _look(levels: Sequence[EgsFile], view: View) -> list[Seen]:
         spans = [header.block_range(block) for block in range(header.block_count)]
         counts = np.array([stop - start for start, stop in spans], np.int64)
         distances = _distances(boxes, view)
-        # An error of 0 is none from anywhere, any other is infinite from within the box.
+        # An error of 0 stays 0 at any distance; any other error is infinite inside the box.
         scaled = errors.astype(np.float64) * max(view.fx, view.fy)
         pixels = np.full(len(errors), np.inf)
         np.divide(scaled, distances, out=pixels, where=distances > 0)
@@ -158,7 +158,7 @@ def _look(levels: Sequence[EgsFile], view: View) -> list[Seen]:
 
 
 def _distances(boxes: NDArray[np.float64], view: View) -> NDArray[np.float64]:
-    """Distances ``(blocks,)`` from the camera to boxes ``(blocks, 6)``; 0 from within."""
+    """Distances ``(blocks,)`` from the camera to boxes ``(blocks, 6)``; 0 inside."""
     place = np.asarray(view.position, np.float64)
     x, y, z = np.maximum(np.maximum(boxes[:, :3] - place, place - boxes[:, 3:]), 0.0).T
     return np.sqrt(x * x + y * y + z * z)

@@ -39,7 +39,7 @@ from gs_codec.scene import GROUPS, Scene, join_scenes, stated_comments
 if TYPE_CHECKING:
     from gs_codec.codecs.entropygs.tmc3 import Tmc3
 
-#: Gaussians decoded at once below a memory limit.
+#: Maximum number of Gaussians decoded at once if there is a memory limit.
 _SLAB = 1 << 18
 
 
@@ -49,12 +49,12 @@ def decode_scene(
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> Scene:
-    """Decode an `.egs` stream; see `decode_part`."""
+    """Decode an `.egs` stream; see `decode_part` for the arguments."""
     return decode_part(data, Part(), threads, max_bytes, progress)[0]
 
 
 def decode_as(config: Config, data: bytes | Readable, progress: Progress | None = None) -> Scene:
-    """Decode what was encoded by a configuration, which names its format."""
+    """Decode data that was encoded with a configuration, which names the format."""
     if config.format == EGS:
         return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
     from gs_codec.codecs.interchange import decode_interchange
@@ -72,18 +72,18 @@ def decode_part(
 ) -> tuple[Scene, EgsFile]:
     """Decode a part of an `.egs` stream.
 
-    SH above the part's degree is not read, nor are blocks whose centres the index has apart from
-    the part's box, or that its view does not need.
+    Skips SH above the part's degree, blocks with no centres in the part's box (according to the
+    index), and blocks that its view does not need.
 
     Parameters
     ----------
     data : bytes
     part : Part
     threads : int, optional
-        Worker threads, 1-256; by default one for each available processor, but a single one for
-        fewer than 4096 Gaussians.
+        Worker threads, 1-256; by default one per available processor, or a single one for fewer
+        than 4096 Gaussians.
     max_bytes : int, optional
-        Largest decoded size that is accepted; `most_bytes` gives the default.
+        Maximum decoded size; the default comes from `most_bytes`.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
     tmc3 : path, optional
@@ -92,9 +92,9 @@ def decode_part(
     Returns
     -------
     scene : Scene
-        In the order of the stream; with a view, the coarsest level first.
+        The Gaussians in stream order; with a view, the coarsest level first.
     file : EgsFile
-        The header, and the sections that were read; with a level, its own.
+        The header and the sections that were read; with a level, those of the level.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def decode_part(
 
 
 def _kept(scene: Scene) -> Scene:
-    """A scene whose planes are kept for long; see `Memory.keep`."""
+    """Move a scene's planes to long-term storage; see `Memory.keep`."""
     planes: dict[str, Any] = {group: current().keep(getattr(scene, group)) for group in GROUPS}
     return replace(scene, **planes)
 
@@ -128,7 +128,7 @@ def choose_part(
     tmc3: str | Path | None = None,
     among: Container[int] | None = None,
 ) -> ChosenPart:
-    """Read and check the sections that a part needs, of the blocks `among`; see `decode_part`."""
+    """Read and check the sections for a part, within the blocks `among`; see `decode_part`."""
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header, limit = file.header, most_bytes(len(data), max_bytes)
     if header.float_bytes > limit:
@@ -161,7 +161,7 @@ def choose_part(
 
 
 def _opened(file: EgsFile, level: int) -> EgsFile:
-    """A level of a file, with exactly its sections."""
+    """Open a level of a file, and check that it has exactly its sections."""
     found = open_level(file, level)
     with within(level):
         _check_sections(found, is_level=True)
@@ -169,7 +169,7 @@ def _opened(file: EgsFile, level: int) -> EgsFile:
 
 
 def _require_programs(file: EgsFile, tmc3: str | Path | None) -> Tmc3 | None:
-    """Check that the programs of others that a file needs are here; that of its points, if any."""
+    """Check that the external programs for a file are available; return that for points."""
     if not (Feature.GPCC | Feature.TORCHAC) & file.header.features:
         return None
     from gs_codec.codecs.entropygs.gpcc import tool_for
@@ -181,7 +181,7 @@ def _require_programs(file: EgsFile, tmc3: str | Path | None) -> Tmc3 | None:
 
 
 def _in_box(file: EgsFile, part: Part, among: Container[int] | None) -> list[int]:
-    """Blocks, of those `among`, of which a part may have Gaussians."""
+    """Blocks, out of those `among`, that may have Gaussians of a part."""
     index = index_of(file)
     blocks = np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
     return blocks if among is None else [block for block in blocks if block in among]
@@ -190,7 +190,7 @@ def _in_box(file: EgsFile, part: Part, among: Container[int] | None) -> list[int
 def _chosen(
     file: EgsFile, part: Part, blocks: Sequence[int], limit: int, tool: Tmc3 | None
 ) -> ChosenPart:
-    """Blocks of a file, whose sections are read and checked."""
+    """Read and check the sections of some blocks of a file."""
     degree = part.degree_of(file.header.sh_degree)
     chosen = frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
@@ -206,10 +206,10 @@ def _chosen(
 
 @dataclass(frozen=True)
 class ChosenPart:
-    """A file whose needed sections are read and checked, and the blocks to decode.
+    """A file with all needed sections read and checked, and the blocks to decode.
 
-    `coarser` are those of coarser levels beside it, the finest first; `bytes_before` are those of
-    the file around a level that were read.
+    `coarser` has the same for coarser levels, the finest first. `bytes_before` is the number of
+    bytes read from the enclosing file of a level.
     """
 
     file: EgsFile
@@ -234,8 +234,8 @@ class ChosenPart:
     def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
         """Decode to consecutive scenes of whole blocks, at most `size` Gaussians each.
 
-        A larger block is a scene of its own. If there are no blocks, one empty scene is given.
-        Coarser levels come first, and have no extra properties, nor has then any slab.
+        A larger block is yielded as a single scene. Without blocks, one empty scene is yielded.
+        Coarser levels come first; if there are any, no slab has extra properties.
         """
         comments, extra = carried(self.file)
         if self.coarser:
@@ -263,7 +263,7 @@ class ChosenPart:
             done += run.count
 
     def _of(self, number: int) -> ChosenPart:
-        """The blocks of a level: 0 is this, others are coarser."""
+        """The blocks of a level: 0 for this object, higher numbers for coarser levels."""
         return self.coarser[number - 1] if number else self
 
     def _runs(self, size: int) -> Iterator[_Run]:
@@ -281,7 +281,7 @@ class ChosenPart:
 
 @dataclass(frozen=True)
 class _Run:
-    """Blocks that are decoded together: their ranges in the result and in the stream."""
+    """Blocks decoded together: their ranges in the result and in the stream."""
 
     spans: dict[int, slice]
     ranges: list[slice]
@@ -291,7 +291,7 @@ class _Run:
         return max((span.stop for span in self.spans.values()), default=0)
 
     def of(self, columns: dict[str, NDArray]) -> dict[str, NDArray]:
-        """The rows of these Gaussians in columns of the whole scene."""
+        """Rows of these Gaussians, from columns of the whole scene."""
         return {
             name: np.concatenate([column[:0], *(column[where] for where in self.ranges)])
             for name, column in columns.items()
@@ -299,7 +299,7 @@ class _Run:
 
 
 def _part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
-    """Progress of all Gaussians, from that of a slab of `count` after `first`."""
+    """Overall progress, from the progress of a slab of `count` Gaussians after `first`."""
     if progress is None:
         return None
     return lambda stage, done, steps: progress(stage, first + count * done // steps, total)
@@ -318,7 +318,7 @@ def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray
 
 
 def _check_extra(file: EgsFile, limit: int) -> None:
-    """Refuse extra properties that, with the floats, would exceed the limit."""
+    """Reject extra properties that, together with the floats, would exceed the limit."""
     extra = file.sections.get((SectionId.EXTRA, 0))
     size = 0 if extra is None else extra_bytes(extra, file.header.count)
     if size > limit - file.header.float_bytes:
@@ -365,7 +365,7 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
 
 
 def carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:
-    """Comments with what the header states, and extra properties of all Gaussians."""
+    """Comments, including what the header states, and extra properties of all Gaussians."""
     header = file.header
     stored = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))

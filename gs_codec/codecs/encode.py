@@ -23,7 +23,7 @@ from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
-#: Consecutive pieces of a file, and what was done.
+#: Consecutive pieces of a file, and the report.
 Encoded = tuple[list[bytes | memoryview], EncodeReport]
 
 
@@ -33,7 +33,7 @@ def encode_scene(
     progress: Progress | None = None,
     steps: StepSizes | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene, as `.egs` or in the format that the configuration names.
+    """Encode a scene, to `.egs` or the format that the configuration names.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def encode_scene(
     Raises
     ------
     InvalidInput
-        If values are not finite and `config` does not say to drop them.
+        If values are not finite and ``config.nonfinite`` is not ``drop``.
     MissingTool, ToolFailed
         If `config` asks for G-PCC or torchac, and the program is missing or fails.
     """
@@ -88,7 +88,8 @@ def encode_clean(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`; see `encode_parts`.
 
-    Profiles ``l``, ``m`` and ``s`` of an `.egs` keep decoded values of those in `watched`.
+    With profiles ``l``, ``m`` and ``s`` of an `.egs`, `watched` receives the decoded values of its
+    Gaussians.
     """
     if config.format != EGS:
         parts, report = encode_interchange(scene, config, steps, times)
@@ -109,7 +110,7 @@ def shape_scene(
     progress: Progress | None = None,
     watched: Watched | None = None,
 ) -> ShapedScene | RoundedScene:
-    """Round everything but the colours of a cleaned scene, with finished step sizes.
+    """Quantise everything but the colours of a cleaned scene, with given step sizes.
 
     See `encode_clean` for `watched`.
     """
@@ -121,7 +122,7 @@ def shape_scene(
 def encode_shaped(
     shaped: ShapedScene | RoundedScene, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene from `shape_scene`, with the colours that it has now."""
+    """Encode a scene from `shape_scene`, with its current colours."""
     if isinstance(shaped, RoundedScene):
         return encode_rounded(shaped, times)
     return adaptive.encode_shaped(shaped, times, progress)

@@ -1,4 +1,4 @@
-"""What each Gaussian of a file takes, and how finely it is rounded."""
+"""Bits and step sizes of each Gaussian of a file."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from gs_codec.runtime.threads import run_all, using_threads
 
 @dataclass(frozen=True)
 class StreamBits:
-    """What a Gaussian takes in one stream.
+    """Bits of a Gaussian in one stream.
 
     Attributes
     ----------
     name : str
-        As `Info.streams` names it.
+        Name, as in `Info.streams`.
     bits : float
     shared : {"", "block", "file"}
-        Empty if they are in proportion to the information of the Gaussian's own symbols; else they
-        are an equal share of what the stream takes in its block, or in the file.
+        Empty if the bits are proportional to the code length of the Gaussian's own symbols; else
+        they are an equal share of the stream's bits in the block, or in the file.
     """
 
     name: str
@@ -46,10 +46,10 @@ class CodedGaussian:
     block : int
         Number of its block.
     streams : tuple of StreamBits
-        As `Info.streams`; over all Gaussians, they add up to these.
+        In the order of `Info.streams`; the sum over all Gaussians is the size of the stream.
     steps : dict of str to tuple of float
-        Step sizes by stream, one for all of its channels or one for each; empty for `lossless`.
-        Of profiles `l`, `m` and `s` as in `BlockCosts`; else of the channels as they are stored.
+        Step sizes by stream, one for all of its channels or one for each; empty for `lossless`. For
+        profiles `l`, `m` and `s` as in `BlockCosts`; otherwise those of the stored channels.
     """
 
     block: int
@@ -80,7 +80,7 @@ class _Costs:
         return Blocks(self.file, self.file.header.sh_degree)
 
     def block(self, number: int) -> adaptive.BlockCosts:
-        """Own bits and step sizes of the Gaussians of a block; nothing where they have none."""
+        """Own bits and step sizes of the Gaussians of a block; empty if they have none."""
         if self.file.header.profile not in ADAPTIVE_PROFILES:
             return adaptive.BlockCosts({}, {})
         return adaptive.block_costs(self._blocks, number)
@@ -90,7 +90,8 @@ class _Costs:
     ) -> dict[str, NDArray[np.float64]]:
         """Bits ``(n,)`` of the Gaussians of a block in all of its streams.
 
-        A stream is shared in proportion to the information of the symbols in it, if it has any.
+        A stream's bits are shared in proportion to the code lengths of its symbols, if there are
+        any.
         """
         start, stop = self.file.header.block_range(number)
         bits = {}
@@ -103,11 +104,12 @@ class _Costs:
 
 
 def gaussian_bits(file: EgsFile) -> NDArray[np.float64]:
-    """Bits of each Gaussian ``(N,)`` of a file that decodes, in stream order; in sum, the file's.
+    """Bits of each Gaussian ``(N,)`` of a valid file, in stream order; their sum is the file's.
 
-    With profiles `l`, `m` and `s`, streams are shared by the information of a Gaussian's own
-    symbols, and what a block has for all equally: most of a position. With the other profiles bits
-    are the mean of the block. What the file has once is shared by all.
+    With profiles `l`, `m` and `s`, the bits of streams are shared in proportion to the code lengths
+    of a Gaussian's own symbols, and the common bits of a block (most of the position bits) equally.
+    With other profiles, each Gaussian has the mean bits of its block. Sections of the whole file
+    are shared by all Gaussians.
 
     Raises
     ------
@@ -129,7 +131,7 @@ def gaussian_bits(file: EgsFile) -> NDArray[np.float64]:
 def describe_gaussian(file: EgsFile, index: int) -> CodedGaussian:
     """How a file codes a Gaussian, by its index in stream order.
 
-    Of the file, `DESCRIPTIONS` need to be read; of its blocks, only that of the Gaussian is.
+    The sections in `DESCRIPTIONS` must have been read; only the block of the Gaussian is decoded.
 
     Raises
     ------

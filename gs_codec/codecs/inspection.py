@@ -1,6 +1,6 @@
-"""Describe a file from its header and the sections that describe its blocks.
+"""Describe a file from its header and descriptive sections, without decoding its blocks.
 
-Those sections hold the index, channels or lattices, and what else coded the scene.
+Those sections are the index, channels or lattices, and the version lines of external coders.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class StreamInfo:
     Attributes
     ----------
     name : str
-        As FORMAT.md names the section.
+        Name of the section, as in FORMAT.md.
     bytes : int
         Size of all sections of that kind.
     bits_per_gaussian : float
@@ -63,11 +63,11 @@ class PassInfo:
     Attributes
     ----------
     name : str
-        What they code.
+        What the symbols code.
     stream : str
-        The stream that they are in.
+        The stream with these symbols.
     tables : int
-        Number of frequency tables that its contexts choose from.
+        Number of frequency tables of its contexts.
     finest_step, coarsest_step : float
         Step sizes, in the attribute's own domain.
     """
@@ -86,14 +86,14 @@ class LevelInfo:
     Attributes
     ----------
     level : int
-        1 has a quarter of the Gaussians of the file, 2 a sixteenth, ...
+        Level 1 has a quarter of the Gaussians of the file, level 2 a sixteenth, ...
     count, blocks : int
-        Number of its Gaussians, and of its blocks.
+        Number of Gaussians and of blocks.
     bytes : int
         Size of its section.
     least_error, largest_error : float
-        Of its blocks, scene units; as far away as a block's error is a pixel, the block stands for
-        four of the level before.
+        Errors of its blocks, scene units. At the distance where a block's error is one pixel, it
+        replaces four blocks of the next finer level.
     """
 
     level: int
@@ -119,17 +119,17 @@ class Info:
     profile : str
         Profile, as `Config` names it.
     features : tuple of str
-        What a reader has to be able to do beside the profile: ``G-PCC``, ``torchac``.
+        Features that a reader must support besides the profile: ``G-PCC``, ``torchac``.
     blocks, block_size : int
-        Number of independently decodable blocks, and most Gaussians in one.
+        Number of independent blocks, and maximum Gaussians per block.
     has_normals : bool
-        Whether the source had normals, all zero.
+        Whether the source had all-zero normals.
     keeps_order : bool
-        Whether the Gaussians come in the source's order.
+        Whether the Gaussians are in the source's order.
     geometry : str
         Coder of positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
     tool : str or None
-        With ``gpcc``, the version line of the program that coded them.
+        With ``gpcc``, the version line of the program that coded the positions.
     coder : str
         Entropy coder of attributes: ``rans``, ``pcodec`` (`lossless`), or torchac's version line.
     bounds : tuple of two tuples of float, or None
@@ -141,20 +141,20 @@ class Info:
     streams : tuple of StreamInfo
         In stream order; ``header`` includes the section table.
     channels : tuple of Channel
-        Quantiser and model of each channel, of a `paper` profile.
+        Quantiser and model of each channel, with a `paper` profile.
     passes : tuple of PassInfo
-        Kinds of symbols of profiles `l`, `m` and `s`, in stream order.
+        Kinds of symbols with profiles `l`, `m` and `s`, in stream order.
     grid : PositionGrid or None
-        Grid of positions, of profiles `l`, `m` and `s`.
+        Grid of positions, with profiles `l`, `m` and `s`.
     coordinates : str or None
-        Where x, y and z point, if stated: three letters, as in ``RDF`` (right, down, forward) or
+        Directions of x, y and z, if stated: three letters such as ``RDF`` (right, down, forward) or
         ``RUB`` (right, up, back).
     antialiased : bool
-        Whether opacity compensation is asked for.
+        Whether the scene uses opacity compensation.
     far : int
-        Number of far Gaussians: outside of the grid, their centres are stored as they are.
+        Number of far Gaussians: those outside the grid, whose centres are stored exactly.
     skipped : tuple of str
-        What takes no bits, in words, as far as header and tables tell.
+        Sentences on what takes no bits, derived from header and tables.
     levels : tuple of LevelInfo
         Coarser levels of detail, the finest first.
     """
@@ -186,11 +186,11 @@ class Info:
 
     @property
     def ratio(self) -> float:
-        """Compression ratio: raw bytes over bytes of the file."""
+        """Compression ratio: raw bytes divided by file bytes."""
         return self.raw_bytes / self.file_bytes
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as plain types, for JSON."""
+        """Convert to plain types, for JSON."""
         plain = dict(vars(self), ratio=self.ratio)
         plain["streams"] = [vars(stream) for stream in self.streams]
         plain["channels"] = [_channel_dict(channel) for channel in self.channels]
@@ -201,7 +201,7 @@ class Info:
 
 
 def inspect_bytes(data: bytes | Readable) -> Info:
-    """Describe a stream by its header and the sections that describe its blocks, without these.
+    """Describe a stream from its header and descriptive sections, without decoding its blocks.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def inspect_bytes(data: bytes | Readable) -> Info:
 
 
 def describe(file: EgsFile) -> Info:
-    """Describe a file by its header and the sections that describe its blocks."""
+    """Describe a file from its header and descriptive sections."""
     header = file.header
     details, coder = _channel_details, "octree"
     if header.profile in ADAPTIVE_PROFILES:
@@ -309,7 +309,7 @@ def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> 
 
 
 def _steps(lattice: Lattice, item: ContextList) -> tuple[float, int]:
-    """The finest step size of some symbols, and by how many octaves the coarsest is larger."""
+    """The finest step size of some symbols, and the range of step sizes in octaves."""
     if item.stream == "classes" or item.name.startswith("SH sum"):
         return 1.0, 0
     used = rules_of(item.name) if item.stream in SHAPE_RULES else ("colour",)

@@ -1,4 +1,4 @@
-"""Scenes in the formats that other programs read: encoded by profiles, decoded for trials."""
+"""Encode scenes to other formats with profiles, and decode them for trials."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from gs_codec.formats.usd.scene import SUFFIXES, pack_usd
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
 
-#: Formats whose Gaussians are in Morton order; others keep the scene's.
+#: Formats with Gaussians in Morton order; the others keep the scene's order.
 _SORTED = ("spz", "sog", "compressed.ply")
 
 
 def encode_interchange(
     scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
+    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` is None."""
     with times.stage("steps"):
         steps = steps or camera_free_steps(scene, config.adaptive_profile())
         wanted = wanted_steps(scene, steps)
@@ -43,15 +43,15 @@ def encode_interchange(
 
 
 def encode_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene as finely as a format can, whatever the profile."""
+    """Encode a scene as finely as the format allows, whatever the profile."""
     clean, changed = clean_scene(scene, config)
     parts, report = _packed(clean, config, None, StageTimes())
     return parts, replace(report, **changed)
 
 
 def decode_interchange(data: bytes | memoryview, config: Config, system: str = CONVENTION) -> Scene:
-    """The scene of bytes in the format that a configuration names, in a coordinate system."""
-    # The readers of PLY and of zip files want a file.
+    """Decode bytes in the format of a configuration to a scene in a coordinate system."""
+    # The readers of PLY and of zip files need a file.
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         path = Path(folder, f"scene.{config.format}")
         path.write_bytes(data)
@@ -62,7 +62,7 @@ def decode_interchange(data: bytes | memoryview, config: Config, system: str = C
 def _packed(
     scene: Scene, config: Config, wanted: AttributeSteps | None, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """By the wanted steps, or as finely as the format can."""
+    """Write a scene with the wanted step sizes, or as finely as the format allows."""
     with times.stage("pack"):
         if config.format == "spz":
             data, lost = spz.pack_spz(scene, config.spz_version, wanted)
@@ -96,19 +96,19 @@ _PACKERS: Mapping[str, Callable[[Scene], tuple[bytes, tuple[str, ...]]]] = {
 
 @dataclass(frozen=True)
 class RoundedScene:
-    """A scene of which everything but the colours is rounded as a format does.
+    """A scene with everything but the colours quantised as in a format.
 
     Attributes
     ----------
     source : Scene
-        Before rounding.
+        The scene before rounding.
     config : Config
     wanted : AttributeSteps
-        Of the source.
+        Step sizes of the source.
     order : ndarray, shape (N,)
-        Index in the source of each Gaussian of the file.
+        Index in the source of each Gaussian, in file order.
     rounded : Scene
-        In the file's order, without SH-AC.
+        The rounded scene in file order, without SH-AC.
     """
 
     source: Scene
@@ -119,27 +119,27 @@ class RoundedScene:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether SH-AC that are 0 make a file smaller."""
+        """Whether SH-AC of 0 make the file smaller."""
         return self.config.format in ROUNDED_FORMATS
 
     def decoded(self) -> Scene:
-        """The rounded scene with the source's SH, as far as the format has them."""
+        """The rounded scene with the source's SH, up to the degree that the format supports."""
         source = self.source.take(self.order)
         f_rest = source.f_rest[:0] if self.config.format == "splat" else source.f_rest
         return replace(self.rounded, f_dc=source.f_dc, f_rest=f_rest)
 
     def sh_steps(self) -> NDArray[np.float32]:
-        """Step sizes of SH-AC of each band, ``(3, N)`` in the file's order."""
+        """Step sizes of each SH-AC band, ``(3, N)`` in the file's order."""
         return self.wanted.f_rest[:, self.order].astype(np.float32)
 
     def sh_grid(self) -> ShGrid | None:
-        """Levels of SH-AC in the file's order; None if rounding to the nearest is as good."""
+        """Levels of SH-AC in file order; None if rounding to the nearest is as good."""
         if self.config.format == "compressed.ply":
             return packed_ply.sh_grid(len(self.order))
         return None
 
     def with_colours(self, coloured: Scene) -> RoundedScene:
-        """The scene with the SH of `coloured`, which is in the file's order."""
+        """Replace the SH by that of `coloured`, which is in file order."""
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(len(self.order))
         f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
@@ -147,9 +147,9 @@ class RoundedScene:
 
 
 def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTimes) -> RoundedScene:
-    """Round everything but the colours of a cleaned scene, with finished step sizes."""
+    """Quantise everything but the colours of a cleaned scene, with given step sizes."""
     wanted = wanted_steps(scene, steps)
-    # SH-AC are not looked at, and would take most of the time.
+    # SH-AC are not needed here, and would take most of the time.
     [data], _ = _packed(replace(scene, f_rest=scene.f_rest[:0]), config, wanted, times)
     rounded = decode_interchange(data, config, system_of(scene))
     in_order = config.format in _SORTED
@@ -160,5 +160,5 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
 def encode_rounded(
     rounded: RoundedScene, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene from `round_scene`, with the colours that it has now."""
+    """Encode a scene from `round_scene`, with its current colours."""
     return _packed(rounded.source, rounded.config, rounded.wanted, times)

@@ -1,4 +1,4 @@
-"""Match the Gaussians of a decoded scene to those of the scene it was encoded from.
+"""Match the Gaussians of a decoded scene to those of its source.
 
 A decoded PLY has a comment line that states how it was sorted; sorting the original the same way
 aligns the two. A scene that was coded several times has a line for each time.
@@ -34,29 +34,29 @@ _MARK = "gs_codec order "
 _GRID = "grid"
 _FLOATS = "floats"
 
-#: Last word of a line on a grid, if Gaussians outside of it come last.
+#: Last word of the comment of a grid whose far Gaussians come last.
 _FAR = "far"
 
-#: How Gaussians are matched if no order matches them.
+#: Method of matching if no order matches the Gaussians.
 NEAREST = "nearest centre"
 
 _INSTEAD = 'compare what cameras see (cameras="auto")'
 _UNRELATED = f"no match of the scenes' Gaussians, so no errors by attribute: {_INSTEAD}"
 
-#: With this share of right pairs, no other match is tried.
+#: Share of right pairs at which no other match is tried.
 _SURELY = 0.95
 
-#: With a smaller share, there is no match. Versions of a scene have 0.75 and more (coarse
-#: profiles), halves of one scene 0.5 by the nearest.
+#: Minimum share of right pairs. Versions of a scene reach 0.75 or more (coarse profiles), two
+#: halves of one scene 0.5 with nearest centres.
 _MOSTLY = 0.7
 
-#: The same of the mean of the three shares, for the nearest: versions have 0.68, halves 0.36.
+#: Minimum mean of the three shares with nearest centres: versions reach 0.68, halves 0.36.
 _MOSTLY_NEAREST = 0.6
 
-#: A match replaces one tried before only if the sum of its three shares is larger by this.
+#: Minimum gain in the sum of the three shares for a match to replace an earlier one.
 _BETTER = 0.06
 
-#: Scenes of up to this many Gaussians are matched in all ways.
+#: Scenes with at most this many Gaussians are matched by every method.
 _FEW = 100
 
 #: Share of Gaussians that rounding to float32 may have moved out of their cells.
@@ -65,7 +65,7 @@ _MOVED = 0.01
 
 @dataclass(frozen=True)
 class DepthOrder:
-    """Sorted by quantised positions and SH-DC, of these depths (`paper` profiles)."""
+    """Order by quantised positions and SH-DC with these depths (`paper` profiles)."""
 
     depths: tuple[int, ...]
 
@@ -73,9 +73,9 @@ class DepthOrder:
         return " ".join(map(str, self.depths))
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
-        """The original in the decoded scene's order.
+        """Bring the original into the decoded scene's order.
 
-        Min-max quantisers keep the extremes, so the decoded scene still has their ranges.
+        Min-max quantisers keep the extremes, so the decoded scene still has the same ranges.
         """
         from gs_codec.codecs.entropygs.symbols import order_like
         from gs_codec.coding.far import bring_nearer
@@ -83,7 +83,7 @@ class DepthOrder:
 
         rows = (*decoded.positions, *decoded.f_dc)
         quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, self.depths, strict=True)]
-        # Far Gaussians were drawn nearer, unless an earlier version encoded the scene.
+        # Far Gaussians were moved nearer, except by earlier encoders.
         for coded in (bring_nearer(original)[0], original):
             order = order_like(coded, quantisers)
             if _are_within_steps(coded.take(order), decoded, quantisers):
@@ -102,7 +102,7 @@ def _are_within_steps(first: Scene, second: Scene, quantisers: Sequence[Quantise
 
 @dataclass(frozen=True)
 class GridOrder:
-    """Sorted by cells of a grid (profiles `l`, `m` and `s`), axes by length."""
+    """Order by the cells of a grid (profiles `l`, `m` and `s`), with axes sorted by length."""
 
     grid: PositionGrid
 
@@ -112,14 +112,14 @@ class GridOrder:
         return f"{_GRID} {numbers} {' '.join(map(str, self.grid.bits))}{far}"
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
-        """The original in the decoded scene's order, its axes as they were coded."""
+        """Bring the original into the decoded scene's order, with its axes as coded."""
         from gs_codec.coding.axes import nearest_quaternions, sort_axes
         from gs_codec.coding.clean import identity_for_zero
 
         codes = grid_codes(original.positions, self.grid)
         order = np.argsort(codes, kind="stable")
         codes, coded = codes[order], grid_codes(decoded.positions, self.grid)
-        # Codes are sorted: a Gaussian lies between the decoded ones before and after it.
+        # Codes are sorted: a Gaussian must lie between the decoded ones before and after it.
         outside = (coded[:-1] > codes[1:]).sum() + (coded[1:] < codes[:-1]).sum()
         if outside > _MOVED * original.count:
             raise InvalidInput(_UNRELATED)
@@ -131,13 +131,13 @@ class GridOrder:
 
 @dataclass(frozen=True)
 class FloatOrder:
-    """Sorted by the floats themselves (profile `lossless`)."""
+    """Order by the floats themselves (profile `lossless`)."""
 
     def __str__(self) -> str:
         return _FLOATS
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
-        """The original in the decoded scene's order."""
+        """Bring the original into the decoded scene's order."""
         from gs_codec.codecs.lossless.lossless import lossless_order
 
         ordered = original.take(lossless_order(original))
@@ -150,7 +150,7 @@ Order = DepthOrder | GridOrder | FloatOrder
 
 
 def order_of_file(info: Info) -> Order | None:
-    """The order of the scene that a file decodes to; None if it is the original's."""
+    """The order of the scene that a file decodes to; None if it is the source's order."""
     if info.keeps_order:
         return None
     if info.grid is not None:
@@ -161,7 +161,7 @@ def order_of_file(info: Info) -> Order | None:
 
 
 def order_of(scene: Scene) -> Order | None:
-    """The order that a scene's comments state; None if it is an original.
+    """The order stated in a scene's comments; None for an original.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def order_of(scene: Scene) -> Order | None:
 
 
 def _marks(scene: Scene) -> tuple[str, ...]:
-    """The comments that state orders; the scene is in the last of these."""
+    """The comments that state orders; the last one is the current order."""
     return tuple(line for line in scene.comments if line.startswith(_MARK))
 
 
@@ -202,12 +202,12 @@ def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
 
 
 def with_order(scene: Scene, order: Order | None) -> Scene:
-    """The scene with a further comment that states its order, if there is one."""
+    """Add a comment that states the scene's order, if given."""
     return scene if order is None else replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
 
 
 def without_order(scene: Scene) -> Scene:
-    """The scene without comments that state orders."""
+    """Remove comments that state orders."""
     marks = _marks(scene)
     return replace(scene, comments=tuple(line for line in scene.comments if line not in marks))
 
@@ -215,32 +215,32 @@ def without_order(scene: Scene) -> Scene:
 def put_side_by_side(
     first: Scene, second: Scene, in_order: bool = False
 ) -> tuple[Scene, Scene, str]:
-    """Bring two scenes, one perhaps the other's original, into one order.
+    """Bring two scenes, such as an original and its decoded version, into one order.
 
     Parameters
     ----------
     first, second : Scene
     in_order : bool
-        Whether only orders are tried, and no nearest centres, which take seconds.
+        Whether to try only stored orders, not nearest centres, which take seconds.
 
     Returns
     -------
     first, second : Scene
     matched_by : str
-        What matched them: ``stored order``, ``index``, ``Morton order``, in which other formats are
-        written, or ``nearest centre`` and look.
+        How they were matched: ``stored order``, ``index``, ``Morton order`` (in which other formats
+        are written) or ``nearest centre``, which also compares appearance.
 
     Raises
     ------
     InvalidInput
-        If the Gaussians do not belong together.
+        If the Gaussians do not match.
     """
     if first.count != second.count:
         return first, second, "index"
     marks = _marks(first), _marks(second)
     orders = order_of(first), order_of(second)
     try:
-        # A decoded scene keeps the lines that its source had, if any, and adds its own.
+        # A decoded scene keeps the lines of its source, if any, and adds its own.
         if orders[1] is not None and marks[0] in ((), marks[1][:-1]):
             return orders[1].apply(first, second), second, "stored order"
         if orders[0] is not None and marks[1] in ((), marks[0][:-1]):
@@ -251,7 +251,7 @@ def put_side_by_side(
 
 
 def _matched(first: Scene, second: Scene, in_order: bool) -> tuple[Scene, Scene, str]:
-    """As `put_side_by_side`, by the Gaussians alone."""
+    """Match by the Gaussians alone; see `put_side_by_side`."""
     index = np.arange(first.count)
     if _are_equal(first, second):
         return first, second, "index"
@@ -282,7 +282,7 @@ def _matched(first: Scene, second: Scene, in_order: bool) -> tuple[Scene, Scene,
 
 
 def _are_equal(first: Scene, second: Scene) -> bool:
-    """Whether most Gaussians of the same index are equal, but for SH-AC and rotations."""
+    """Whether most Gaussians of the same index are equal, apart from SH-AC and rotations."""
     equal = np.ones(first.count, bool)
     for group in ("positions", "f_dc", "opacity", "log_scale"):
         equal &= (getattr(first, group) == getattr(second, group)).all(axis=0)
@@ -290,6 +290,6 @@ def _are_equal(first: Scene, second: Scene) -> bool:
 
 
 def _morton_order(scene: Scene) -> NDArray[np.int64]:
-    """The order of writers, which is that of centres in the convention's system."""
+    """Order used by writers: Morton order of centres in the convention's coordinate system."""
     turned = turn_axes(scene, CONVENTION)
     return spatial_order(np.nan_to_num(turned.positions), turned.log_scale)

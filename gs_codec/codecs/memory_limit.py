@@ -1,4 +1,4 @@
-"""How much memory coding takes within a limit, where arrays of whole scenes are on disk."""
+"""Memory needed for coding under a limit, when arrays of whole scenes are on disk."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from gs_codec.runtime.threads import available_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 
-#: Bytes of Python, packages and compiled kernels. Measured and rounded up, as the next two.
+#: Bytes of Python, packages and compiled kernels. Like the next two, measured and rounded up.
 _FIXED = 280_000_000
 
 #: Bytes of torch.
 _TORCH = 300_000_000
 
-#: Bytes of each thread.
+#: Bytes per thread.
 _THREAD = 45_000_000
 
-#: Bytes for each Gaussian to sort a scene: profiles `l`, `m` and `s`.
+#: Bytes per Gaussian for sorting a scene with profiles `l`, `m` and `s`.
 _ADAPTIVE = 40
 
-#: The same for the other profiles.
+#: Bytes per Gaussian for sorting a scene with other profiles.
 _OTHERS = 55
 
 
 def least_memory(count: int, config: Config) -> int:
-    """Lowest memory limit, in bytes, that a scene of `count` Gaussians can be encoded in."""
+    """Lowest memory limit, in bytes, for encoding a scene of `count` Gaussians."""
     adaptive = config.profile in ADAPTIVE_PROFILES
     growing = count * (_ADAPTIVE if adaptive else _OTHERS)
-    if not adaptive and config.profile != LOSSLESS:  # it is decoded to measure what views lose
+    if not adaptive and config.profile != LOSSLESS:  # decoded to measure the loss in views
         growing = max(growing, config.block_size * _decoding(3))
     return _working(config.coder == "torchac") + growing
 
@@ -62,7 +62,7 @@ def slab_within(file: EgsFile, degree: int, wanted: int) -> int:
 
 
 def _decoding(degree: int) -> int:
-    """Bytes for each Gaussian of a slab, and of a copy of it that is being written."""
+    """Bytes per Gaussian of a slab, and of a copy of it that is being written."""
     return 2 * float_bytes(1, degree)
 
 

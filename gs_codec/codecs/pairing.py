@@ -1,8 +1,8 @@
-"""Which Gaussians of two scenes belong together, by what they look like, and whether any do.
+"""Pair the Gaussians of two scenes by appearance, and measure how many pairs are right.
 
 Two Gaussians are compared by four terms: the distance of their centres, and the differences of
-colour, opacity and scales. The unit of each is how far neighbours in one scene differ. A pair is
-right if it differs less than the most similar of a Gaussian's neighbours does.
+colour, opacity and scales. The unit of each is the typical difference between neighbours in one
+scene. A pair is right if it differs less than a Gaussian and its most similar neighbour.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NEIGHBOURS = 8
 #: Approximate size of the sample that checks pairs.
 _SAMPLE = 2000
 
-#: Largest value of a term.
+#: Maximum value of a term.
 _MOST = 4.0
 
 #: Rounds of the search for partners; Gaussians left over are paired in order.
@@ -38,12 +38,12 @@ _TINY = np.finfo(float).tiny
 
 
 class Pairing:
-    """Two scenes of as many Gaussians, at least one.
+    """Two scenes with equal numbers of Gaussians, at least one.
 
     Parameters
     ----------
     first, second : Scene
-        In one coordinate system.
+        Both in the same coordinate system.
     """
 
     def __init__(self, first: Scene, second: Scene) -> None:
@@ -53,10 +53,10 @@ class Pairing:
         self._some = np.arange(0, self.count, -(-self.count // _SAMPLE))
 
     def right(self, partners: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Share of Gaussians whose partners are right: by all terms, by looks, by centres.
+        """Share of Gaussians with the right partner: by all terms, by appearance, by centres.
 
-        Looks alone tell of scenes that were moved; centres alone, if twice as near as a neighbour,
-        of coarse colours and scales.
+        Appearance alone detects scenes that were moved. Centres alone (twice as near as a
+        neighbour) detect coarsely quantised colours and scales.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Pairing:
         own = self._own_terms
         if not own.shape[1]:
             return np.ones(3)
-        # A neighbour that is the same in all is as good a partner.
+        # An identical neighbour is as good a partner.
         same = (own == 0).all(axis=2)
         shares = []
         for kept, share in ((slice(None), 1.0), (slice(1, None), 1.0), (slice(1), 0.5)):
@@ -77,9 +77,9 @@ class Pairing:
         return np.array(shares)
 
     def nearest(self) -> NDArray[np.int64]:
-        """Partners, each Gaussian of the second scene once: the most similar of the nearest."""
+        """Partners: for each Gaussian the most similar of the nearest, each used once."""
         partners = np.full(self.count, -1)
-        # Along a curve, neighbours are found several times faster.
+        # Searching along a space-filling curve is several times faster.
         left, free = (spatial_order(each.T.astype(np.float32)) for each in self._places)
         for _ in range(_ROUNDS):
             if not len(left):
@@ -98,7 +98,7 @@ class Pairing:
     def _best(
         self, which: NDArray[np.int64], free: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The most similar of the nearest `free` ones of the second scene, and the cost of each."""
+        """The most similar of the nearest `free` Gaussians of the second scene, and its cost."""
         others = Neighbours(self._places[1][free])
         best, cost = np.empty(len(which), np.int64), np.empty(len(which))
         number = min(_NEIGHBOURS, len(free))
@@ -112,14 +112,14 @@ class Pairing:
         return best, cost
 
     def _terms(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Terms ``(n, k, 4)`` of Gaussians ``(n,)`` of the first scene, ``(n, k)`` of the other."""
+        """Terms ``(n, k, 4)`` of ``(n,)`` Gaussians of one scene and ``(n, k)`` of the other."""
         return _differences(
             self._places[0][i], self._looks[0][i], self._places[1][j], self._looks[1][j]
         )
 
     @cached_property
     def _own_terms(self) -> NDArray[np.float64]:
-        """Terms ``(n, k, 4)`` of some Gaussians of the first scene and their own neighbours."""
+        """Terms ``(n, k, 4)`` between sampled Gaussians of the first scene and their neighbours."""
         places, looks, some = self._places[0], self._looks[0], self._some
         number = min(_NEIGHBOURS + 1, self.count)
         _, found = Neighbours(places).nearest(places[some], number)
@@ -136,7 +136,7 @@ class Pairing:
 
 
 def _differences(a: NDArray, b: NDArray, others: NDArray, looks: NDArray) -> NDArray[np.float64]:
-    """Terms of centres ``(n, 3)`` and looks ``(n, 7)`` against ``(n, k, ...)``."""
+    """Terms of centres ``(n, 3)`` and appearance ``(n, 7)`` against ``(n, k, ...)``."""
     apart = np.abs(looks - b[:, None])
     return np.stack(
         [
@@ -155,12 +155,12 @@ def _cost(terms: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _places(scene: Scene) -> NDArray[np.float64]:
-    """Centres ``(N, 3)``, all of them finite."""
+    """Centres ``(N, 3)``, made finite."""
     return np.nan_to_num(scene.positions.T.astype(np.float64), nan=0.0, posinf=1e38, neginf=-1e38)
 
 
 def _looks(scene: Scene) -> NDArray[np.float64]:
-    """Colour, opacity, and logarithms of the scales in order, ``(N, 7)``, all of them finite."""
+    """Colour, opacity, and sorted log-scales, ``(N, 7)``, made finite."""
     with np.errstate(over="ignore"):
         opacity = 1.0 / (1.0 + np.exp(-scene.opacity.astype(np.float64)))
     scales = np.sort(np.clip(scene.log_scale.astype(np.float64), -_LOG_LIMIT, _LOG_LIMIT), axis=0)

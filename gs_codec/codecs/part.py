@@ -1,4 +1,4 @@
-"""A part of a scene: the Gaussians in a box, of a level, or that a view needs."""
+"""A part of a scene: the Gaussians in a box, of a level, or needed for a view."""
 
 from __future__ import annotations
 
@@ -21,26 +21,28 @@ class Part:
     Parameters
     ----------
     box : tuple of six float, optional
-        Lowest x, y, z and highest x, y, z: Gaussians whose centre is within, borders included.
+        Lowest x, y, z and highest x, y, z. Selects Gaussians with their centre inside or on the
+        border.
     sh_degree : int, optional
         Highest SH degree to decode, 0-3.
     level : int
-        Level of detail: 0 is the scene, 1 is a quarter of its Gaussians, 2 a sixteenth ..., as far
-        as the file has levels (`Config.lod`). Default 0.
+        Level of detail: 0 is the scene, 1 has a quarter of its Gaussians, 2 a sixteenth ..., if the
+        file has levels (`Config.lod`). Default 0.
     view : Camera, optional
-        Only the blocks in this camera's view, each at the coarsest level whose error there is at
-        most `tolerance`; without levels, all blocks in view. The camera's axes are the file's.
+        Selects the blocks in this camera's view, each at the coarsest level with an error of at
+        most `tolerance`; without levels, all blocks in view. The camera is in the file's coordinate
+        system.
     budget : int, optional
-        With `view`, most Gaussians: what has the largest error is refined as far as they go. If
-        they do not hold the coarsest level, its nearest blocks are taken.
+        With `view`, the maximum number of Gaussians: blocks with the largest error are refined
+        until it is reached. If not even the coarsest level fits, its nearest blocks are used.
     tolerance : float, optional
-        With `view`, error in pixels, 0 or more; None is 1, and 0 takes nothing but level 0.
+        With `view`, maximum error in pixels, 0 or more; None means 1, and 0 selects level 0 only.
 
     Raises
     ------
     InvalidInput
         If a corner is not finite, the lowest is above the highest, the degree is not 0-3, another
-        number is out of range, or parts exclude each other.
+        number is out of range, or options exclude each other.
 
     Examples
     --------
@@ -86,16 +88,16 @@ class Part:
 
     @property
     def chosen_tolerance(self) -> float:
-        """The tolerance, with its default, pixels."""
+        """The tolerance in pixels, with its default applied."""
         return 1.0 if self.tolerance is None else self.tolerance
 
     @property
     def whole(self) -> bool:
-        """Whether these are all Gaussians of the scene."""
+        """Whether this selects all Gaussians of the scene."""
         return self.box is None and self.view is None and not self.level
 
     def degree_of(self, degree: int) -> int:
-        """The degree to decode, of a scene of this degree."""
+        """The degree to decode, for a scene of this degree."""
         return degree if self.sh_degree is None else min(degree, self.sh_degree)
 
     def contains(self, positions: NDArray[np.float32]) -> NDArray[np.bool_]:

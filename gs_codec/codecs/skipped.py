@@ -1,4 +1,4 @@
-"""Lines on what a file spends no bits on, as far as its header and tables tell."""
+"""Sentences on what takes no bits in a file, derived from its header and tables."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gs_codec.egs.header import Header
 if TYPE_CHECKING:
     from gs_codec.codecs.entropygs.section import Channel
 
-#: Longer lists of names are given as a number.
+#: Longer lists of names are replaced by their number.
 _NAMED = 4
 
 _BANDS = {stream: band for band, stream in enumerate(SH_STREAMS, 1)}
 
-#: What a pass of zero levels means, if not values of zero.
+#: Meaning of a pass with only zero levels, if not that the values are zero.
 _ZEROS = {
     "opacity": "constant",
     "scale_0": "constant",
@@ -35,7 +35,7 @@ _ZEROS = {
 
 
 def skipped_by_header(header: Header) -> list[str]:
-    """Lines that follow from the header alone."""
+    """Sentences that follow from the header alone."""
     lines = []
     if header.sh_degree < 3:
         absent = _bands(range(header.sh_degree + 1, 4))
@@ -70,11 +70,11 @@ def skipped_by_channels(channels: list[Channel]) -> list[str]:
 
 
 def skipped_by_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[str]:
-    """Symbols of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
+    """Symbols of profiles `l`, `m` and `s` without bits, and contexts that share one table."""
     listed = [own for one in passes(coefficients) for own in one.lists]
     zeros = set()
     for item in listed:
-        # If no table has a symbol but token 0, all levels are 0.
+        # If no table has a symbol other than token 0, all levels are 0.
         if not any(models.weights[row][1:].any() for row in np.unique(models.listed[item.name])):
             zeros.add(item.name)
     lines = []
@@ -109,7 +109,7 @@ def _zero_passes(listed: list[ContextList], zeros: set[str]) -> list[str]:
 def _shared(
     lattice: Lattice, listed: list[ContextList], models: PassModels, zeros: set[str]
 ) -> list[str]:
-    """Symbols of several contexts that have one table."""
+    """Symbols whose contexts all share one table."""
     shared: list[str] = []
     for stream, group in groupby(listed, lambda item: item.stream):
         coded = [p for p in group if p.name not in zeros and _has_contexts(lattice, p)]
@@ -119,11 +119,11 @@ def _shared(
 
 
 def _has_contexts(lattice: Lattice, item: ContextList) -> bool:
-    """Whether a pass has contexts to tell apart; of opacity, scales and rotation, by its steps."""
+    """Whether a pass has several contexts; for opacity, scales and rotation, by their steps."""
     if item.stream not in SHAPE_RULES:
         return item.contexts > 1
     used = [lattice.rules[name] for name in rules_of(item.name)]
-    # Turns depend on how alike axes are, too.
+    # Step sizes of turns also depend on how similar the axes are.
     varies = lattice.classes[0] > 1 or item.stream == "rotation" or any(used[0].numbers[1:])
     return bool(varies and any(rule.limit for rule in used))
 
@@ -134,7 +134,7 @@ def _bands(numbers: Iterable[int]) -> str:
 
 
 def _named(names: list[str], stream: str, number: int) -> list[str]:
-    """Names of some of a stream's `number` members; the stream if all, a count if many."""
+    """Names of some of a stream's `number` members; the stream if all, a number if many."""
     if len(names) == number > 1:
         return [stream]
     return names if len(names) <= _NAMED else [f"{len(names)} of {number} in {stream}"]

@@ -1,4 +1,4 @@
-"""`.egs` files decoded slab by slab, so that a large scene is never in memory as a whole."""
+"""Decode `.egs` files slab by slab, so that a large scene is never in memory as a whole."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from gs_codec.runtime.mapped import FileBytes, located, opened
 from gs_codec.runtime.threads import available_threads, using_threads
 from gs_codec.scene import Scene
 
-#: Gaussians decoded at once, or two blocks for each thread if that is more.
+#: Number of Gaussians decoded at once, or two blocks per thread if that is more.
 _SLAB = 1 << 18
 
 
 @dataclass
 class Slabs:
-    """An open file that is decoded slab by slab, in the order of its stream.
+    """An open file that is decoded slab by slab, in stream order.
 
     ``seconds`` is the time spent on decoding so far.
     """
@@ -55,12 +55,12 @@ class Slabs:
     def counted(self) -> tuple[int, Iterator[Scene]]:
         """The number of Gaussians, and the slabs.
 
-        With a box, the number is known only after decoding, so all slabs are held in memory.
+        With a box, the number is known only after decoding, so all slabs are kept in memory.
 
         Raises
         ------
         InvalidInput
-            If the scene has Gaussians, but none in the box, or in view.
+            If the scene has Gaussians, but none are in the box or in view.
         """
         scenes = self.scenes()
         if self.chosen.part.box is None:
@@ -76,7 +76,7 @@ class Slabs:
         return count, iter(found)
 
     def scenes(self) -> Iterator[Scene]:
-        """Yield one slab after another as a scene; if it is all, each states its order."""
+        """Yield one slab after another as a scene; if all are decoded, each states its order."""
         order = None
         start = time.perf_counter()
         with located(self.path):
@@ -103,7 +103,7 @@ def opened_slabs(
     max_memory: int | None = None,
     among: Container[int] | None = None,
 ) -> Iterator[Slabs]:
-    """Open a file to decode it, or a part of it, slab by slab; of the blocks `among` if given.
+    """Open a file to decode a part of it slab by slab, within the blocks `among` if given.
 
     Raises
     ------
@@ -112,8 +112,8 @@ def opened_slabs(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is not a valid `.egs` file; damaged blocks raise when a slab is decoded.
     MissingTool
-        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed, or
-        torchac, likewise.
+        If it uses G-PCC and the program (`tmc3`, or from the environment) is not installed; or
+        likewise torchac.
     """
     with using_threads(threads), bounded(max_memory), opened(path) as data:
         start = time.perf_counter()
@@ -126,7 +126,7 @@ def opened_slabs(
 
 
 def _refuse_other(path: Path, data: FileBytes) -> None:
-    """Say which format a file is in, if it is a known one."""
+    """Report the format of a file that is not `.egs`, if it is a known one."""
     from gs_codec.formats.registry import SceneFile
 
     with suppress(InvalidInput):
@@ -136,9 +136,9 @@ def _refuse_other(path: Path, data: FileBytes) -> None:
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """What was checked: blocks were decoded, and sections agree with their checksums.
+    """Result of a successful check: all blocks decode, all sections match their checksums.
 
-    `levels` is the number of coarser levels, which were decoded, too.
+    `levels` is the number of coarser levels, which were decoded too.
     """
 
     count: int
@@ -159,7 +159,7 @@ def verify_file(
     tmc3: str | Path | None = None,
     max_memory: int | None = None,
 ) -> VerifyReport:
-    """Check every checksum of an `.egs` file and decode all of it, writing nothing.
+    """Check all checksums of an `.egs` file and decode all of it, without writing.
 
     Raises
     ------
@@ -168,13 +168,13 @@ def verify_file(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is not a valid `.egs` file.
     MissingTool, ToolFailed
-        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed or
-        does not decode it, or torchac, likewise.
+        If it uses G-PCC and the program (`tmc3`, or from the environment) is not installed or
+        fails; or likewise torchac.
     """
     start = time.perf_counter()
     with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:
         with located(path):
-            # Check all sections, also those that a decoder skips.
+            # Check all sections, including those that a decoder skips.
             file = slabs.chosen.file.read()
         for _ in slabs.scenes():
             pass
@@ -199,7 +199,7 @@ def verify_file(
 
 
 def _check_all(chosen: ChosenPart, file: EgsFile, level: int) -> None:
-    """Check all sections of a level, and its errors against those of the level before."""
+    """Check all sections of a level, and its errors against those of the finer level."""
     with within(level):
         chosen.file.read()
         if level > 1:

@@ -1,4 +1,4 @@
-"""Sections of an `.egs` file, and their table. FORMAT.md, section "File"."""
+"""The section table and the sections of an `.egs` file. FORMAT.md, section "File"."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Parsed = TypeVar("Parsed")
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
 
-#: The highest version that is read; `Header.version` says which one a file has.
+#: Highest version that can be read; `Header.version` is the version of a file.
 VERSION = 2
 
 #: Minor version of files without levels.
@@ -39,12 +39,12 @@ _OPTIONAL_FLAG = 1
 #: Bytes of the checksum that ends the header.
 _CHECKSUM = 4
 
-#: Sections begin at multiples of this from the start of the file.
+#: Sections start at multiples of this offset.
 _ALIGNMENT = 4
 
 
 class SectionId(IntEnum):
-    """What a section holds."""
+    """Identifiers of sections."""
 
     CHANNELS = 1
     GEOMETRY = 2
@@ -81,13 +81,13 @@ class SectionId(IntEnum):
 
 
 def section_label(section_id: int) -> str:
-    """Name of a section in messages and reports, also of one that is not known."""
+    """Name of a section in messages and reports, including unknown sections."""
     known = section_id in set(SectionId)
     return SectionId(section_id).label if known else f"section {section_id}"
 
 
-#: Sections that say where blocks are and how they are coded, in the order of a file, which begins
-#: with them.
+#: Sections that describe where blocks are and how they are coded; a file begins with them, in this
+#: order.
 DESCRIPTIONS = (
     SectionId.INDEX,
     SectionId.ERRORS,
@@ -97,31 +97,31 @@ DESCRIPTIONS = (
     SectionId.CODER,
 )
 
-#: Sections of the whole scene; the others are of a block.
+#: Sections of the whole scene; all others belong to a block.
 SCENE_SECTIONS = frozenset(
     {*DESCRIPTIONS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.LEVEL},
 )
 
-#: What a file with a feature has, and no other.
+#: Sections that files with a feature have, and no others.
 _FEATURE_SECTIONS = {
     Feature.GPCC: SectionId.TOOL,
     Feature.TORCHAC: SectionId.CODER,
     Feature.FAR: SectionId.FAR,
 }
 
-#: Sections of a block that come after those of all blocks that are not listed, in this order.
+#: Sections of a block that follow all other sections of blocks, in this order.
 _LATER = (SectionId.SH1, SectionId.SH2, SectionId.SH3)
 
-#: What a file is read from.
+#: Data that a file can be read from.
 Readable = memoryview | FileBytes
 
-#: ``wanted(id, block)`` tells whether to read a section.
+#: ``wanted(id, block)`` returns whether to read a section.
 Wanted = Callable[[int, int], bool]
 
 
 @dataclass(frozen=True)
 class Section:
-    """Bytes of one section; `block` is 0 for those of the whole scene, or the level's number."""
+    """Bytes of a section; `block` is 0 for sections of the whole scene, or the level's number."""
 
     id: SectionId
     block: int
@@ -130,7 +130,7 @@ class Section:
 
     @classmethod
     def kept(cls, section_id: SectionId, block: int, data: bytes) -> Section:
-        """A section with its bytes in the storage in use, memory or disk."""
+        """A section with its bytes moved to the storage in use (memory or disk)."""
         return cls(section_id, block, current().keep_bytes(data))
 
 
@@ -143,10 +143,10 @@ class Entry(NamedTuple):
 
 
 class Sections(Mapping[tuple[int, int], memoryview]):
-    """The sections of a file that were checked.
+    """The checked sections of a file.
 
-    They are not held: each use reads a section from an open file and checks it again, in case the
-    file has changed.
+    They are not kept in memory: each access reads the section from the open file and checks it
+    again, in case the file has changed.
     """
 
     def __init__(
@@ -172,11 +172,11 @@ class Sections(Mapping[tuple[int, int], memoryview]):
 
     @property
     def size(self) -> int:
-        """Bytes of the sections with their padding."""
+        """Bytes of the sections including padding."""
         return sum(_padded(entry.size) for entry in self._checked.values())
 
     def check(self, wanted: Wanted | None) -> Sections:
-        """These sections and the wanted ones, checked."""
+        """These sections plus the wanted ones, checked."""
         known = set(SectionId)
         new = [key for key in self._table if key not in self and (wanted is None or wanted(*key))]
         for key in new:
@@ -201,7 +201,7 @@ class Sections(Mapping[tuple[int, int], memoryview]):
 
 @dataclass(frozen=True)
 class EgsFile:
-    """A file with its checked header and those of its sections that were checked."""
+    """A file with its checked header, and the sections that have been checked."""
 
     header: Header
     data: Readable
@@ -212,34 +212,34 @@ class EgsFile:
     _parsed: dict[SectionId, Any] = field(default_factory=dict, repr=False)
 
     def parsed(self, section_id: SectionId, parse: Callable[[memoryview], Parsed]) -> Parsed:
-        """A parsed section of the whole scene; it is parsed only once."""
+        """Parse a section of the whole scene, once."""
         if section_id not in self._parsed:
             self._parsed[section_id] = parse(self.section(section_id))
         return self._parsed[section_id]
 
     @property
     def sizes(self) -> dict[tuple[int, int], int]:
-        """Bytes of each section with its padding, read or not."""
+        """Bytes of each section including padding, whether read or not."""
         return {key: _padded(entry.size) for key, entry in self.table.items()}
 
     @property
     def bytes_read(self) -> int:
-        """Size of the header and of the sections that were read, with their padding."""
+        """Size of the header and of all sections read, including padding."""
         return self.header_size + self.sections.size
 
     def section(self, section_id: SectionId, block: int = 0) -> memoryview:
-        """Bytes of a section; it is an error if it is missing."""
+        """Bytes of a section; raises if it is missing."""
         try:
             return self.sections[section_id, block]
         except KeyError:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
 
     def read(self, wanted: Wanted | None = None) -> EgsFile:
-        """The file with further sections checked; see `read_file`."""
+        """Check further sections; see `read_file`."""
         return replace(self, sections=self.sections.check(wanted))
 
     def nested(self, section_id: SectionId, block: int) -> Readable:
-        """A section that is a file of its own, whose sections have their own checksums."""
+        """A section that is itself a file, whose sections have their own checksums."""
         position, size, _ = self.table[section_id, block]
         if isinstance(self.data, FileBytes):
             return self.data.window(position, size)
@@ -247,7 +247,7 @@ class EgsFile:
 
 
 def section_sizes(sized: Sequence[tuple[int, int]]) -> dict[str, int]:
-    """Bytes of a file by section, with padding, from the id and size of each section.
+    """Bytes of a file by section, padding included, from the id and size of each section.
 
     ``header`` includes the section table.
     """
@@ -258,16 +258,16 @@ def section_sizes(sized: Sequence[tuple[int, int]]) -> dict[str, int]:
 
 
 def in_file_order(sections: Iterable[Section]) -> list[Section]:
-    """Sections in the order of a file, so that its start is useful without the rest.
+    """Sort sections into file order, so that the start of a file is useful without the rest.
 
-    Descriptions and comments; levels, the coarsest first; blocks without SH-AC, one after the
-    other; SH-AC, band by band; extra properties. Otherwise they keep their order.
+    The order is: descriptions and comments; levels, the coarsest first; blocks without SH-AC;
+    SH-AC, band by band; extra properties. Otherwise sections keep their order.
     """
     return sorted(sections, key=lambda section: place_in_file(section.id, section.block))
 
 
 def place_in_file(section_id: SectionId, block: int) -> tuple[int, int]:
-    """What `in_file_order` sorts a section by."""
+    """Sort key of `in_file_order`."""
     scene = (*DESCRIPTIONS, SectionId.COMMENTS, SectionId.LEVEL)
     if section_id in scene:
         return scene.index(section_id) - len(scene), -block
@@ -277,7 +277,7 @@ def place_in_file(section_id: SectionId, block: int) -> tuple[int, int]:
 
 
 def _padded(size: int) -> int:
-    """Size of a section with the zeros that fill it up to where the next one begins."""
+    """Size of a section including padding up to the start of the next one."""
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
 
@@ -300,7 +300,7 @@ def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memo
 
 
 class Listed(NamedTuple):
-    """What the section table says of a section."""
+    """An entry of the section table."""
 
     id: int
     block: int
@@ -327,7 +327,7 @@ def file_head(header: Header, table: Sequence[Listed]) -> bytes:
 
 
 def padded_parts(section: Section) -> list[bytes | memoryview]:
-    """A section's bytes, and those that fill it up to where the next one begins."""
+    """A section's bytes, and the padding up to the start of the next section."""
     size = len(section.data)
     return [section.data, bytes(_padded(size) - size)]
 
@@ -339,8 +339,8 @@ def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
     ----------
     data : bytes
     wanted : callable, optional
-        ``wanted(id, block)`` tells whether to read and check a section; by default all are. The
-        others are not touched.
+        ``wanted(id, block)`` returns whether to read and check a section; by default all are. Other
+        sections are not read.
 
     Raises
     ------
@@ -378,7 +378,7 @@ def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
 
 
 def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> None:
-    """Check that the sections of exactly these features are there."""
+    """Check that the file has the sections of exactly these features."""
     found = {section for section, _ in table}
     for feature, section in _FEATURE_SECTIONS.items():
         if (feature in features) != (section in found):
@@ -392,7 +392,7 @@ def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> N
 def _locate(
     position: int, end: int, header: Header, table: list[tuple]
 ) -> dict[tuple[int, int], Entry]:
-    """The checked section table of a file of `end` bytes, whose header ends at `position`."""
+    """Check the section table of a file of `end` bytes, whose header ends at `position`."""
     expected = position + sum(_padded(entry[3]) for entry in table)
     if end != expected:
         kind = TruncatedStream if end < expected else CorruptStream
@@ -428,7 +428,7 @@ def _locate(
 
 
 def _check_order(listed: list[int]) -> None:
-    """Check that descriptions come first, and in their order."""
+    """Check that descriptions come first, in their order."""
     expected = [section for section in DESCRIPTIONS if section in listed]
     if listed[: len(expected)] != expected:
         names = ", ".join(section.label for section in expected)

@@ -1,4 +1,4 @@
-"""What the header of an `.egs` file says of a scene. FORMAT.md, section "File"."""
+"""The scene's fields in the header of an `.egs` file. FORMAT.md, section "File"."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
 MAX_BLOCK_SIZE = 1 << 16
 
-#: Blocks of a level that one of the next stands for, and Gaussians that one of it stands for.
+#: Fan-out: one block, or Gaussian, replaces this many of the next finer level.
 FANOUT = 4
 
 #: Layout of the fields, from the number of Gaussians to the size of a block.
@@ -23,18 +23,18 @@ _NORMALS_FLAG = 1
 _ORDER_FLAG = 2
 _ANTIALIASED_FLAG = 4
 
-#: Numbers of 64 bits are below this, so that a float64 holds them.
+#: 64-bit integers must be below this, so that a float64 represents them exactly.
 TOO_LARGE = 1 << 53
 
 #: Profile numbers in the header.
 PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
 
-#: Where an axis may point, in the order of their numbers: right, left, up, down, back, forward.
+#: Directions of an axis, in the order of their numbers: right, left, up, down, back, forward.
 _DIRECTIONS = "RLUDBF"
 
 
 class Feature(IntFlag):
-    """What a reader has to be able to do beside the profile itself."""
+    """Features that a reader must support besides the profile itself."""
 
     NONE = 0
     GPCC = 1
@@ -53,10 +53,10 @@ _FEATURE_LABELS = {
     Feature.FAR: "far Gaussians",
 }
 
-#: Names of bits of the features that are not used yet.
+#: Names of reserved feature bits.
 _RESERVED_FEATURES = {3: "local SH basis", 4: "sequences"}
 
-#: Files with a feature from this one on are of version 2.
+#: Files with this or a later feature are version 2.
 _FIRST_OF_VERSION_2 = Feature.FAR
 
 
@@ -64,7 +64,7 @@ _FIRST_OF_VERSION_2 = Feature.FAR
 class Header:
     """What the header states about a scene.
 
-    ``coordinates`` and ``antialiased`` are those of `Scene`.
+    ``coordinates`` and ``antialiased`` are as in `Scene`.
     """
 
     count: int
@@ -79,9 +79,9 @@ class Header:
 
     @classmethod
     def of(cls, scene: Scene, config: Config, count: int | None = None) -> Header:
-        """The header of a scene in the fewest blocks that `config` allows, filled evenly.
+        """The header of a scene, with the fewest blocks that `config` allows, filled evenly.
 
-        `count` is its number of Gaussians where `scene` has only what else the header says.
+        `count` overrides the number of Gaussians of `scene`, which may then be empty.
         """
         count = scene.count if count is None else count
         blocks = max(-(-count // config.block_size), 1)
@@ -99,11 +99,11 @@ class Header:
 
     @property
     def version(self) -> int:
-        """Version of the format that a file with these features has."""
+        """Format version of a file with these features."""
         return 2 if self.features >= _FIRST_OF_VERSION_2 else 1
 
     def with_far(self, has_far: bool) -> Header:
-        """The header of profile ``l``, ``m`` or ``s`` with far Gaussians, or without."""
+        """The header of profile ``l``, ``m`` or ``s``, with or without far Gaussians."""
         return replace(self, features=Feature.FAR if has_far else Feature.NONE)
 
     @property
@@ -113,7 +113,7 @@ class Header:
 
     @property
     def level_counts(self) -> list[int]:
-        """Number of Gaussians of level 1, 2, ..., where the file has levels."""
+        """Number of Gaussians of levels 1, 2, ..., if the file has levels."""
         counts = []
         count = self.count
         while count > self.block_size:
@@ -149,14 +149,14 @@ def pack_header(header: Header) -> bytes:
 
 
 def _coordinates_number(system: str | None) -> int:
-    """Number of a coordinate system in the header; 0 if it is not stated."""
+    """Number of a coordinate system in the header; 0 if unknown."""
     if system is None:
         return 0
     x, y, z = map(_DIRECTIONS.index, system)
     return 1 + 36 * x + 6 * y + z
 
 
-#: The systems in the header by their number: those that have x to the right or the left.
+#: Coordinate systems by their number in the header: those with x to the right or left.
 _SYSTEMS = {
     _coordinates_number(x + first + second): x + first + second
     for x in "RL"
@@ -213,7 +213,7 @@ def unpack_header(
 
 
 def _named_bits(features: int) -> str:
-    """Numbers of the bits of features, with the names that they have."""
+    """Numbers of feature bits, with their names if known."""
     names = {feature.bit_length() - 1: label for feature, label in _FEATURE_LABELS.items()}
     names |= _RESERVED_FEATURES
     bits = [bit for bit in range(32) if features >> bit & 1]

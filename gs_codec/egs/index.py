@@ -1,4 +1,4 @@
-"""The `index` section: where the Gaussians of each block are. FORMAT.md, section "Index"."""
+"""The `index` section: bounding boxes of each block. FORMAT.md, section "Index"."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WHERE = "section 'index'"
 
 
 def index_section(extents: Sequence[NDArray[np.float32]]) -> list[Section]:
-    """The section of a scene's blocks, ``(12,)`` each as by `block_extent`; none without blocks."""
+    """The section with the extents ``(12,)`` of blocks (`block_extent`); none without blocks."""
     if not extents:
         return []
     return [Section(SectionId.INDEX, 0, np.stack(extents).astype("<f4").tobytes())]
@@ -42,7 +42,7 @@ def bounds_of(file: EgsFile) -> Box | None:
 
 
 def check_centres(file: EgsFile, block: int, positions: NDArray[np.float32]) -> None:
-    """Check that the index has the box of the decoded centres ``(3, n)`` of a block.
+    """Check that the index matches the decoded centres ``(3, n)`` of a block.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def check_centres(file: EgsFile, block: int, positions: NDArray[np.float32]) -> 
 
 
 def check_boxes(file: EgsFile, boxes: NDArray[np.float32]) -> None:
-    """Check that the index has the boxes ``(blocks, 6)`` of the decoded, finite centres of blocks.
+    """Check that the index matches the boxes ``(blocks, 6)`` of decoded, finite centres.
 
     Raises
     ------
@@ -67,12 +67,12 @@ def check_boxes(file: EgsFile, boxes: NDArray[np.float32]) -> None:
 
 
 def read_index(data: memoryview, blocks: int) -> NDArray[np.float32]:
-    """Extents of so many blocks, ``(blocks, 12)``, the inverse of `index_section`.
+    """Parse the extents of `blocks` blocks, ``(blocks, 12)``; inverse of `index_section`.
 
     Raises
     ------
     CorruptStream
-        If their number is wrong, or a box is none or reaches less far than the centres in it.
+        If their number is wrong, or a box is invalid or does not contain its centres.
     """
     if len(data) != 4 * EXTENT * blocks:
         raise CorruptStream(

@@ -18,23 +18,23 @@ _WHERE = "section 'errors'"
 
 
 def level_header(header: Header, level: int) -> Header:
-    """The header of a level of a file with this header; the level may lack far Gaussians."""
+    """The header of a level of a file with this header; the level may have no far Gaussians."""
     count = header.level_counts[level - 1]
     return replace(header, count=count, has_normals=False)
 
 
 def errors_section(errors: NDArray[np.float32]) -> Section:
-    """The section of the errors of a level's blocks, ``(blocks,)``, scene units."""
+    """The section with the errors of a level's blocks, ``(blocks,)``, in scene units."""
     return Section(SectionId.ERRORS, 0, errors.astype("<f4").tobytes())
 
 
 def levels_of(file: EgsFile) -> list[int]:
-    """Numbers of the levels that a file has beside its own Gaussians, ascending."""
+    """Numbers of the levels of a file, without level 0, ascending."""
     return sorted(block for section, block in file.table if section == SectionId.LEVEL)
 
 
 def open_level(file: EgsFile, level: int) -> EgsFile:
-    """A level of a file, as a file of its own, of which the descriptions are read and checked.
+    """Open a level as a file of its own; its descriptions are read and checked.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def _read_errors(data: memoryview, blocks: int) -> NDArray[np.float32]:
 
 
 def check_errors(finer: NDArray[np.float32], coarser: NDArray[np.float32]) -> None:
-    """Check that no block has a lower error than those of the finer level that it stands for.
+    """Check that no block has a lower error than the finer blocks it replaces.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def check_errors(finer: NDArray[np.float32], coarser: NDArray[np.float32]) -> No
 
 @contextmanager
 def within(level: int) -> Iterator[None]:
-    """Say in errors of the block that they are of a level; of none if it is 0."""
+    """Name the level in errors raised in the block, unless it is 0."""
     try:
         yield
     except (CorruptStream, TruncatedStream, UnsupportedVersion) as error:

@@ -1,4 +1,4 @@
-"""Sections beside the Gaussians: comments, properties beyond the layout, the tool."""
+"""Sections besides the Gaussians: comments, extra properties, version lines of programs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LEVEL = 6
 _COMMENT_BYTES = 1 << 20
 _EXTRA = "section 'extra'"
 
-#: Most characters of the version line of a program.
+#: Maximum length of a program's version line.
 MAX_LENGTH = 200
 
 
@@ -43,7 +43,7 @@ def pack_scene(
     costs: Sequence[ChannelCost] = (),
     rectified: int = 0,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """The pieces of a file of coded sections, with what a scene carries beside; the report."""
+    """Assemble a file from coded sections and the scene's comments and extra properties."""
     with times.stage("container"):
         sections = in_file_order([*sections, *carried_sections(scene, order)])
         parts = file_parts(header, sections)
@@ -59,9 +59,9 @@ def pack_scene(
 
 
 def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:
-    """Sections `comments` and `extra` of a scene, with Gaussians in the given order.
+    """The sections `comments` and `extra` of a scene, with Gaussians in the given order.
 
-    Comments on coordinates and antialiasing are left out: the header has them.
+    Comments on coordinates and antialiasing are omitted, because the header has them.
     """
     sections = []
     if comments := other_comments(scene.comments):
@@ -121,7 +121,7 @@ def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
 
 
 def extra_bytes(data: memoryview, count: int) -> int:
-    """Bytes that `read_extra` would return, without inflating anything."""
+    """Number of bytes that `read_extra` would return, without inflating anything."""
     return count * sum(dtype.itemsize for dtype, _ in _unpack(data).values())
 
 
@@ -173,7 +173,7 @@ def write_line(version: str) -> bytes:
 
 
 def read_line(file: EgsFile, section: SectionId) -> str | None:
-    """The version line of a section of a file, `tool` or `coder`; None if it has none."""
+    """The version line in section `tool` or `coder`; None if the section is missing."""
     data = file.sections.get((section, 0))
     if data is None:
         return None

@@ -6,18 +6,19 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from gs_codec.batch import run, work
 from gs_codec.batch.ledger import Record
-from gs_codec.batch.pool import Watcher
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError
+from gs_codec.workers.interface import Listener, Place
+from gs_codec.workers.serial import Serial
 
-encode_in, encode_one = run._encode_in, work.encode_one
+encode_one = work.encode_one
 
 FOREVER = 3600.0
 
@@ -28,7 +29,7 @@ def lines(report: str | Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
-def stuck_in_fsync(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+def stuck_in_fsync(options: Options, task: Task, place: Place) -> Record:
     """Never end writing an output once $REPORT has $HOLD lines, and create $HELD."""
 
     def stick(descriptor: int) -> None:
@@ -39,60 +40,51 @@ def stuck_in_fsync(options: Options, scratch: str, task: Task, progress: Any) ->
         os.fsync = stick
         # Where files can do without a name until they are whole, nothing would be left of them.
         os.__dict__.pop("O_TMPFILE", None)
-    return encode_in(options, scratch, task, progress)
+    return encode_one(options, task, place)
 
 
-def killed(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+def killed(options: Options, task: Task, place: Place) -> Record:
     """As if the system had killed it: always at `twice.ply`, at `once.ply` the first time."""
     mark = Path(task.source.path).with_suffix(".mark")
     if task.name == "twice.ply" or (task.name == "once.ply" and not mark.exists()):
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return encode_in(options, scratch, task, progress)
+    return encode_one(options, task, place)
 
 
-class OneProcess:
-    """In place of `Pool`: works on one task after another in this process."""
-
-    def __init__(self, work: Any, jobs: int, limit: int | None, watcher: Watcher) -> None:
-        self.work, self.watcher, self.stopped = work, watcher, False
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Record]]:
-        for task in tasks:
-            if self.stopped:
-                return
-            self.watcher.started(task)
-            yield task, self.work(task, partial(self.watcher.stage, task))
-
-    def stop(self) -> None:
-        self.stopped = True
+@contextmanager
+def in_this_process(
+    jobs: int, limit: int | None, folder: str, watcher: Listener
+) -> Iterator[Serial]:
+    """In place of `Pool`."""
+    yield Serial(folder, watcher)
 
 
-def waiting(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+def waiting(options: Options, task: Task, place: Place) -> Record:
     """Create $HELD, and go on once $GO is there."""
     Path(os.environ["HELD"]).touch()
     while not Path(os.environ["GO"]).exists():
         time.sleep(0.02)
-    return encode_in(options, scratch, task, progress)
+    return encode_one(options, task, place)
 
 
-def alone(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+def alone(options: Options, task: Task, place: Place) -> Record:
     """Start no thread."""
 
     def refuse(thread: threading.Thread) -> None:
         raise GsCodecError(f"{thread.name} started")
 
     threading.Thread.start = refuse
-    return encode_in(options, scratch, task, progress)
+    return encode_one(options, task, place)
 
 
-def held(task: Task, options: Options, scratch: str, progress: Any) -> Record:
+def held(options: Options, task: Task, place: Place) -> Record:
     """Take a task of a Dask worker, and say so in $HELD once $REPORT has $HOLD lines; no more."""
     while lines(os.environ["REPORT"]) < int(os.environ["HOLD"]):
         time.sleep(0.05)
     Path(os.environ["HELD"]).touch()
     time.sleep(FOREVER)
-    return encode_one(task, options, scratch, progress)
+    return encode_one(options, task, place)
 
 
 def main() -> None:
@@ -101,15 +93,13 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if "WORK" in os.environ:
-        run._encode_in = globals()[os.environ["WORK"]]
+        run.encode_one = globals()[os.environ["WORK"]]
     command()
 
 
 def dask_setup(worker: Any) -> None:
     """What ``dask worker --preload`` calls."""
-    from gs_codec.batch import cluster
-
-    cluster.encode_one = held
+    work.encode_one = held
 
 
 if __name__ == "__main__":

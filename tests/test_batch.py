@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from batch_work import OneProcess
+from batch_work import in_this_process
 from camera_files import inria_entry, write_json
 from command_line import Folder, assert_one_error_line
 from scenes import random_scene
@@ -23,9 +23,8 @@ from gs_codec import __version__
 from gs_codec.batch import local, memory, remote, run, scenes
 from gs_codec.batch.ledger import Record, parse_record
 from gs_codec.batch.local import Location
-from gs_codec.batch.pool import Pool, Watcher
 from gs_codec.batch.remote import is_url, storage_of
-from gs_codec.batch.run import Batch, Summary, run_batch
+from gs_codec.batch.run import Batch, Summary, Watcher, run_batch
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.cli import batch, encode
 from gs_codec.config import Config, RateTarget
@@ -35,8 +34,10 @@ from gs_codec.files.scenes import write_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.runtime import memory as free_memory
 from gs_codec.runtime.atomic import atomic_writer, leftovers
 from gs_codec.views.estimate import HEIGHT, WIDTH
+from gs_codec.workers.pool import Pool
 
 NAMES = ("a.ply", "sub/b.ply", "sub/deeper/c.ply")
 
@@ -48,7 +49,7 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
         path = tmp_path / "in" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_ply(path, random_scene(200, seed, seed=seed))
-    monkeypatch.setattr(run, "Pool", OneProcess)
+    monkeypatch.setattr(run, "Pool", in_this_process)
     # The memory of this one process is a store.
     monkeypatch.setattr(remote, "_OWN", "")
     monkeypatch.setattr(remote, "_OBJECTS", ("memory",))
@@ -624,7 +625,7 @@ def task(name: str, need: int) -> Task:
 
 
 def test_tasks_start_as_they_fit():
-    pool = Pool(lambda *_: None, 3, 100, Watcher())
+    pool = Pool(3, 100, "")
     pool._waiting.extend([large := task("large", 150), small := task("small", 40)])
     pool._waiting.append(middle := task("middle", 70))
     pool._again.append(lost := task("lost", 1))
@@ -665,8 +666,8 @@ def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected
     monkeypatch.setattr(scenes, "available_threads", lambda: 8)
     options = Options(Config(threads=threads))
     batch = Batch("in", "out", options, jobs)
-    pool = run._runner(batch, options, count, "", Watcher())
-    assert (pool._jobs, pool._work.args[0].config.threads) == expected
+    jobs = run._open_workers(batch, count, "", Watcher())._jobs
+    assert (jobs, options.with_share(jobs).config.threads) == expected
 
 
 @pytest.mark.parametrize(
@@ -676,20 +677,18 @@ def test_scenes_of_a_cluster_share_the_processors_of_a_host(
     monkeypatch, on_host, of_worker, expected
 ):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    from gs_codec.batch import cluster
+    from gs_codec.workers import dask
 
     class Worker:
         memory_manager = type("", (), {"memory_limit": None})
         state = type("", (), {"nthreads": of_worker})
         local_directory = "."
 
-    heard = []
-    monkeypatch.setattr(cluster.distributed, "get_worker", Worker)
+    monkeypatch.setattr(dask.distributed, "get_worker", Worker)
     monkeypatch.setattr(scenes, "available_threads", lambda: 8)
-    monkeypatch.setattr(cluster, "encode_one", lambda task, options, *_: heard.append(options))
     hosts = Counter({platform.node(): on_host, "another": 99})
-    cluster._encode_there(task("a", 1), Options(Config()), hosts, "topic")
-    assert heard[0].config.threads == expected
+    place = dask._do(lambda task, place: place, task("a", 1), hosts, "topic")
+    assert Options(Config()).with_share(place.jobs).config.threads == expected
 
 
 def test_need_grows_with_the_scene_and_its_views():
@@ -740,9 +739,9 @@ def test_free_memory_is_what_control_groups_leave(tmp_path):
         (folder / "memory.max").write_text(f"{most}\n")
         (folder / "memory.current").write_text("300\n")
         (folder / "memory.stat").write_text("anon 7\ninactive_file 50\n")
-    free = memory._along(tmp_path, "/user/me", "memory.max", "memory.current")
+    free = free_memory._along(tmp_path, "/user/me", "memory.max", "memory.current")
     assert sorted(free) == [650, 750]
-    assert memory.available_bytes() is None or memory.available_bytes() > 0
+    assert free_memory.available_bytes() is None or free_memory.available_bytes() > 0
 
 
 # Storage
@@ -781,7 +780,7 @@ def test_memory_of_a_process_is_refused():
 
 
 def test_dask_that_is_not_installed_is_named_with_the_line_that_installs_it(folder):
-    for name in ("gs_codec.batch.cluster", "gs_codec.batch.client"):
+    for name in ("gs_codec.workers.dask", "gs_codec.workers.client"):
         folder.monkeypatch.delitem(sys.modules, name, raising=False)
     for name in ("dask", "distributed"):
         folder.monkeypatch.setitem(sys.modules, name, None)

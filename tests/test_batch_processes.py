@@ -53,7 +53,7 @@ def scenes(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
         path = source / f"{name}.ply"
         path.parent.mkdir(parents=True, exist_ok=True)
         write_ply(path, random_scene(200 + 120 * index, index % 4, seed=index))
-        encode_file(path, output)
+        encode_file(path, output, overwrite=True)
         wanted[f"{name}.egs"] = output.read_bytes()
     for name, content in BROKEN.items():
         (source / name).parent.mkdir(exist_ok=True)
@@ -176,7 +176,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
     source.mkdir()
     for seed, name in enumerate(("a", "once", "twice", "z")):
         write_ply(source / f"{name}.ply", random_scene(200, 0, seed=seed))
-    monkeypatch.setattr(run, "_encode_in", batch_work.killed)
+    monkeypatch.setattr(run, "encode_one", batch_work.killed)
     batch = Batch(str(source), str(tmp_path / "out"), Options(Config()), jobs=2)
     summary = run_batch(batch)
     assert (summary.done, summary.failed) == (3, 1)
@@ -195,7 +195,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
 def test_scenes_of_one_thread_start_no_other(tmp_path, monkeypatch, plan):
     for seed in range(2):
         write_ply(tmp_path / f"{seed}.ply", random_scene(1000, 1, seed=seed))
-    monkeypatch.setattr(run, "_encode_in", batch_work.alone)
+    monkeypatch.setattr(run, "encode_one", batch_work.alone)
     options = Options(Config(threads=1), plan)
     summary = run_batch(Batch(str(tmp_path), str(tmp_path / "out"), options, jobs=2))
     assert (summary.done, summary.failed) == (2, 0), Path(summary.report).read_text()
@@ -319,9 +319,7 @@ def test_scheduler_that_is_not_there_is_one_line(scenes, place):
     process = place.start(scenes[0], "--dask", "tcp://127.0.0.1:1", **environment)
     status, out, err = finish(process)
     assert (status, out) == (2, "")
-    assert err.splitlines()[-1].startswith(
-        "gs-codec: error: --dask tcp://127.0.0.1:1: no scheduler"
-    )
+    assert err.splitlines()[-1].startswith("gs-codec: error: dask tcp://127.0.0.1:1: no scheduler")
 
 
 #: Knocks at ports as another user would: in plain text, and with a key of its own.
@@ -409,8 +407,8 @@ def test_local_cluster_does_the_same(scenes, place, tmp_path):
     ids=["killed", "missing", "failed", "version"],
 )
 def test_what_happened_to_a_worker_is_told(error, said):
-    client = pytest.importorskip("gs_codec.batch.client", exc_type=ImportError)
+    client = pytest.importorskip("gs_codec.workers.client", exc_type=ImportError)
     answers = SimpleNamespace(run=lambda *a, **b: {"tls://a:1": error})
     with pytest.raises(InvalidInput) as caught:
-        client.threads_of_hosts(answers)
+        client.threads_of_workers(answers)
     assert said in str(caught.value)

@@ -20,10 +20,10 @@ import pytest
 from scenes import random_scene
 
 from gs_codec.batch.local import Location
-from gs_codec.batch.redaction import redact_process, redacted, without_secrets
 from gs_codec.batch.remote import storage_of
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.runtime.redaction import redact_process, redacted, without_secrets
 
 LIMIT = 600
 

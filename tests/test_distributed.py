@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import random
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.folder import Folder, work_folder
 from gs_codec.distributed.sorting import find_cuts
 from gs_codec.distributed.sources import open_sources
-from gs_codec.distributed.workers import Task, size_within
+from gs_codec.distributed.tasks import Crew, Numbered, size_within
 from gs_codec.encoding import loss as check
 from gs_codec.encoding import retry as checked
 from gs_codec.errors import CorruptStream, InvalidInput
@@ -35,6 +35,9 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance import calibrate, windows
 from gs_codec.guidance.calibrate import wanted_error
 from gs_codec.scene import Scene
+from gs_codec.workers.interface import Done, Work, Workers
+from gs_codec.workers.pool import Pool
+from gs_codec.workers.serial import Serial
 from samples.generate import generate
 
 BLOCK = 1024
@@ -50,30 +53,32 @@ class Lost(Exception):
     """A worker, or what it is to do."""
 
 
-class Here:
+class Here(Serial):
     """Does tasks in this process, in any order; fails before a task, by its number of all."""
 
-    at_once = 1
-
     def __init__(self, seed: int = 0, fails_at: int = -1) -> None:
+        super().__init__("")
         self.random, self.left, self.done = random.Random(seed), fails_at, list[str]()
 
-    def run(self, stage: str, task: Task, numbers: Sequence[int]) -> None:
+    def run(self, work: Work, tasks: Sequence[Numbered]) -> Iterator[Done]:
         """See `Workers`."""
-        for number in self.random.sample(numbers, len(numbers)):
-            if not self.left:
-                raise Lost
-            self.left -= 1
-            task(number)
-            self.done.append(f"{stage}-{number}")
+        yield from super().run(work, map(self.begun, self.random.sample(tasks, len(tasks))))
+
+    def begun(self, task: Numbered) -> Numbered:
+        """A task to do, unless it is the one that fails."""
+        if not self.left:
+            raise Lost
+        self.left -= 1
+        self.done.append(task.name)
+        return task
 
 
 def in_tasks(
-    paths: list[Path], target: Path, config: Config, size: int, here: Here | None = None
+    paths: list[Path], target: Path, config: Config, size: int, here: Workers | None = None
 ) -> tuple[bytes, dict]:
     """The file, and the report without times."""
     sources = open_sources(paths, config.chosen_extra())
-    report = encode_with(here or Here(), sources, target, config, size)
+    report = encode_with(Crew(here or Here()), sources, target, config, size)
     assert not target.with_name(f"{target.name}.parts").exists()
     return target.read_bytes(), {**asdict(report), "seconds": None}
 
@@ -261,7 +266,7 @@ def test_decoding_in_tasks_gives_the_same_file(tmp_path, profile, box, degree):
     encode_file(path, tmp_path / "a.egs", Config(profile, block_size=BLOCK))
     part = Part(box, degree)
     expected = decode_file(tmp_path / "a.egs", tmp_path / "whole.ply", part)
-    found = decode_with(Here(), tmp_path / "a.egs", tmp_path / "tasks.ply", part, 2048)
+    found = decode_with(Crew(Here()), tmp_path / "a.egs", tmp_path / "tasks.ply", part, 2048)
     assert (tmp_path / "tasks.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
     assert replace(found, seconds={}) == replace(expected, seconds={})
     assert not (tmp_path / "tasks.ply.parts").exists()
@@ -271,7 +276,9 @@ def test_empty_box_is_refused_and_nothing_is_left(tmp_path):
     encode_file(saved(tmp_path / "a.ply", random_scene(10)), tmp_path / "a.egs")
     kept = sorted(tmp_path.iterdir())
     with pytest.raises(InvalidInput, match="no Gaussians in the box, bounds"):
-        decode_with(Here(), tmp_path / "a.egs", tmp_path / "b.ply", Part((9, 9, 9, 10, 10, 10)), 99)
+        decode_with(
+            Crew(Here()), tmp_path / "a.egs", tmp_path / "b.ply", Part((9, 9, 9, 10, 10, 10)), 99
+        )
     assert sorted(tmp_path.iterdir()) == kept
 
 
@@ -283,7 +290,7 @@ def test_damaged_file_is_refused_by_a_task(tmp_path):
     data[-100] ^= 1
     (tmp_path / "a.egs").write_bytes(data)
     with pytest.raises(CorruptStream, match="checksum does not match"):
-        decode_with(Here(), tmp_path / "a.egs", tmp_path / "b.ply", Part(), BLOCK)
+        decode_with(Crew(Here()), tmp_path / "a.egs", tmp_path / "b.ply", Part(), BLOCK)
     assert not (tmp_path / "b.ply").exists()
 
 
@@ -322,7 +329,7 @@ def test_files_of_others_in_the_folder_stay(tmp_path):
     (tmp_path / "a.egs.parts/mine/notes").touch()
     with pytest.raises(Lost):
         in_tasks([path], target, Config("l"), 1000, Here(fails_at=3))
-    encode_with(Here(), open_sources([path], "error"), target, Config("m"), 1000)
+    encode_with(Crew(Here()), open_sources([path], "error"), target, Config("m"), 1000)
     found = sorted((tmp_path / "a.egs.parts").rglob("*"))
     assert [entry.name for entry in found] == ["mine", "notes"]
 
@@ -409,13 +416,21 @@ def test_command_refuses_what_has_no_effect(folder, arguments, expected):
 
 
 def test_dask_that_is_not_installed_is_named(folder):
-    for name in ("gs_codec.distributed.dask", "gs_codec.batch.client"):
+    for name in ("gs_codec.workers.dask", "gs_codec.workers.client"):
         folder.monkeypatch.delitem(sys.modules, name, raising=False)
     for name in ("dask", "distributed"):
         folder.monkeypatch.setitem(sys.modules, name, None)
     status, _, err = folder.run("encode", "scene.ply", "b.egs", "--dask", "local")
     assert status == 2
     assert err == "gs-codec: error: dask: needs distributed; pip install 'gs-codec[cluster]'\n"
+
+
+def test_a_pool_of_processes_gives_the_same_file(tmp_path):
+    path = saved(tmp_path / "a.ply", random_scene(3000, 0, seed=3))
+    config = Config("m", block_size=BLOCK)
+    with Pool(1, None, str(tmp_path)) as workers:
+        found = in_tasks([path], tmp_path / "tasks.egs", config, 2000, workers)
+    assert found == whole(path, tmp_path / "whole.egs", config)
 
 
 @pytest.mark.thorough

@@ -14,7 +14,7 @@ from pathlib import Path
 import foreign
 import numpy as np
 import pytest
-from batch_work import OneProcess
+from batch_work import in_this_process
 from command_line import Folder, assert_one_error_line
 from damage import TIMES_FILE, TIMES_LIMIT
 from PIL import Image
@@ -112,7 +112,7 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
     """A scene, and batches that run in this process."""
     (tmp_path / "in").mkdir()
     write_scene(tmp_path / "in/a.ply", random_scene(40, 0), Config())
-    monkeypatch.setattr(run, "Pool", OneProcess)
+    monkeypatch.setattr(run, "Pool", in_this_process)
     # The memory of this one process is a store.
     monkeypatch.setattr(remote, "_OWN", "")
     monkeypatch.setattr(remote, "_OBJECTS", ("memory",))

@@ -15,6 +15,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.sources import open_sources
+from gs_codec.distributed.tasks import Crew
 from gs_codec.edit.apply import Action
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
@@ -25,6 +26,7 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.tensors import tensors_of
 from gs_codec.scene import GROUPS, Scene
+from gs_codec.workers.serial import Serial
 
 COUNT = 40
 SAID = (
@@ -188,8 +190,6 @@ def test_nothing_left_is_an_error(tmp_path):
 
 def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
     """Of a scene in spans, one of which is damaged, and all of which have infinite ends."""
-    from test_distributed import Here
-
     scene = random_scene(3000, 1, seed=3)
     scene.f_dc[:, :1100] = np.nan
     scene.opacity[:, ::100] = np.inf
@@ -198,7 +198,7 @@ def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
     encode_file(tmp_path / "a.ply", tmp_path / "a.egs", config)
     caplog.clear()
     sources = open_sources([tmp_path / "a.ply"], "error")
-    report = encode_with(Here(), sources, tmp_path / "b.egs", config, 1024)
+    report = encode_with(Crew(Serial("")), sources, tmp_path / "b.egs", config, 1024)
     assert (report.count, report.dropped) == (1900, 1100)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
     assert caplog.messages == [
@@ -207,7 +207,7 @@ def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
     all_damaged(tmp_path / "c.ply")
     sources = open_sources([tmp_path / "c.ply"], "error")
     with pytest.raises(InvalidInput, match="no Gaussian is left of 30"):
-        encode_with(Here(), sources, tmp_path / "c.egs", config, 1024)
+        encode_with(Crew(Serial("")), sources, tmp_path / "c.egs", config, 1024)
 
 
 def extreme_scenes() -> dict[str, Scene]:

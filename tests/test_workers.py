@@ -1,73 +1,113 @@
-"""Work handed out to threads: in order, no more at once than there are threads."""
+"""Workers of every kind do the same: each task once, with its error, progress and place."""
 
 from __future__ import annotations
 
-import threading
+import os
+import signal
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
-from gs_codec.runtime.threads import available_threads, run_all, using_threads
+from gs_codec.errors import InvalidInput
+from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers, workers_at
+from gs_codec.workers.pool import Pool
+from gs_codec.workers.serial import Serial
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3, 16, None])
-@pytest.mark.parametrize("count", [0, 1, 2, 100])
-def test_results_are_in_order_and_counted(threads, count):
-    steps: list[int] = []
-    squares = run_all(lambda i: i * i, range(count), threads, lambda: steps.append(len(steps)))
-    assert squares == [i * i for i in range(count)]
-    assert steps == list(range(count))
+class Sum(NamedTuple):
+    """A task."""
+
+    name: str
+    number: int = 0
+    need: int = 0
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_items_are_made_when_they_are_worked_on(threads):
-    begun: list[int] = []
-    done: list[int] = []
+class Ears(Listener):
+    """Keeps what was heard."""
 
-    def items() -> Iterator[int]:
-        for i in range(50):
-            begun.append(i)
-            # One more than there are threads: it waits for the first that is free.
-            assert len(begun) - len(done) <= threads + 1
-            yield i
+    def __init__(self) -> None:
+        self.heard = list[tuple]()
 
-    run_all(done.append, items(), threads)
-    assert sorted(done) == list(range(50))
+    def started(self, task: Sum) -> None:
+        self.heard.append(("started", task.name))
+
+    def stage(self, task: Sum, stage: str, done: int, total: int) -> None:
+        self.heard.append((stage, task.name, done, total))
 
 
-@pytest.mark.parametrize("threads", [1, 4])
-def test_an_error_ends_the_work(threads):
-    def work(item: int) -> None:
-        if item == 5:
-            raise ValueError("five")
-
-    def items() -> Iterator[int]:
-        # The error comes out as soon as what was begun is done, however much is left.
-        yield from range(1 << 60)
-
-    with pytest.raises(ValueError, match="five"):
-        run_all(work, items(), threads)
-    assert threading.active_count() < 50
+def work(factor: int, task: Sum, place: Place) -> int:
+    """A product; no task may be called ``bad``, and ``killed`` ends its process."""
+    place.progress("multiply", task.number, 9)
+    if task.name == "bad":
+        raise InvalidInput("bad: cannot be multiplied")
+    if task.name == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    Path(place.folder, task.name).touch()
+    return factor * task.number * place.jobs
 
 
-def test_one_setting_is_for_all_that_is_called():
-    with using_threads(3):
-        assert available_threads() == 3
-        with using_threads(None):
-            assert available_threads() == 3
-        with using_threads(1):
-            assert run_all(lambda _: threading.get_ident(), range(2)) == [threading.get_ident()] * 2
-        assert available_threads() == 3
+@contextmanager
+def serial(folder: str, ears: Ears) -> Iterator[Workers]:
+    yield Serial(folder, ears)
 
 
-def test_what_an_item_calls_stays_in_its_thread():
-    def work(_: int) -> list[int]:
-        return [threading.get_ident(), *run_all(lambda _: threading.get_ident(), range(4))]
-
-    for found in run_all(work, range(4), 4):
-        assert len(set(found)) == 1
-    assert run_all(lambda _: available_threads(), range(1), 4) == [available_threads()]
+def pool(folder: str, ears: Ears) -> Pool:
+    return Pool(1, None, folder, ears)
 
 
-def test_one_thread_is_the_callers():
-    assert run_all(lambda _: threading.get_ident(), range(3), 1) == [threading.get_ident()] * 3
+def cluster(folder: str, ears: Ears):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    return workers_at("local", 1, folder, ears)
+
+
+EACH = [serial, pool, pytest.param(cluster, marks=pytest.mark.thorough)]
+
+
+@pytest.mark.parametrize("kind", EACH)
+def test_each_task_is_done_once_with_its_error_and_progress(tmp_path, kind):
+    ears, tasks = Ears(), [Sum("a", 1), Sum("bad", 2), Sum("c", 3)]
+    with kind(str(tmp_path), ears) as workers:
+        assert workers.at_once == 1
+        for factor in (2, 5):  # they can be used again
+            done = {each.task.name: each for each in workers.run(partial(work, factor), tasks)}
+            assert {name: each.value for name, each in done.items()} == {
+                "a": factor,
+                "bad": None,
+                "c": 3 * factor,
+            }
+            assert str(done["bad"].error) == "bad: cannot be multiplied"
+        assert list(workers.run(partial(work, 1), [])) == []
+    assert ears.heard.count(("multiply", "c", 3, 9)) == 2
+
+
+@pytest.mark.parametrize("kind", EACH[:2])
+def test_no_task_is_started_after_stop(tmp_path, kind):
+    ears, tasks = Ears(), [Sum(name) for name in "abc"]
+    with (
+        kind(str(tmp_path), ears) as workers,
+        closing(workers.run(partial(work, 1), tasks)) as results,
+    ):
+        for done in results:
+            assert done.task.name == "a"
+            workers.stop()
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_task_that_kills_its_process_twice_is_given_up(tmp_path):
+    tasks = [Sum("killed"), Sum("b", 1)]
+    with pool(str(tmp_path), Ears()) as workers:
+        found = list(workers.run(partial(work, 1), tasks))
+    assert [each.task.name for each in found] == ["b", "killed"]
+    assert isinstance(found[1].error, WorkerLost)
+    assert "was stopped by SIGKILL, twice" in str(found[1].error)
+
+
+def test_tasks_given_up_end_with_their_processes(tmp_path):
+    with pool(str(tmp_path), Ears()) as workers:
+        with closing(workers.run(partial(work, 1), [Sum("a"), Sum("b")])) as results:
+            assert next(results).task.name == "a"
+        assert [each.value for each in workers.run(partial(work, 1), [Sum("c", 7)])] == [7]

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from gs_codec.batch.redaction import without_secrets
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.formats.usd import scene as usd
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
+from gs_codec.runtime.redaction import without_secrets
 
 log = logging.getLogger(__name__)
 

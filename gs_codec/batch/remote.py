@@ -23,10 +23,10 @@ from gs_codec.batch.local import (
     file_sha256,
     fixed_part,
 )
-from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.runtime.atomic import leftovers, temporary_name
 from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.redaction import redacted, without_secrets
 from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)

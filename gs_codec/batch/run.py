@@ -11,29 +11,25 @@ import tempfile
 import time
 import uuid
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
 from gs_codec.batch.local import LocalStorage
-from gs_codec.batch.memory import available_bytes
-from gs_codec.batch.pool import Pool, Watcher
-from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.work import encode_one, versions
-from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.usd.scene import require_usd_core
-from gs_codec.report import Progress
-from gs_codec.runtime.lazy import from_extra
+from gs_codec.runtime.memory import available_bytes
+from gs_codec.runtime.redaction import redacted, without_secrets
 from gs_codec.runtime.threads import available_threads
 from gs_codec.runtime.wording import as_typed
-
-if TYPE_CHECKING:
-    from gs_codec.batch.cluster import Cluster
+from gs_codec.workers.interface import Done, Listener, Workers, workers_at
+from gs_codec.workers.pool import Pool
 
 _REPORT = "report.jsonl"
 
@@ -123,6 +119,16 @@ class Summary:
     seconds: float
 
 
+class Watcher(Listener):
+    """Gets the events of a batch; this base class ignores them."""
+
+    def begun(self, total: int, skipped: int, report: str) -> None:
+        """The batch begins: `total` scenes to encode, `skipped` already done."""
+
+    def ended(self, task: Task, record: Record) -> None:
+        """A scene is done, or failed."""
+
+
 def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     """Encode the scenes of a folder or glob; a failed scene does not stop the others.
 
@@ -135,7 +141,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         If no scene matches, a storage cannot be used, the report cannot be written, or a package
         that the format needs is not installed.
     """
-    start, watcher = time.perf_counter(), watcher or Watcher()
+    start, watcher, records = time.perf_counter(), watcher or Watcher(), list[Record]()
     require_usd_core(f".{batch.options.format}")
     sources, targets = storage_of(batch.source), storage_of(batch.target)
     options = batch.options.absolute()
@@ -151,38 +157,33 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         digest = options.digest()
         known = {t: r for t in tasks if (r := _complete(t, ledger, digest, sources, targets))}
         waiting = [task for task in tasks if task not in known]
-        runner = _runner(batch, options, len(waiting), scratch, watcher)
+        opened, work = (
+            _open_workers(batch, len(waiting), scratch, watcher),
+            partial(encode_one, options),
+        )
         watcher.begun(len(waiting), len(known), path)
         try:
-            records = _work(runner, waiting, digest, batch, ledger, watcher)
+            with opened as workers, closing(workers.run(work, waiting)) as results:
+                for done in results:
+                    records.append(record := _completed(done, digest))
+                    ledger.add(record)
+                    watcher.ended(done.task, record)
+                    if record.error is not None and batch.on_error == "stop":
+                        workers.stop()
         finally:
             if isinstance(targets, LocalStorage):
                 targets.sweep(outputs, mark)
     return _sum_up(path, records, list(known.values()), len(waiting), time.perf_counter() - start)
 
 
-def _work(
-    runner: Pool | Cluster,
-    tasks: Sequence[Task],
-    digest: str,
-    batch: Batch,
-    ledger: Ledger,
-    watcher: Watcher,
-) -> list[Record]:
-    records: list[Record] = []
-    with closing(runner.run(tasks)) as results:
-        for task, record in results:
-            record = _completed(record, task, digest)
-            ledger.add(record)
-            records.append(record)
-            watcher.ended(task, record)
-            if record.error is not None and batch.on_error == "stop":
-                runner.stop()
-    return records
-
-
-def _completed(record: Record, task: Task, digest: str) -> Record:
+def _completed(done: Done[Task, Record], digest: str) -> Record:
     """The record with options and versions filled in, and with secrets removed from its texts."""
+    task, record = done.task, done.value
+    if done.error is not None:
+        kind = type(done.error).__name__
+        text = f"{task.shown[0]}: {one_line(done.error) or kind}"
+        record = Record(*task.shown, error={"kind": kind, "text": text})
+    assert record is not None
     record = replace(record, options=digest, versions=record.versions or versions())
     urls = [url for file in (task.source, task.target) for url in (file.base, file.path)]
     record = replace(record, warnings=[redacted(as_typed(text), *urls) for text in record.warnings])
@@ -204,21 +205,15 @@ def _default_report(targets: Storage) -> str:
     return os.path.join(targets.path, _REPORT) if isinstance(targets, LocalStorage) else _REPORT
 
 
-def _runner(
-    batch: Batch, options: Options, count: int, scratch: str, watcher: Watcher
-) -> Pool | Cluster:
-    threads = options.config.threads or 1
+def _open_workers(
+    batch: Batch, count: int, scratch: str, watcher: Watcher
+) -> AbstractContextManager[Workers]:
+    threads = batch.options.config.threads or 1
     jobs = batch.jobs or max(available_threads() // threads, 1)
     jobs = min(jobs, max(count, 1))
     if batch.dask is None:
-        work = partial(_encode_in, options.with_share(jobs), scratch)
-        return Pool(work, jobs, available_bytes(), watcher)
-    cluster = from_extra("gs_codec.batch.cluster", "cluster", "dask")
-    return cluster.Cluster(batch.dask, jobs, scratch, options, watcher)
-
-
-def _encode_in(options: Options, scratch: str, task: Task, progress: Progress) -> Record:
-    return encode_one(task, options, scratch, progress)
+        return Pool(jobs, available_bytes(), scratch, watcher)
+    return workers_at(batch.dask, jobs, scratch, watcher)
 
 
 def batch_mark(report: str) -> str:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from gs_codec.batch.local import SUFFIXES, LocalStorage, Location, Stamp, file_sha256
 from gs_codec.batch.memory import expected_floats, needed_bytes
-from gs_codec.batch.redaction import without_secrets
 from gs_codec.batch.remote import Storage
 from gs_codec.config import EGS, Config, RateTarget
 from gs_codec.edit.actions import Action
 from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.runtime.redaction import without_secrets
 from gs_codec.runtime.threads import available_threads
 
 if TYPE_CHECKING:

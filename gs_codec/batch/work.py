@@ -23,6 +23,7 @@ from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.report import Progress, StageTimes, bits_per_gaussian
 from gs_codec.runtime.atomic import make_folder
+from gs_codec.workers.interface import Place
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
@@ -32,16 +33,17 @@ if TYPE_CHECKING:
 _COMPUTING = ("numpy", "numba", "llvmlite", "pcodec")
 
 
-def encode_one(task: Task, options: Options, scratch: str, progress: Progress) -> Record:
-    """Encode a scene; any error becomes part of the record.
+def encode_one(options: Options, task: Task, place: Place) -> Record:
+    """Encode a scene with its share of the processors; any error becomes part of the record.
 
-    Copies of remote files are in a temporary folder in `scratch`.
+    Copies of remote files are in a temporary folder.
     """
+    options = options.with_share(place.jobs)
     blank = Record(*task.shown, versions=versions())
     warnings: list[str] = []
     try:
-        with tempfile.TemporaryDirectory(dir=scratch) as folder:
-            record = _encode(task, options, Path(folder), progress, blank, warnings)
+        with tempfile.TemporaryDirectory(dir=place.folder) as folder:
+            record = _encode(task, options, Path(folder), place.progress, blank, warnings)
     except Exception as error:
         # The other scenes must still be encoded, whatever the error.
         kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__

@@ -110,9 +110,9 @@ def command(
     check_actions(typed.actions, plan, typed["max_memory"] is not None, plain is None)
     if plain is None and (plan is not None or rate is not None):
         typed.refuse(["max_memory"], "cannot be combined with views, preparation or a target")
-    from gs_codec.batch.redaction import redact_process, without_secrets
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
+    from gs_codec.runtime.redaction import redact_process, without_secrets
 
     options = Options(
         config, plan, rate, typed["max_bytes"], typed["max_memory"], tuple(typed.actions), plain,

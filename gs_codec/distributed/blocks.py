@@ -17,7 +17,7 @@ from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.section import write_lattice
 from gs_codec.distributed.chunks import coded_bytes, coded_table, save_coded
 from gs_codec.distributed.folder import Folder
-from gs_codec.distributed.workers import Workers, do_all
+from gs_codec.distributed.tasks import Crew
 from gs_codec.egs.egs_file import Listed, Section, SectionId, file_head, in_file_order, padded_parts
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.index import index_section
@@ -86,7 +86,7 @@ class CodedBlocks:
     clamped: int
 
 
-def code_blocks(workers: Workers, quantised: Quantised, times: StageTimes) -> CodedBlocks:
+def code_blocks(crew: Crew, quantised: Quantised, times: StageTimes) -> CodedBlocks:
     """Code all chunks."""
     folder, chunks, lattice = quantised
     with times.stage("model"):
@@ -97,7 +97,7 @@ def code_blocks(workers: Workers, quantised: Quantised, times: StageTimes) -> Co
         sections.append(Section(SectionId.LATTICE, 0, described))
     with times.stage("code"):
         task = partial(_code, folder, described, chunks)
-        do_all(workers, folder, "code", task, chunks.number)
+        crew.do_all(folder, "code", task, chunks.number)
     return CodedBlocks(folder, chunks, sections, costs, clamped)
 
 

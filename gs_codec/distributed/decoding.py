@@ -13,7 +13,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.coding.extent import box_text
 from gs_codec.distributed.folder import Folder, identity_of, work_folder
-from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
+from gs_codec.distributed.tasks import Crew, crew_at, size_within
 from gs_codec.egs.index import bounds_of, index_of
 from gs_codec.errors import InvalidInput
 from gs_codec.files.decoding import DecodeReport
@@ -76,14 +76,12 @@ def decode_distributed(
         )
     with opened_slabs(source, part, among=()) as slabs:
         degree, least = slabs.sh_degree, slabs.chosen.file.header.block_size
-    with using_threads(threads), workers_at(dask, progress) as workers:
-        size = size_within(max_memory, workers.at_once, degree, least)
-        return decode_with(workers, *paths, part, size)
+    with using_threads(threads), crew_at(dask, progress) as crew:
+        size = size_within(max_memory, crew.workers.at_once, degree, least)
+        return decode_with(crew, *paths, part, size)
 
 
-def decode_with(
-    workers: Workers, source: Path, target: Path, part: Part, size: int
-) -> DecodeReport:
+def decode_with(crew: Crew, source: Path, target: Path, part: Part, size: int) -> DecodeReport:
     """Decode a file in tasks of about `size` Gaussians; see `decode_distributed`."""
     times = StageTimes()
     with opened_slabs(source, part, among=()) as slabs:
@@ -96,7 +94,7 @@ def decode_with(
     with work_folder(target, identity_of([source], part=part, size=size)) as folder:
         with times.stage("decode"):
             task = partial(_decode, folder, source, part, chunks)
-            do_all(workers, folder, "decode", task, len(chunks))
+            crew.do_all(folder, "decode", task, len(chunks))
         names = [f"decode-{k}" for k in range(len(chunks))]
         told = [folder.load(name, "count", "bytes_read") for name in names]
         count = sum(int(each["count"]) for each in told)

@@ -30,7 +30,7 @@ from gs_codec.distributed.levels import code_levels
 from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run
 from gs_codec.distributed.sources import Sources, open_sources
 from gs_codec.distributed.survey import Job, Looked, choose_lattice, look
-from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
+from gs_codec.distributed.tasks import Crew, crew_at, size_within
 from gs_codec.egs.egs_file import Section, SectionId, section_sizes
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.sections import carried_sections
@@ -103,9 +103,9 @@ def encode_distributed(
     _check(config)
     sources = open_sources([path.absolute() for path in paths], config.chosen_extra())
     least = max(FANOUT * config.block_size, *(each.block_size for each in sources.listed))
-    with using_threads(config.threads), workers_at(dask, progress) as workers:
-        size = size_within(max_memory, workers.at_once, sources.head.sh_degree, least)
-        return encode_with(workers, sources, Path(target).absolute(), config, size)
+    with using_threads(config.threads), crew_at(dask, progress) as crew:
+        size = size_within(max_memory, crew.workers.at_once, sources.head.sh_degree, least)
+        return encode_with(crew, sources, Path(target).absolute(), config, size)
 
 
 def _check(config: Config) -> None:
@@ -120,7 +120,7 @@ def _check(config: Config) -> None:
 
 
 def encode_with(
-    workers: Workers, sources: Sources, target: Path, config: Config, size: int
+    crew: Crew, sources: Sources, target: Path, config: Config, size: int
 ) -> EncodeReport:
     """Encode a scene in tasks of about `size` Gaussians; see `encode_distributed`."""
     times = StageTimes()
@@ -131,18 +131,18 @@ def encode_with(
     with work_folder(target, identity) as folder, ExitStack() as stack:
         job = Job(folder, sources, sources.spans(size), config)
         with times.stage("look"):
-            looked = look(workers, job)
+            looked = look(crew, job)
         count = sources.count - len(looked.dropped)
         if not count:
             others = f" and {len(paths) - 1} more" if paths[1:] else ""
             with located(f"{paths[0]}{others}"):
                 raise nothing_left(sources.count)
-        quantised, chosen, loss = _quantise_all(workers, job, looked, size, times)
-        coded = code_blocks(workers, quantised, times)
+        quantised, chosen, loss = _quantise_all(crew, job, looked, size, times)
+        coded = code_blocks(crew, quantised, times)
         beside = carried_sections(sources.head, np.empty(0, np.int64))
         if config.lod:
             with times.stage("levels"):
-                levels = code_levels(workers, coded, sources.head, config, size)
+                levels = code_levels(crew, coded, sources.head, config, size)
             for number, path in enumerate(levels, 1):
                 data = stack.enter_context(opened(path))[:]
                 beside.append(Section(SectionId.LEVEL, number, data, optional=True))
@@ -165,7 +165,7 @@ def encode_with(
 
 
 def _quantise_all(
-    workers: Workers, job: Job, looked: Looked, size: int, times: StageTimes
+    crew: Crew, job: Job, looked: Looked, size: int, times: StageTimes
 ) -> tuple[Quantised, Config, RenderedLoss | None]:
     """Quantise all Gaussians; also the configuration that suits them, and what views then lose."""
     with times.stage("measure"):
@@ -178,13 +178,13 @@ def _quantise_all(
         if config != looked.config:
             own = replace(job, folder=job.folder.within(f"coarseness-{config.coarseness}"))
         with times.stage("sort"):
-            lattice = choose_lattice(workers, job, looked._replace(config=config))
+            lattice = choose_lattice(crew, job, looked._replace(config=config))
             header = Header.of(job.gaussians.head, config, count)
             chunks = Chunks.of(header.with_far(lattice.grid.has_far), size)
-            cuts = _sort(workers, own, lattice, chunks)
+            cuts = _sort(crew, own, lattice, chunks)
         with times.stage("quantise"):
             task = partial(_quantise, own, lattice, chunks, cuts, check.windows)
-            do_all(workers, own.folder, "quantise", task, chunks.number)
+            crew.do_all(own.folder, "quantise", task, chunks.number)
             own.folder.remove_mapped()
         with times.stage("measure"):
             loss = check.measure_shown(*own.load_shown("decoded", chunks.number))
@@ -196,10 +196,10 @@ def _quantise_all(
     return quantised, chosen, loss
 
 
-def _sort(workers: Workers, job: Job, lattice: Lattice, chunks: Chunks) -> NDArray[np.int64]:
+def _sort(crew: Crew, job: Job, lattice: Lattice, chunks: Chunks) -> NDArray[np.int64]:
     """Sort spans, and find where chunks cut them; see `find_cuts`."""
     folder, number = job.folder, len(job.spans)
-    do_all(workers, folder, "sort", partial(_sort_span, job, lattice), number)
+    crew.do_all(folder, "sort", partial(_sort_span, job, lattice), number)
     if not folder.has("cuts"):
         cuts = find_cuts(folder, number, chunks.ranks, lattice.grid.key_bits)
         folder.save("cuts", {"cuts": cuts})

@@ -21,7 +21,7 @@ from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.sorting import planes_of, scene_of_rows
 from gs_codec.distributed.sources import Source, Span
 from gs_codec.distributed.survey import Job, choose_lattice, look
-from gs_codec.distributed.workers import Workers, do_all
+from gs_codec.distributed.tasks import Crew
 from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.levels import errors_section, level_header
 from gs_codec.formats.ply.planes import to_rows
@@ -69,7 +69,7 @@ _Read = Callable[[int, int], Level]
 
 
 def code_levels(
-    workers: Workers, coded: CodedBlocks, head: Scene, config: Config, size: int
+    crew: Crew, coded: CodedBlocks, head: Scene, config: Config, size: int
 ) -> list[Path]:
     """Files of the coarser levels of coded blocks, the finest first; see `add_levels`.
 
@@ -84,18 +84,18 @@ def code_levels(
         header = level_header(chunks.header, number)
         folder = coded.folder.within(f"level-{number}")
         each = chunks.each // FANOUT
-        errors = _merge(workers, folder, header, each, read)
+        errors = _merge(crew, folder, header, each, read)
         merged = Merged(folder, head, header.count, each * header.block_size)
         job = Job(folder, merged, merged.spans(size), config)
-        looked = look(workers, job, calibrates=number == 1)
+        looked = look(crew, job, calibrates=number == 1)
         if number == 1:
             config = config_of_levels(looked.config)
         may_have_far = Feature.FAR in header.features
-        lattice = choose_lattice(workers, job, looked._replace(config=config), may_have_far)
+        lattice = choose_lattice(crew, job, looked._replace(config=config), may_have_far)
         own = Chunks(header.with_far(lattice.grid.has_far), chunks.each)
         task = partial(_quantise, merged, lattice, own)
-        do_all(workers, folder, "quantise", task, own.number)
-        level = code_blocks(workers, Quantised(folder, own, lattice), StageTimes())
+        crew.do_all(folder, "quantise", task, own.number)
+        level = code_blocks(crew, Quantised(folder, own, lattice), StageTimes())
         paths.append(folder.path / "level.egs")
         write_blocks(paths[-1], level, [errors_section(errors)])
         read = partial(_kept, merged, errors, header.block_size)
@@ -118,11 +118,11 @@ def _kept(
 
 
 def _merge(
-    workers: Workers, folder: Folder, header: Header, each: int, read: _Read
+    crew: Crew, folder: Folder, header: Header, each: int, read: _Read
 ) -> NDArray[np.float32]:
     """Make a level, `each` blocks at a time, from the one below; the errors of its blocks."""
     number = -(-header.block_count // each)
-    do_all(workers, folder, "merge", partial(_merge_some, folder, header, each, read), number)
+    crew.do_all(folder, "merge", partial(_merge_some, folder, header, each, read), number)
     return np.concatenate([folder.load(f"merge-{k}")["errors"] for k in range(number)])
 
 

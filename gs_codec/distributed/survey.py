@@ -17,7 +17,7 @@ from gs_codec.coding.clean import Ends, clean_scene, finite_ends, log_ends, soun
 from gs_codec.config import Config
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.sources import Gaussians, Span
-from gs_codec.distributed.workers import Workers, do_all
+from gs_codec.distributed.tasks import Crew
 from gs_codec.guidance.calibrate import calibrated_by
 from gs_codec.guidance.windows import (
     MOST_SHOWN,
@@ -102,15 +102,15 @@ class Looked(NamedTuple):
     bounds: Bounds
 
 
-def look(workers: Workers, job: Job, calibrates: bool = True) -> Looked:
+def look(crew: Crew, job: Job, calibrates: bool = True) -> Looked:
     """Look at all Gaussians; without `calibrates`, the coarseness is kept."""
     number = len(job.spans)
     windows = Windows([], [], False)
     if calibrates:
-        do_all(workers, job.folder, "sample", partial(_sample, job), number)
+        crew.do_all(job.folder, "sample", partial(_sample, job), number)
         sample = join_scenes([job.load_scene(f"sample-{k}") for k in range(number)])
         windows = choose_windows(sample, job.gaussians.count)
-    do_all(workers, job.folder, "scan", partial(_look, job, windows), number)
+    crew.do_all(job.folder, "scan", partial(_look, job, windows), number)
     names = ("dropped", "zeros", "bounds", "ends")
     seen = [job.folder.load(f"scan-{k}", *names) for k in range(number)]
     log_ends(Ends(*np.sum([each["ends"] for each in seen], axis=0).tolist()))
@@ -127,14 +127,12 @@ def look(workers: Workers, job: Job, calibrates: bool = True) -> Looked:
     )
 
 
-def choose_lattice(
-    workers: Workers, job: Job, looked: Looked, may_have_far: bool = True
-) -> Lattice:
+def choose_lattice(crew: Crew, job: Job, looked: Looked, may_have_far: bool = True) -> Lattice:
     """The lattices of all Gaussians that are not dropped, as `arrange_scene` chooses them."""
     number = len(job.spans)
     stride = lattice_stride(job.gaussians.count - len(looked.dropped))
     task = partial(_pick, job, stride, looked.dropped)
-    do_all(workers, job.folder, "pick", task, number)
+    crew.do_all(job.folder, "pick", task, number)
     sample = join_scenes([job.load_scene(f"pick-{k}") for k in range(number)])
     return blind_lattice(sample, looked.bounds, looked.config, may_have_far)
 

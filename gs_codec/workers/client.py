@@ -1,11 +1,10 @@
-"""Workers of a Dask scheduler, or of one started on this machine."""
+"""The client of a Dask scheduler, or of one started on this machine."""
 
 from __future__ import annotations
 
 import logging
 import platform
 import signal
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -15,9 +14,9 @@ import distributed
 from distributed.system import MEMORY_LIMIT
 
 from gs_codec import __version__
-from gs_codec.batch.redaction import redacted
 from gs_codec.errors import InvalidInput, MissingTool, one_line
 from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.redaction import redacted
 
 _HOST = "127.0.0.1"
 
@@ -61,24 +60,24 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
         yield client
 
 
-def threads_of_hosts(client: distributed.Client) -> Counter[str]:
-    """Number of tasks that each host runs at once, by host name; checks versions.
+def threads_of_workers(client: distributed.Client) -> list[tuple[str, int]]:
+    """Host of each worker, and number of tasks that it does at once; checks versions.
 
     Raises
     ------
     InvalidInput
         If a worker has another version.
     """
-    hosts = Counter[str]()
+    threads = []
     for worker, found in client.run(_introduced, on_error="return").items():
         if not isinstance(found, tuple):
             raise InvalidInput(f"{worker}: {_why_silent(found)}")
-        version, host, threads = found
+        version, host, number = found
         if version != __version__:
             has = f"gs_codec {version}"
             raise InvalidInput(f"{worker}: {has}, expected gs_codec {__version__} on workers")
-        hosts[host] += threads
-    return hosts
+        threads.append((host, number))
+    return threads
 
 
 def _why_silent(error: Any) -> str:

@@ -1,0 +1,144 @@
+"""What workers of every kind have in common: they do tasks, and yield each when it is done."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from gs_codec.errors import GsCodecError
+from gs_codec.report import Progress
+from gs_codec.runtime.lazy import from_extra
+
+#: Minimum seconds between two progress reports of a stage.
+_EVERY = 0.1
+
+
+class Task(Protocol):
+    """What a worker is given; it can be pickled."""
+
+    @property
+    def name(self) -> str:
+        """Identifies the task to listeners."""
+
+    @property
+    def need(self) -> int:
+        """Estimated memory, bytes."""
+
+
+T = TypeVar("T", bound=Task)
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a task is done.
+
+    Parameters
+    ----------
+    jobs : int
+        Tasks that run at once on this machine, and share its processors.
+    folder : str
+        For temporary files.
+    progress : callable
+        Is told about the task's progress.
+    """
+
+    jobs: int
+    folder: str
+    progress: Progress
+
+
+#: What workers do with a task: a function that can be pickled, or a partial of one.
+Work = Callable[[T, Place], R]
+
+
+class WorkerLost(Exception):
+    """The processes that did a task ended, whenever it was tried."""
+
+
+@dataclass(frozen=True)
+class Done(Generic[T, R]):
+    """A task that is done: what the work returned, or its error."""
+
+    task: T
+    value: R | None = None
+    error: BaseException | None = None
+
+    @classmethod
+    def by(cls, work: Work[T, R], task: T, place: Place) -> Done[T, R]:
+        """Do a task."""
+        try:
+            return cls(task, work(task, place))
+        except GsCodecError as error:
+            return cls(task, error=error)
+
+
+class Listener:
+    """Gets the events of tasks; this base class ignores them."""
+
+    def started(self, task: Any) -> None:
+        """A task was started; a cluster does not say so."""
+
+    def stage(self, task: Any, stage: str, done: int, total: int) -> None:
+        """A task made progress in one of its stages."""
+
+    def said(self, text: str) -> None:
+        """A message for the user."""
+
+
+class Workers(Protocol):
+    """What does tasks.
+
+    Attributes
+    ----------
+    name : str
+        What errors call them.
+    at_once : int
+        Tasks that one process does at once; 0 if there are no processes.
+    """
+
+    name: str
+    at_once: int
+
+    def run(self, work: Work[T, R], tasks: Iterable[T]) -> Generator[Done[T, R], None, None]:
+        """Yield each task when it is done; closing the generator gives up the others.
+
+        Raises
+        ------
+        InvalidInput
+            If the workers are gone.
+        """
+
+    def stop(self) -> None:
+        """Start no more tasks."""
+
+
+def workers_at(
+    address: str, jobs: int, folder: str, listener: Listener
+) -> AbstractContextManager[Workers]:
+    """The workers of a Dask scheduler, or of one started here; see `dask_workers`.
+
+    Raises
+    ------
+    MissingTool
+        If Dask is not installed.
+    """
+    module = from_extra("gs_codec.workers.dask", "cluster", "dask")
+    return module.dask_workers(address, jobs, folder, listener)
+
+
+def throttled(progress: Progress) -> Progress:
+    """Pass on every new stage, and at most ten updates a second within a stage."""
+    last = ("", 0.0)
+
+    def tell(stage: str, done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if stage != last[0] or now - last[1] > _EVERY:
+            last = (stage, now)
+            progress(stage, done, total)
+
+    return tell

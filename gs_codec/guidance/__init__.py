@@ -1,1 +1,1 @@
-"""Camera guidance: sensitivities as step sizes; rate targets."""
+"""Guidance for the encoder: sensitivities to step sizes, colours, and camera-free calibration."""

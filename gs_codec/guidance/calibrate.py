@@ -1,9 +1,9 @@
 """Choose the coarseness of a scene without cameras, by rendering it before and after quantisation.
 
-The rules of profiles `l`, `m` and `s` set the ratios of step sizes, not how large the error looks:
-that depends on the scene's contrast and on how much of each Gaussian is visible. So small windows
-are rendered from likely camera places, with the original and with quantised attributes. Pixel size
-matters little: twice the width changes the PSNR by 0.2 dB.
+The rules of profiles `l`, `m` and `s` set the ratios of step sizes, but not the visible error,
+which depends on the scene's contrast and on how much of each Gaussian is visible. So small crops
+(windows) are rendered from likely camera positions, with the original and with quantised
+attributes. Pixel size matters little: twice the width changes the PSNR by 0.2 dB.
 """
 
 from __future__ import annotations
@@ -40,33 +40,33 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import GROUPS, Scene, sh_bands
 
-#: Use this quantile of the windows' errors. A few windows have most of the error, so the mean is
-#: uncertain.
+#: Use this quantile of the windows' errors. A few windows contribute most of the error, so the mean
+#: is uncertain.
 QUANTILE = 0.8
 
-#: Mean squared error of views that lose 0.05 dB of 30: 49.4 dB.
+#: Target mean squared error, for views that lose 0.05 dB at 30 dB: 49.4 dB.
 WANTED = 1.16e-5
 
 #: Ratio of the error at `QUANTILE` to the mean error of held-out views. With it, 17 scenes (real,
 #: generated, and trained on generated pictures) come out at 47.6 to 52.3 dB.
 ABOVE_MEAN = 1.4 / 1.16
 
-#: The error grows about with this power of the step sizes.
+#: Exponent of the error as a function of the step size.
 POWER = 1.76
 
 #: Maximum number of measurements.
 _ROUNDS = 2
 
-#: Measure again only if the steps changed by more than this, octaves.
+#: Measure again only if the step sizes changed by more than this, in octaves.
 _NEAR = 0.25
 
-#: The result is a multiple of this, octaves.
+#: Round the result to a multiple of this, in octaves.
 _OCTAVE = 1 / 16
 
-#: Maximum distance from the profile, octaves.
+#: Maximum distance from the profile's step sizes, in octaves.
 _FARTHEST = 2.0
 
-#: Gaussians quantised at once.
+#: Number of Gaussians quantised at once.
 _AT_ONCE = 1 << 13
 
 
@@ -78,8 +78,9 @@ def calibrated(
 ) -> Config:
     """The configuration with the coarseness at which views of `m` lose 0.05 dB at 30 dB.
 
-    Profiles `l` and `s` change by the same factor. The coarseness stays for fewer than 5,000
-    Gaussians, and if too little is visible. `windows` are the scene's, if known.
+    Profiles `l` and `s` change by the same factor. The coarseness does not change for fewer than
+    5,000 Gaussians, or if too little is visible. `windows` are the windows of the scene, if already
+    chosen.
     """
     plain = replace(scene, extra={})
     sample = sample_of(plain)
@@ -95,7 +96,7 @@ def calibrated_by(
     config: Config,
     progress: Progress | None = None,
 ) -> Config:
-    """As `calibrated`; `shown` are the indices of the Gaussians that each window shows."""
+    """Like `calibrated`; `shown` has the indices of the Gaussians in each window."""
     chosen = [
         (window, own)
         for window, own in zip(windows, shown, strict=True)
@@ -111,13 +112,13 @@ def calibrated_by(
 
 
 def wanted_error(config: Config) -> float:
-    """Mean squared error of views that the coarseness of a configuration asks for."""
+    """Target mean squared error of views for the coarseness of a configuration."""
     fineness = config.adaptive_profile().fineness / ADAPTIVE_PROFILES["m"].fineness
     return WANTED * fineness**POWER
 
 
 def finer(config: Config, error: float) -> Config:
-    """The configuration with finer steps, expected to multiply the error by `error`."""
+    """The configuration with finer steps, predicted to multiply the error by `error`."""
     return replace(config, coarseness=_in_range(config.coarseness * error ** (1 / POWER)))
 
 

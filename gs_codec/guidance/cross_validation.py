@@ -1,8 +1,8 @@
-"""How far views can be trusted to tell what other views see: cross-validation between regions.
+"""How well views predict the sensitivities in other views: cross-validation between regions.
 
-The sensitivity that views sum up is blended with what the camera-free rules expect of a Gaussian of
-this shape and opacity. How much of the blend they are is chosen so that the step sizes of all
-regions but one of camera space suit the views of that region best.
+The sensitivity measured in views is blended with the one that camera-free rules expect from a
+Gaussian's shape and opacity. The share of the rules is chosen so that step sizes from all regions
+of camera space but one suit the views of that region best.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.linear import combine, main_axis
 from gs_codec.scene import Scene
 
-#: Times that the cameras are halved: 16 regions.
+#: Number of times the cameras are halved: 16 regions.
 _HALVINGS = 4
 
-#: Shares of the camera-free rules in a blend that are tried.
+#: Candidate shares of the camera-free rules in a blend.
 _SHARES = (
     0.003,
     0.005,
@@ -43,21 +43,20 @@ _SHARES = (
     0.95,
 )
 
-#: The least share with estimated cameras: others may have been where none is.
+#: Minimum share with estimated cameras, because real cameras may have been elsewhere.
 _ESTIMATED = 0.15
 
-#: Gaussians that are compared are about this many.
+#: Approximate number of Gaussians that are compared.
 _SAMPLE = 20_000
 
 
 def blind_share(
     scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Camera], estimated: bool = False
 ) -> float:
-    """The share of the camera-free rules with which views of a region suit all others best.
+    """The share of the camera-free rules with which each region is best predicted by the others.
 
-    With step sizes by sensitivities s, and the same bits, views of sensitivity t lose
-    ``mean(t / s)`` times the geometric mean of s. Views of one place cannot tell, and get the
-    largest share.
+    With step sizes from sensitivities s, and the same bits, views of sensitivity t lose ``mean(t /
+    s)`` times the geometric mean of s. If all views are from one place, the largest share is used.
 
     Parameters
     ----------
@@ -66,7 +65,7 @@ def blind_share(
         `squared_weights` of the scene.
     cameras : sequence of Camera
     estimated : bool
-        Whether cameras were guessed from the scene.
+        Whether cameras were estimated from the scene.
     """
     some = np.arange(0, scene.count, max(1, scene.count // _SAMPLE))
     sample, by_view = scene.take(some), weights[:, some].astype(np.float64)
@@ -88,7 +87,7 @@ def blind_share(
 
 
 def blend(found: Sensitivity, expected: Sensitivity, share: float) -> Sensitivity:
-    """Replace this share of the sensitivities of views by what is expected, at the same level."""
+    """Blend measured and expected sensitivities; `share` is that of `expected`."""
 
     def mixed(s: NDArray[np.float64], e: NDArray[np.float64]) -> NDArray[np.float64]:
         return (1 - share) * s + share * (s / e).mean(axis=-1, keepdims=True) * e
@@ -97,7 +96,7 @@ def blend(found: Sensitivity, expected: Sensitivity, share: float) -> Sensitivit
 
 
 def regions(cameras: Sequence[Camera], halvings: int) -> list[NDArray[np.int64]]:
-    """Parts of camera space: the cameras halved along their main axis, and the halves again.
+    """Parts of camera space: cameras halved along their main axis, recursively.
 
     A single camera has no regions.
     """

@@ -1,4 +1,4 @@
-"""Guidance for camera-guided encoding: sensitivities, and SH compacted and refitted to views."""
+"""Guidance for camera-guided encoding: sensitivities, and SH compaction and refitting to views."""
 
 from __future__ import annotations
 
@@ -35,56 +35,56 @@ from gs_codec.runtime.arrays import release_freed
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, channel_count
 
-#: Conjugate-gradient iterations of the refit of colours.
+#: Conjugate-gradient iterations of the colour refit.
 _REFIT = 6
 
-#: The same for a pruned scene, which gains more from them.
+#: The same for a pruned scene, which gains more from refitting.
 _REFIT_PRUNED = 10
 
-#: Cross-validation over views that decides whether compaction pays: a fold is every fourth view,
-#: and every other fold is left out once.
+#: Cross-validation over views to decide whether compaction pays off: a fold is every fourth view,
+#: and every other fold is held out once.
 _FOLD = 4
 
-#: Most by which compaction may multiply the largest error of the left-out views.
+#: Maximum factor by which compaction may multiply the largest error of held-out views.
 _WORST = 16.0
 
-#: Share of what it may cost up to which one fold decides.
+#: Share of the allowed cost below which one fold is enough to decide.
 _CLEAR = 0.5
 
-#: Values of a Gaussian without SH-AC; each takes one more bit when steps are halved.
+#: Values of a Gaussian without SH-AC; each takes one more bit when step sizes are halved.
 _OTHERS = 14
 
-#: Smaller mean squared errors count as this.
+#: Lower bound of mean squared errors.
 _EPS = 1e-12
 
 #: Levels of SH-AC are clipped to this when bits are estimated.
 _LARGEST = 1 << 11
 
 
-#: What has all but its colours rounded, by a format.
+#: A scene with all but its colours quantised, for `.egs` or another format.
 Shaped = ShapedScene | RoundedScene
 
 
 @dataclass
 class Guidance:
-    """What cameras tell the encoder about a scene.
+    """Guidance for the encoder, from cameras.
 
     Attributes
     ----------
     steps_adding : callable
-        Step sizes by the squared error that all parameters together may add.
+        A function from the total squared error that all parameters may add to step sizes.
     loss : float
         Mean squared error of an image value before encoding; pruning may have caused it.
     pixels : int
-        Of all views together.
+        Number of pixels of all views.
     views : ReferenceViews
     weights : ndarray, shape (views, N), float32
-        Sums of (alpha T)^2 of the scene that is encoded, in its own order.
+        Sums of (alpha T)^2 of the encoded scene, in its own order.
     progress : callable, optional
     compacts : bool or None
-        Whether compaction of SH pays; None until it is decided.
+        Whether compaction of SH pays off; None until decided.
     operator : ImageOperator or None
-        Images as a function of SH, for the shapes that were used last.
+        Images as a function of SH, for the most recent shapes.
     """
 
     steps_adding: Callable[[float], StepSizes]
@@ -97,17 +97,17 @@ class Guidance:
     operator: ImageOperator | None = None
 
     def steps(self, profile: AdaptiveProfile) -> StepSizes:
-        """Step sizes that add the error which a profile allows, with whatever colours."""
+        """Step sizes that add the error allowed by a profile, before colours are refitted."""
         return self.steps_adding(self._error(profile))
 
     def _error(self, profile: AdaptiveProfile) -> float:
-        """Squared error that all parameters together may add."""
+        """Total squared error that all parameters may add."""
         return (profile.error + profile.of_loss * self.loss) * 3 * self.pixels
 
     def recolour(self, shaped: Shaped, profile: AdaptiveProfile, compacting: bool = True) -> Scene:
-        """As `compact`, with SH refitted to make up for rounded shapes and compaction, and rounded.
+        """`compact`, then refit SH to compensate for quantisation and compaction, then round.
 
-        SH-AC are on their levels, if they are coded as levels.
+        SH-AC end on their levels, if they are coded as levels.
         """
         other = shaped if isinstance(shaped, RoundedScene) else None
         compacting = compacting and (other is None or other.is_sparse)
@@ -127,10 +127,10 @@ class Guidance:
         return round_rgb(refitted, cameras, weights, grid, progress)
 
     def compact(self, shaped: Shaped, profile: AdaptiveProfile, decide: bool = True) -> Scene:
-        """The decoded scene in stream order, its SH compacted if this pays.
+        """The decoded scene in stream order, with its SH compacted if this pays off.
 
-        The first call decides whether it pays. Without `decide` it is not measured but taken to pay
-        unless already decided: this is quick, to estimate sizes.
+        The first call decides whether it pays off. Without `decide`, compaction is assumed to pay
+        off unless already decided; this is a quick way to estimate sizes.
         """
         decoded, steps = shaped.decoded(), shaped.sh_steps().min(axis=0)
         if not decoded.sh_degree:
@@ -160,12 +160,13 @@ class Guidance:
         steps: NDArray[np.float32],
         compacted: Callable[[Sequence[int]], Scene],
     ) -> bool:
-        """Whether compaction pays, measured in views that it did not use.
+        """Whether compaction pays off, measured in held-out views.
 
-        Each fold compacts with most of the views and measures in the others. Compaction pays if,
-        in every fold, it saves more bits than finer steps would take to win back the error, and
-        the largest error stays within `_WORST`; one fold is enough if it costs much less. Where
-        views are few or far apart it does not pay: it keeps only the colours that these views see.
+        Each fold compacts with most of the views and measures in the others. Compaction pays off
+        if, in every fold, it saves more bits than finer steps would need to compensate for the
+        error, and the largest error grows by at most `_WORST`. One fold is enough if the cost is
+        much lower. If views are few or far apart, compaction does not pay off: it would keep only
+        the colours visible in these views.
         """
         count = len(self.weights)
         if count < 2:
@@ -198,7 +199,7 @@ class Guidance:
 
     def _operator_of(self, scene: Scene) -> ImageOperator:
         if self.operator is None or not _same_shapes(self.operator.scene, scene):
-            self.operator = None  # Both would not fit into memory.
+            self.operator = None  # Two operators would not fit into memory.
             release_freed()
             self.operator = ImageOperator(scene, self.views)
         return self.operator
@@ -212,11 +213,11 @@ def _same_shapes(first: Scene, second: Scene) -> bool:
 
 
 def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Guidance:
-    """Measure what the encoder needs to know from the views of a scene.
+    """Measure the guidance for an encoder from the views of a scene.
 
-    Views without images have those of the scene itself.
+    Views without images get renders of the scene itself.
     """
-    release_freed()  # Preparation had many images.
+    release_freed()  # preparation had many images
     found, weights, images = sensitivity(scene, views, progress)
     loss = 0.0
     if views.images:
@@ -235,9 +236,9 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
 def steps_adding(
     scene: Scene, found: Sensitivity, blind: float = 0.0
 ) -> Callable[[float], StepSizes]:
-    """Step sizes of a scene by the squared error that all parameters together may add.
+    """A function from the total squared error that all parameters may add to step sizes.
 
-    `blind` is the share of the camera-free rules in the sensitivities that they follow.
+    `blind` is the share of the camera-free rules in the sensitivities.
     """
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     by_axis = {
@@ -253,7 +254,7 @@ def steps_adding(
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:
-    """Round SH-AC to their steps; return also estimated bits and non-zero levels a Gaussian."""
+    """Round SH-AC to their steps; also return estimated bits and non-zero levels per Gaussian."""
     f_rest = np.empty_like(scene.f_rest)
     planes, rounded = (x.reshape(3, -1, scene.count) for x in (scene.f_rest, f_rest))
 

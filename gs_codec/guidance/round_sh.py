@@ -1,4 +1,4 @@
-"""SH-AC rounded to their levels so that views see the least of it, at the least bits."""
+"""Rate-distortion optimised rounding of SH-AC to levels, measured in views."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, sh_bands
 
-#: Weight of all directions alike, as a share of the weight of the views: between few views, errors
-#: would grow without it.
+#: Weight of all directions alike, relative to the weight of the views. Without it, errors between
+#: sparse views would grow.
 _ELSEWHERE = 2.0
 
-#: A bit is worth this much of the squared error that it takes away in a finer step.
+#: Value of a bit, relative to the squared error that it removes when spent on a finer step.
 _WORTH = 0.5
 
-#: About how many bits a level of 1 takes.
+#: Approximate bits of a level of magnitude 1.
 _FIRST_BITS = 4.0
 
-#: About how many more bits each octave above takes.
+#: Approximate extra bits for each further octave of magnitude.
 _OCTAVE_BITS = 1.5
 
-#: Most times that every coefficient is moved.
+#: Maximum number of passes over all coefficients.
 _SWEEPS = 3
 
 _CHUNK = 1 << 12
@@ -50,12 +50,12 @@ def round_sh(
     error: float,
     progress: Progress | None = None,
 ) -> Scene:
-    """Round SH-AC to levels, and let SH-DC make up for what views see of that.
+    """Round SH-AC to levels, and let SH-DC compensate for the visible error.
 
-    The squared error of a Gaussian is a form of the rounding errors of all its SH together, by the
-    directions that views look from. From the nearest levels on, each is moved by one where this
-    lowers the form, with the SH-DC that suits it best, plus the worth of the bits. SH-AC that are 0
-    stay 0; so do all of a Gaussian that no camera sees, as they are.
+    The squared error of a Gaussian is a quadratic form in the rounding errors of all its SH, which
+    depends on the viewing directions. Starting from the nearest levels, each level is moved by one
+    if this lowers the form (with the best SH-DC) plus the cost of the bits. SH-AC of 0 stay 0.
+    Gaussians not visible to any camera do not change.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def round_rgb(
     grid: ShGrid,
     progress: Progress | None = None,
 ) -> Scene:
-    """As `round_sh`, in R, G and B on the levels of a format that takes as many bits for all."""
+    """Like `round_sh`, in R, G and B, for a format in which all levels take the same bits."""
     rest = scene.f_rest.reshape(3, -1, scene.count)
     sh = np.empty((scene.count, 3, 1 + rest.shape[1]), np.float32)
     sh[:, :, 0] = scene.f_dc.T
@@ -96,7 +96,7 @@ def round_rgb(
 
 
 def _bands(coefficients: int) -> NDArray[np.int64]:
-    """Number of the band of SH-DC, which is not used, and of each SH-AC, from 0 on."""
+    """Band number of each SH-AC, from 0; the entry of SH-DC is not used."""
     bands = enumerate(sh_bands(coefficients))
     return np.array([0, *(number for number, band in bands for _ in band)])
 
@@ -113,7 +113,7 @@ def _round_all(
     """Round SH ``(N, 3, 1 + K)`` in place."""
     band_of = _bands(sh.shape[2] - 1)
     centres = np.array([camera.position for camera in cameras])
-    # The bits of uniform errors: their logarithm is to base 4.
+    # Bits cost a factor of 4 in uniform error, hence the logarithm of 4.
     price = _WORTH * math.log(4.0) * error
 
     def run(start: int) -> None:
@@ -144,12 +144,13 @@ def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
 
 @kernel
 def _leave_out_dc(form, lean):
-    """Add all directions to a form, and take its best SH-DC for granted.
+    """Add all directions to a form, and eliminate SH-DC by its best value.
 
-    ``lean[k]`` becomes what SH-DC gains for a unit that coefficient k loses.
+    ``lean[k]`` becomes the change of SH-DC per unit that coefficient k decreases.
     """
     size = len(form)
-    # The basis is orthonormal: over all directions, each function has the mean square of the first.
+    # The basis is orthonormal: over all directions, every function has the same mean square as the
+    # first.
     elsewhere = _ELSEWHERE * form[0, 0]
     for k in range(size):
         form[k, k] += elsewhere

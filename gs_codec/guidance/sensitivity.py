@@ -2,7 +2,7 @@
 
 A small change of an attribute x adds a squared error of ``sum (dC / dx)^2`` times its square: the
 diagonal of the Gauss-Newton matrix. Changes of several Gaussians or attributes in one pixel are
-treated as independent, as rounding errors are.
+treated as independent, like rounding errors.
 """
 
 from __future__ import annotations
@@ -41,25 +41,24 @@ from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
 
-#: Columns of the sums over views; log-scale and rotation have three.
+#: Columns of the sums over views; log-scale and rotation have three columns each.
 _POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 7, 8, 9
 
-#: Views drawn, for each thread, before their results are added in order.
+#: Number of views per thread before results are added in order.
 _VIEWS_A_THREAD = 4
 
 
 class Seen(NamedTuple):
-    """What views tell of a scene.
+    """Measurements of a scene in views.
 
     Attributes
     ----------
     sensitivity : Sensitivity
-        0 for Gaussians that are not drawn in any view, and so for those with values that are
-        not finite.
+        0 for Gaussians not drawn in any view, which includes those with values that are not finite.
     weights : ndarray, shape (views, N), float32
-        What each view adds to `sensitivity.colour`, as in `squared_weights`.
+        Contribution of each view to `sensitivity.colour`, as in `squared_weights`.
     images : tuple of ndarray, each shape (H, W, 3), float32
-        Of the scene.
+        Renders of the scene.
     """
 
     sensitivity: Sensitivity
@@ -70,12 +69,11 @@ class Seen(NamedTuple):
 def sensitivity(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Seen:
     """Squared error over views, pixels and colours from small changes of each attribute.
 
-    Which splats are drawn in which pixels, and in what order, is treated as constant. Pixels where
-    a change takes a splat over the least visible alpha add an error that is not counted; it matters
-    most for very small changes. A change of position moves the centre of the splat; its effect on
-    the splat's shape and on view-dependent colour is left out. An alpha at its limit does not
-    change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black. The images
-    of `views` are not used.
+    The set and order of splats in each pixel is treated as constant. The error of pixels where a
+    change moves a splat across the alpha threshold is not counted; it matters most for very small
+    changes. A change of position moves the centre of the splat; its effect on the splat's shape and
+    on view-dependent colour is ignored. An alpha at its limit does not change. `colour` is the sum
+    of (alpha T)^2, even where a colour is clamped at black. The images of `views` are not used.
     """
     cameras = views.cameras
     advance = step_counter(progress, "sensitivity", len(cameras))
@@ -106,7 +104,7 @@ def sensitivity(scene: Scene, views: ReferenceViews, progress: Progress | None =
 def _look(
     scene: Scene, camera: Camera, background: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]:
-    """Gaussians ``(V,)`` of a view, what it adds to their sums ``(V, 9)``, and its image."""
+    """Visible Gaussians ``(V,)`` of a view, their contributions ``(V, 9)``, and the image."""
     frame = make_frame(scene, camera)
     fields, gaussians = frame.splats.fields, frame.splats.gaussians
     sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
@@ -142,7 +140,7 @@ def _to_attributes(
     positions, opacity, log_scale, rot, rotation, position, intrinsics, width, height,
     antialiased, fields, gaussians, sums, found,
 ):  # fmt: skip
-    """Fill ``found (V, 9)``, zeros, from the sums over the pixels of each splat."""
+    """Fill ``found (V, 9)``, initially 0, from the sums over the pixels of each splat."""
     fx, fy, cx, cy = intrinsics
     variances, axes = np.empty(3), np.empty((3, 2))
     units, offsets = np.empty((3, 2)), np.empty((3, 2))
@@ -175,19 +173,19 @@ def _to_attributes(
             stretched = _by_covariance(total, axes, units, offsets, k, k, antialiased)
             turned = _by_covariance(total, axes, units, offsets, k, m, antialiased)
             row[_LOG_SCALE + k] = variances[k] ** 2 * stretched
-            # In the plane of two axes, so about the third.
+            # A turn in the plane of two axes is a turn about the third.
             row[_ROT + (k + 2) % 3] = (variances[k] - variances[m]) ** 2 * turned
         row[_OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
         row[_COLOUR] = total[SQUARED_WEIGHT]
         for column in range(_COLUMNS):
-            # Products of very large values may overflow, and moments are rounded.
+            # Products of very large values may overflow, and rounding may make moments negative.
             if not 0.0 <= row[column] < np.inf:
                 row[column] = 0.0
 
 
 @inlined
 def _by_position(total, field, rotation, x, y, pixels_x, pixels_y):
-    """Sensitivity to position, mean of the world's axes; (x, y) are slopes to the optical axis."""
+    """Sensitivity to position, averaged over the axes; (x, y) are slopes to the optical axis."""
     mean = 0.0
     for k in range(3):
         step = _offset(
@@ -201,7 +199,7 @@ def _by_position(total, field, rotation, x, y, pixels_x, pixels_y):
 
 @inlined
 def _offset(field, x, y):
-    """Transform a vector of the image to the axes in which q is a sum of squares."""
+    """Transform an image vector to the axes in which q is a sum of squares."""
     return field[FACTOR_XX] * x + field[FACTOR_XY] * y, field[FACTOR_YY] * y
 
 

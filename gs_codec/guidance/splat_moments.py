@@ -50,7 +50,7 @@ def sum_moments(fields, splats, starts, columns, background, colour, sums):
 
 @kernel
 def _add_tile(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
-    """Add the pairs of a tile, back to front; red, green and blue are the light behind."""
+    """Add the splats of a tile, back to front; `light` is the light behind them."""
     for pair in range(end - 1, start - 1, -1):
         field, number = fields[splats[pair]], np.int32(pair - start)
         slope, reach, opacity, red, green, blue = splat_of(field)

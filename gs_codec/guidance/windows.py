@@ -1,8 +1,8 @@
-"""Small windows on a scene, rendered before and after coding to measure the loss.
+"""Small crops of views (windows), rendered before and after coding to measure the loss.
 
-A window is a square crop of a view, 32 pixels wide, that shows about 500 Gaussians; so measuring
-takes no longer for a large scene than for a small one. Some windows choose the step sizes. Others,
-seen from other places, measure the result.
+A window is a square crop of a view, 32 pixels wide, with about 500 Gaussians, so measuring takes
+the same time for small and large scenes. Some windows choose the step sizes. Others, from other
+positions, measure the result.
 """
 
 from __future__ import annotations
@@ -28,48 +28,49 @@ from gs_codec.scene import Scene
 from gs_codec.views.estimate import look_at
 from gs_codec.views.evidence import Evidence, gather_evidence
 
-#: Share of windows aimed at the smallest Gaussians, which belong to what the cameras looked at.
+#: Share of windows aimed at the smallest Gaussians, which belong to the subject of the capture.
 #: Most other Gaussians may be sky.
 _AT_SUBJECT = 0.5
 
-#: Smaller scenes keep the steps of their profile: calibration would take longer than encoding.
+#: Minimum number of Gaussians for calibration: in smaller scenes it would take longer than
+#: encoding.
 _LEAST = 5000
 
-#: Number of windows that choose step sizes.
+#: Number of windows for choosing step sizes.
 _CHOOSING = 96
 
-#: Number of windows that measure the result from likely camera places.
+#: Number of windows for measuring the result from likely camera positions.
 _CHECKING = 64
 
-#: Number of windows that measure the result from given cameras.
+#: Number of windows for measuring the result from given cameras.
 _CHECKING_GIVEN = 128
 
-#: Side of a window, pixels.
+#: Side of a window, in pixels.
 _SIDE = 32
 
-#: About how many Gaussians a window shows.
+#: Approximate number of Gaussians in a window.
 _SHOWN = 500
 
-#: Skip windows that show more Gaussians: they take too long.
+#: Skip windows with more Gaussians, which take too long.
 MOST_SHOWN = 5000
 
 #: Minimum number of usable windows.
 ENOUGH = 16
 
-#: Skip windows with a higher mean transmittance: they show holes.
+#: Skip windows with a higher mean transmittance, which show holes.
 MOST_LEFT = 0.3
 
-#: Number of Gaussians in the sample that windows are chosen by, about.
+#: Approximate size of the sample for choosing windows.
 _SAMPLE = 20_000
 
-#: Gaussians tested at once.
+#: Number of Gaussians tested at once.
 _CHUNK = 1 << 18
 
 
 class Windows(NamedTuple):
-    """Windows seen from likely camera places: some choose step sizes, the others measure.
+    """Windows from likely camera positions: some choose step sizes, the others measure.
 
-    `telling` is whether the places are estimated; if not, they are spread around the scene.
+    `telling` states whether the positions were estimated; if not, they are spread around the scene.
     """
 
     choosing: list[Camera]
@@ -78,7 +79,7 @@ class Windows(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A window, and the range of its Gaussians among those of all windows."""
+    """A window, and the range of its Gaussians in the list of all windows' Gaussians."""
 
     window: Camera
     start: int
@@ -86,12 +87,12 @@ class Part(NamedTuple):
 
 
 def sample_stride(count: int) -> int:
-    """Stride of the sample that windows are chosen by, in a scene of `count` Gaussians."""
+    """Stride of the sample for choosing windows, in a scene of `count` Gaussians."""
     return max(1, count // _SAMPLE)
 
 
 def sample_of(scene: Scene) -> Scene:
-    """The sample of a scene that windows are chosen by."""
+    """The sample of a scene for choosing windows."""
     some = np.arange(0, scene.count, sample_stride(scene.count))
     return replace(scene, extra={}).take(some)
 
@@ -102,7 +103,7 @@ def cleaned(sample: Scene) -> Scene:
 
 
 def choose_windows(sample: Scene, count: int) -> Windows:
-    """Windows on a scene of `count` Gaussians, by its `sample_of`; none if nothing is visible."""
+    """Choose windows of a scene of `count` Gaussians, from its `sample_of`."""
     with np.errstate(all="ignore"):
         seen = gather_evidence(cleaned(sample), quick=True)
         if seen is None:
@@ -119,7 +120,7 @@ def choose_windows(sample: Scene, count: int) -> Windows:
 def _look(
     seen: Evidence, places: Sequence[int], count: int, rng: np.random.Generator, taken: set[int]
 ) -> Camera:
-    """A random window, seen from one of `places`, at a random Gaussian; marks the place taken."""
+    """A random window from one of `places`, aimed at a random Gaussian; mark the place taken."""
     points = seen.thumb.positions
     place = places[int(rng.integers(len(places)))]
     taken.add(place)
@@ -131,7 +132,7 @@ def _look(
 def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
     """Random windows of given cameras, with their pixel size.
 
-    Every pixel is equally likely to be in a window, those at the edges too, where views lose most.
+    Every pixel is equally likely to be in a window, including the edges, where views lose most.
     """
     rng = np.random.default_rng(0)
     windows = []
@@ -147,7 +148,7 @@ def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
 def _crop(
     view: Camera, points: NDArray[np.float32], count: int, rng: np.random.Generator
 ) -> Camera:
-    """A random square crop of a view that shows about `_SHOWN` of `count` Gaussians."""
+    """A random square crop of a view with about `_SHOWN` of `count` Gaussians."""
     shown = count * float(_inside(points, np.zeros_like(points[0]), view).mean())
     area = _SHOWN / max(shown, 1) * view.width * view.height
     side = min(math.sqrt(area), view.height)
@@ -156,7 +157,7 @@ def _crop(
 
 
 def _cut(view: Camera, corner: NDArray[np.float64], side: float, pixels: int) -> Camera:
-    """The square crop of a view at a corner, resized to `pixels` a side."""
+    """The square crop of a view at a corner, resized to `pixels` per side."""
     scale = pixels / side
     left, top = corner.tolist()
     return replace(
@@ -172,7 +173,7 @@ def _cut(view: Camera, corner: NDArray[np.float64], side: float, pixels: int) ->
 
 
 def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64]]:
-    """Indices of the Gaussians that each window shows; at most `MOST_SHOWN` + 1."""
+    """Indices of the Gaussians in each window; at most `MOST_SHOWN` + 1."""
     if not windows:
         return []
     reaches = _reaches(scene)
@@ -190,7 +191,7 @@ def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64
 
 
 def parts_of(windows: Sequence[Camera], sizes: Sequence[int]) -> list[Part]:
-    """Consecutive parts, one for each window, of the given sizes."""
+    """Consecutive parts, one per window, of the given sizes."""
     ends = np.cumsum(sizes).tolist()
     spans = zip([0, *ends], ends, strict=False)
     return [Part(window, *span) for window, span in zip(windows, spans, strict=True)]
@@ -198,7 +199,7 @@ def parts_of(windows: Sequence[Camera], sizes: Sequence[int]) -> list[Part]:
 
 @kernel
 def _mark(x, y, z, reaches, rotation, position, slopes, inside):
-    """Set ``inside (N,)`` where a Gaussian reaches into a window; all in float32, for speed."""
+    """Set ``inside (N,)`` where a Gaussian reaches into a window; in float32, for speed."""
     (right_x, right_y, right_z), (down_x, down_y, down_z), (ahead_x, ahead_y, ahead_z) = rotation
     left, right, top, bottom, near = slopes
     for i in range(len(x)):
@@ -220,13 +221,13 @@ def _mark(x, y, z, reaches, rotation, position, slopes, inside):
 def _inside(
     positions: NDArray[np.float32], reaches: NDArray[np.float32], window: Camera
 ) -> NDArray[np.bool_]:
-    """Which Gaussians reach into a window ``(N,)``."""
+    """Which Gaussians ``(N,)`` reach into a window."""
     slopes = (
         -window.cx / window.fx, (window.width - window.cx) / window.fx,
         -window.cy / window.fy, (window.height - window.cy) / window.fy, NEAR,
     )  # fmt: skip
     rotation = tuple(tuple(np.float32(v) for v in row) for row in window.rotation)
-    with np.errstate(over="ignore"):  # infinitely far away: it shows nothing
+    with np.errstate(over="ignore"):  # an infinitely distant Gaussian is not in a window
         position = tuple(np.float32(v) for v in window.position)
     inside = np.empty(positions.shape[1], np.bool_)
     _mark(*positions, reaches, rotation, position, tuple(np.float32(s) for s in slopes), inside)
@@ -247,7 +248,7 @@ def _reaches(scene: Scene) -> NDArray[np.float32]:
 
 
 def draw_parts(scene: Scene, parts: Sequence[Part]) -> list[tuple[NDArray[np.float32], float]]:
-    """Colour ``(H, W, 3)``, at most 1 (NaN becomes 1), and mean transmittance of each window."""
+    """Colour ``(H, W, 3)``, clamped to 1 (also NaN), and mean transmittance of each window."""
 
     def draw(part: Part) -> tuple[NDArray[np.float32], float]:
         frame = make_frame(scene.between(part.start, part.stop), part.window)

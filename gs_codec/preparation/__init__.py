@@ -1,1 +1,1 @@
-"""Makes a scene smaller before it is coded: pruning, then optimising what is left."""
+"""Make a scene smaller before it is coded: prune it, then optimise the remaining Gaussians."""

@@ -16,17 +16,17 @@ BETA_1 = 0.9
 BETA_2 = 0.999
 EPSILON = np.float32(1e-15)
 
-#: Larger derivatives count as 0: float32 cannot hold their squares.
+#: Larger derivatives count as 0, because their squares overflow float32.
 LARGEST = np.float32(1e15)
 
-#: Smaller means become 0: processors are slow with denormal floats.
+#: Smaller means become 0, because processors are slow with denormal floats.
 _SMALLEST = np.float32(1e-30)
 
 
-#: Step sizes at the start; positions in radii of the camera rig (see `rig_radius`). The 3DGS
-#: trainer has 1.6e-4, 2.5e-3, 1.25e-4, 0.05, 5e-3 and 1e-3 over 30,000 iterations; its rate for
-#: positions falls to 0.01, the others are constant. Here a run has a tenth of those iterations; on
-#: bonsai, higher rates that all fall were better.
+#: Initial step sizes; positions in radii of the camera rig (see `rig_radius`). The 3DGS trainer
+#: uses 1.6e-4, 2.5e-3, 1.25e-4, 0.05, 5e-3 and 1e-3 over 30,000 iterations; its rate for positions
+#: decays to 1 %, the others are constant. Our runs have a tenth of those iterations; on bonsai,
+#: higher rates that all decay were better.
 RATES = {
     "positions": 6.4e-5,
     "f_dc": 1e-2,
@@ -36,7 +36,7 @@ RATES = {
     "rot": 4e-3,
 }
 
-#: Factor on all rates at the end of a run; in between they fall exponentially.
+#: Factor on all rates at the end of a run; they decay exponentially.
 LAST = 0.03
 
 
@@ -47,16 +47,16 @@ def rig_radius(cameras: Sequence[Camera]) -> float:
 
 
 def step_sizes(scene: Scene, cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """Step sizes ``(C,)`` of Adam at the start, for each channel in the order of `GROUPS`."""
+    """Initial step sizes ``(C,)`` of Adam, for each channel in the order of `GROUPS`."""
     sizes = RATES | {"positions": RATES["positions"] * rig_radius(cameras)}
     return np.concatenate([np.full(len(getattr(scene, group)), sizes[group]) for group in GROUPS])
 
 
 class AdamState(NamedTuple):
-    """Values of the attributes, and the means that Adam keeps of their derivatives.
+    """Values of the attributes, and Adam's running means of their derivatives.
 
-    ``values``, ``first`` and ``second``, each ``(N, C)`` float32: the channels, the decaying means
-    of their derivatives, and those of the squared derivatives.
+    ``values``, ``first`` and ``second``, each ``(N, C)`` float32: the channels, the running means
+    of their derivatives, and of the squared derivatives.
     """
 
     values: NDArray[np.float32]
@@ -74,9 +74,9 @@ def new_state(values: NDArray[np.float32]) -> AdamState:
 def adam_step(values, first, second, step, rates, slopes, chosen, start, stop):
     """Step number `step`, from 1, of Adam (Kingma & Ba 2015, Algorithm 1).
 
-    It changes Gaussians `start` to `stop`, including those that the view does not see: these
-    follow the mean of their earlier derivatives. On bonsai this fits better than to skip them
-    (Mallick et al. 2024).
+    It updates Gaussians `start` to `stop`, including those not visible in the view, which follow
+    the mean of their earlier derivatives. On bonsai this fits better than skipping them (Mallick et
+    al. 2024).
 
     ``rates (C,)`` are the step sizes. ``slopes (M, C)`` are the derivatives of Gaussians
     ``chosen (M,)``, ascending; those of the others are 0. A value that would become infinite or NaN

@@ -1,7 +1,7 @@
-"""How far to prune before refinement: as long as coarser steps would cost more.
+"""Decide how far to prune before refinement: as long as coarser steps would lose more.
 
-Fewer Gaussians and coarser steps both make a file smaller. Least is lost where the last thousandth
-of the size costs the same error either way.
+Fewer Gaussians and coarser steps both make a file smaller. The loss is smallest where saving the
+next 0.1 % of the size adds the same error either way.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
-#: Mean squared error, as `AdaptiveProfile.error`, of the steps that would code a pruned scene: by
-#: its size, as a share of the input's, and by the error that pruning has left in it.
+#: Mean squared error, as in `AdaptiveProfile.error`, added by the step sizes for a pruned scene.
+#: Arguments: its size as a share of the input's, and the error that pruning has left in it.
 StepError = Callable[[float, float], float]
 
-#: The same by the views that guide preparation.
+#: Makes a `StepError` for the views that guide preparation.
 StepsOf = Callable[[ViewSplit], StepError]
 
-#: Share of the squared error of pruning that 500 iterations of refinement leave, with photographs
-#: and without (bench/RESULTS.md).
+#: Share of the squared error of pruning that remains after 500 iterations of refinement, with and
+#: without photographs (bench/RESULTS.md).
 _LEFT = {True: 0.07, False: 0.13}
 
-#: This share falls with this power of the number of iterations.
+#: Exponent of that share as a function of the number of iterations.
 _FALL = -0.4
 
-#: Share of the error that a profile may add which its steps do add, colours refitted.
+#: Share of the error allowed by a profile that its steps actually add, with refitted colours.
 ADDED = 0.25
 
-#: Logarithm of the error that steps add by the logarithm of the size, negative.
+#: Slope of log error of the steps over log size (negated).
 _SLOPE = 4.4
 
-#: Views that the error of a round is measured in; it only has to be about right.
+#: Number of views for measuring the error of a round; a rough value is enough.
 _VIEWS = 16
 
 _SIZED = Config("m", nonfinite="drop", extra="drop")
 
 
 def profile_steps(config: Config) -> StepsOf:
-    """The error of a profile's own steps; of `m` for profiles without step sizes."""
+    """The error of a profile's own steps; for profiles without step sizes, that of `m`."""
     chosen = config if config.profile in ADAPTIVE_PROFILES else Config()
     error = chosen.adaptive_profile().error
     return lambda views: lambda size, left: error
@@ -51,18 +51,18 @@ def profile_steps(config: Config) -> StepsOf:
 
 @dataclass
 class Balance:
-    """Weighs rounds of pruning, one after the other, against steps of another size.
+    """Compares rounds of pruning with coarser step sizes.
 
     Parameters
     ----------
     scene : Scene
-        Before pruning.
+        The scene before pruning.
     views : ReferenceViews
         Its renders.
     photographs : bool
         Whether refinement fits photographs.
     iterations : int
-        Of refinement.
+        Iterations of refinement.
     step_error : callable
     progress : callable, optional
     """
@@ -81,7 +81,7 @@ class Balance:
         self._left = min(left, 1.0)
 
     def pays(self, pruned: Scene) -> bool:
-        """Whether to go on from the scene of the call before, or the input, to this one."""
+        """Whether pruning from the previous scene (at first, the input) to this one pays off."""
         size = _size(pruned)
         error = self._left * self._seen.error(pruned, self.progress)
         step_error = ADDED * self.step_error(size / self._whole, error)
@@ -91,5 +91,5 @@ class Balance:
 
 
 def _size(scene: Scene) -> int:
-    """Bytes of a scene that is coded without cameras; with them it shrinks by pruning alike."""
+    """Bytes of a scene coded camera-free; pruning shrinks camera-guided files by the same ratio."""
     return len(encode_scene(scene, _SIZED)[0])

@@ -27,19 +27,19 @@ from gs_codec.scene import Scene
 #: Default of `smallest`: half a step of coarse quantisation.
 SMALLEST = 0.018
 
-#: Rounds; each takes its penalties from the solution before.
+#: Number of rounds; each takes its penalties from the previous solution.
 _ROUNDS = 12
 
-#: If nothing moves by this share of `smallest`, only the last two rounds follow.
+#: If no coefficient changes by more than this share of `smallest`, only the last two rounds follow.
 _STILL = 0.02
 
-#: SH-AC below this share of `smallest` become 0, which leaves little to solve.
+#: SH-AC below this share of `smallest` become 0, which leaves fewer unknowns.
 _TINY = 0.1
 
-#: The first round in which they do.
+#: First round in which they become 0.
 _TINY_FROM = 2
 
-#: Weight that holds a solution to the one before it, as a share of the weight of all views.
+#: Weight of staying at the previous solution, relative to the weight of all views.
 _INERTIA = 1e-9
 
 _CHUNK = 1 << 12
@@ -62,9 +62,9 @@ def compact_sh(
         sum over views of S_v |colour_v(a) - colour_v|^2  +  L sum over AC of d_k a_k^2
 
     where S_v sums (alpha T)^2 over the pixels of a view, and d_k = 1 / (abs(a_k) + smallest / 2)^2
-    is taken from the solution before. At the end each non-zero coefficient costs at most L, so it
-    is kept if it explains more squared error than L. In views where R, G or B is clamped at black,
-    any value below black is equally good.
+    comes from the previous solution. At the end each non-zero coefficient costs at most L, so it is
+    kept if it explains more squared error than L. In views where R, G or B is clamped at black, any
+    value below black is equally good.
 
     Errors of Gaussians that overlap in a pixel are treated as independent. `refit_colour` includes
     their cross terms and recovers some of the loss.
@@ -73,27 +73,27 @@ def compact_sh(
     ----------
     scene : Scene
     cameras : sequence of Camera, at least one
-        Colours that they do not see are lost; a Gaussian that none of them sees keeps only its DC.
+        Colours not visible in them are lost; a Gaussian visible in none keeps only its DC.
     strength : float, above 0
         Mean squared error of an image value (0-1) if every SH-AC costs the full L, which is
         ``L = strength * pixels / (K N)``, with the pixels of all cameras. 1e-5 is 50 dB.
     smallest : float or ndarray (N,), from 0 up
-        SH-AC nearer to 0 become 0, and the others compensate; usually half a quantisation step.
+        SH-AC below this magnitude become 0, and the others compensate; usually half a quantisation
+        step.
     weights : ndarray, shape (views, N), float32, optional
         `squared_weights` of the scene, if already computed.
     likely : LikelyViews, optional
-        Views whose colours are to stay as well; they do not count as pixels.
+        Extra views whose colours should be preserved; they do not count as pixels.
     progress : callable, optional
 
     Returns
     -------
     Scene
     dict
-        For reports: ``count`` of Gaussians; those that no camera sees, whose SH-AC are 0 now,
-        ``unseen``; those left unchanged because of values that are not finite, ``unsolved``; those
-        whose SH-AC were all 0 before, as training leaves colours that stay black, ``without_ac``;
-        and SH-AC of Y, Co and Cg that are 0, ``zeros_before`` and
-        ``zeros_after``.
+        Numbers for reports: ``count`` of Gaussians; ``unseen``, not visible to any camera, whose
+        SH-AC are now 0; ``unsolved``, unchanged because of values that are not finite;
+        ``without_ac``, whose SH-AC were all 0 before, as in black Gaussians; ``zeros_before`` and
+        ``zeros_after``, the SH-AC of Y, Co and Cg that are 0.
     """
     if weights is None:
         weights = squared_weights(scene, cameras, progress)
@@ -171,8 +171,8 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
 def _sparsify(rows, seen, shared, penalty, smallest, solution):
     """Solve for Y, Co and Cg in place; return whether all solutions were found.
 
-    `shared` is the matrix of all views. Where R, G or B is clamped at black in a view, each round
-    aims at what the one before it has there, if that is below black too.
+    `shared` is the matrix of all views. Where R, G or B is clamped at black in a view, the target
+    of each round is the previous solution's value, if that is also below black.
     """
     count, size = rows.shape
     matrix, right, used = np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
@@ -211,7 +211,7 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
 
 @inlined
 def _least(turn):
-    """What SH-AC have to reach in a round, as a share of `smallest`; else they become 0."""
+    """Minimum magnitude of SH-AC in a round, as a share of `smallest`; smaller ones become 0."""
     if turn < _TINY_FROM:
         return 0.0
     return 1.0 if turn >= _ROUNDS - 2 else _TINY
@@ -221,7 +221,7 @@ def _least(turn):
 def _sum_up(rows, seen, solution, targets, sums):
     """Fill right-hand sides ``sums (3, 1 + K)``; return whether a colour is clamped at black.
 
-    ``targets (views, 3)`` are R, G, B; those that are infinite become the solution's colours.
+    ``targets (views, 3)`` are R, G, B; infinite ones become the solution's colours.
     """
     dark = False
     sums[:] = 0.0
@@ -246,9 +246,9 @@ def _sum_up(rows, seen, solution, targets, sums):
 
 @kernel
 def _darken(rows, targets, solution):
-    """Let those of R, G and B that no view sees above black vary as the others do, below black.
+    """Let channels that are black in every view vary like the others, below black.
 
-    A change that all three share takes one coefficient instead of three.
+    A change common to all three takes one coefficient instead of three.
     """
     size = len(solution[0])
     lit, colour, highest = np.zeros(3, np.bool_), np.empty((size, 3)), np.full(3, -np.inf)

@@ -26,16 +26,16 @@ from gs_codec.scene import Scene
 Advance = Callable[[], None] | None
 Result = TypeVar("Result")
 
-#: Gaussians whose gradient one task adds up.
+#: Number of Gaussians whose gradient one task sums.
 _CHUNK = 1 << 14
 
-#: Views processed at the same time; each takes about 300 bytes a Gaussian.
+#: Views processed at the same time; each takes about 300 bytes per Gaussian.
 _MOST_AT_ONCE = 4
 
-#: About how many bytes all traced views may take; a part of their tiles is left out beyond.
+#: Approximate maximum bytes of all traced views; beyond it, some of their tiles are skipped.
 _KEPT_BYTES = 1 << 31
 
-#: Views that tell how many bytes one takes.
+#: Number of views used to estimate the bytes of one.
 _SAMPLE = 8
 
 
@@ -49,7 +49,7 @@ class Linear(NamedTuple):
     curvature : ndarray, shape (N, 3, 1 + K)
         Diagonal of the normal equations.
     lit : ndarray, shape (views, N), uint8
-        Bit 0, 1, 2: whether R, G, B of the Gaussian are above black in the view, if it is seen.
+        Bit 0, 1, 2: whether R, G, B of a visible Gaussian are above black in the view.
     error : float
         Sum over views, pixels and colours of the squared residual.
     """
@@ -70,7 +70,7 @@ class ImageOperator:
     Parameters
     ----------
     scene : Scene
-        Its colours are not used.
+        The scene; its colours are not used.
     views : ReferenceViews
         A residual is ``reference - image``.
     """
@@ -99,7 +99,7 @@ class ImageOperator:
         return np.array([error for *_, error in self._of_each(measure, chosen, advance)])
 
     def pixels(self, view: int) -> int:
-        """Pixels of a view that count, once it is traced."""
+        """Number of pixels of a view that count, once it is traced."""
         return self.kept[view].pixels
 
     def apply(self, direction: NDArray, lit: NDArray[np.uint8], advance: Advance = None) -> NDArray:
@@ -156,7 +156,7 @@ class ImageOperator:
     def _of_each(
         self, function: Callable[[int, TracedView], Result], chosen: Sequence[int], advance: Advance
     ) -> Iterator[tuple[int, TracedView, Result]]:
-        """Call a function for the `chosen` views, a few at a time; yield its results in order."""
+        """Call a function for the `chosen` views, a few in parallel; yield its results in order."""
         every = self._every
 
         def run(view: int) -> tuple[int, TracedView, Result]:
@@ -171,7 +171,7 @@ class ImageOperator:
 
     @cached_property
     def _every(self) -> int:
-        """Of how many tiles of a view one is traced, so that all views fit into memory."""
+        """Trace every n-th tile of a view, so that all views fit into memory; returns n."""
         count = len(self.views.cameras)
         some = evenly(range(count), _SAMPLE)
         traced = run_all(lambda view: self._trace(view, 1), some)
@@ -218,7 +218,7 @@ def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
 
 @kernel
 def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, curvature):
-    """Add a view's share to ``gradient (N, 3, 1 + K)`` and, if it is not empty, `curvature`."""
+    """Add a view's part to ``gradient (N, 3, 1 + K)`` and, unless empty, `curvature`."""
     row, of_colour, of_square = np.empty(gradient.shape[2]), np.empty(3), np.empty(3)
     for j in range(start, stop):
         square = sums[j, SQUARED]

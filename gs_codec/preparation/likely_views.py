@@ -1,8 +1,8 @@
-"""Extra viewing directions beside estimated cameras, weighted by where SH-AC are strong.
+"""Extra viewing directions besides estimated cameras, weighted by the strength of SH-AC.
 
 Training changes the SH-AC of a Gaussian only in the directions of its cameras. Estimated cameras
-may miss some of these directions, part of an arc for instance. So each run of Gaussians is also
-viewed from all around, with the highest weight in the directions where its SH-AC are strongest.
+may miss some of these directions, such as part of an arc. So each run of Gaussians is also viewed
+from all around, with the highest weight where its SH-AC are strongest.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _SHARE = 4.0
 #: too little weight.
 _POWER = 4
 
-#: Gaussians in a run; they are neighbours in the stream.
+#: Number of Gaussians in a run; they are neighbours in the stream.
 _RUN = 512
 
-#: Gaussians below this quantile of mean square SH-AC hold mostly noise.
+#: Gaussians below this quantile of mean square SH-AC have mostly noise.
 _WEAK = 0.3
 
-#: Gaussians that no estimated camera sees get the weight at this quantile of the others.
+#: Gaussians not visible to any estimated camera get this quantile of the others' weights.
 _UNSEEN = 0.02
 
 #: Distance of these views from the scene, in units of its largest coordinate.
@@ -50,7 +50,7 @@ class LikelyViews(NamedTuple):
     ----------
     centres : ndarray, shape (M, 3)
     weights : ndarray, shape (M, N), float32
-        As `squared_weights` of cameras.
+        Weights like the `squared_weights` of cameras.
     """
 
     centres: NDArray[np.float64]
@@ -63,7 +63,7 @@ def likely_views(scene: Scene, weights: NDArray[np.float32]) -> LikelyViews:
     Parameters
     ----------
     scene : Scene
-        At least one Gaussian.
+        A scene of at least one Gaussian.
     weights : ndarray, shape (views, N), float32
         `squared_weights` of the estimated cameras.
     """

@@ -1,6 +1,7 @@
-"""Refinement's steps on a CUDA device: gsplat differentiates a view, torch does the rest.
+"""Refinement steps on a CUDA device: gsplat differentiates a view, torch does the rest.
 
-Attributes and their means stay there; the CPU has them for checkpoints and at the end.
+Attributes and their means stay on the device; they are copied to the CPU for checkpoints and at the
+end.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ class DeviceSteps:
     def take(
         self, order: Sequence[int], step: int, sizes: Sequence[NDArray[np.float64]]
     ) -> list[float]:
-        """Step by views of these indices, the first with number `step`; their squared errors."""
+        """Take a step for each view index in `order`, numbered from `step`; return errors."""
         pairs = zip(order, sizes, strict=True)
         found = [self._step(view, step + i, rates) for i, (view, rates) in enumerate(pairs)]
         return torch.stack(found).tolist()
 
     def _step(self, view: int, step: int, rates: NDArray[np.float64]) -> torch.Tensor:
-        """A step of `adam_step`."""
+        """One step of `adam_step` on the device."""
         camera, behind = self.views.cameras[view], self.views.background
         slopes, squared_error = differentiate(
             self.values, camera, self.images[view], behind, self.antialiased
@@ -48,6 +49,6 @@ class DeviceSteps:
         return squared_error
 
     def state(self) -> AdamState:
-        """What the CPU would have now."""
+        """The current state, copied to the CPU."""
         planes = self.values, self.first, self.second
         return AdamState(*(plane.cpu().numpy().copy() for plane in planes))

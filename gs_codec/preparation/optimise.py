@@ -30,21 +30,22 @@ from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import GROUPS, Scene
 
-#: Gaussians that one task updates: they stay in the cache from one view to the next.
+#: Number of Gaussians that one task updates, so that they stay in the cache from one view to the
+#: next.
 _CHUNK = 1000
 
-#: Views that are differentiated together, each by its own threads: that takes two thirds of the
-#: time, and what the second would have seen of the first's step makes no difference.
+#: Views differentiated together, each by its own threads. This takes two thirds of the time; that
+#: the second view does not see the first one's step makes no difference.
 _TOGETHER = 2
 
-#: One step at full rates changes images by this share of what there is to win, as roots of mean
-#: squared errors; where it would change more, rates are lower (bench/RESULTS.md).
+#: One step at full rates may change images by at most this share of the possible improvement (both
+#: as root mean squared error); if it would change more, rates are reduced (bench/RESULTS.md).
 _SHARE = 1 / 6
 
-#: Views that tell what there is to win.
+#: Number of views for estimating the possible improvement.
 _VIEWS = 16
 
-#: Iterations from one checkpoint to the next.
+#: Iterations between checkpoints.
 _CHECKPOINT_EVERY = 500
 
 
@@ -56,11 +57,11 @@ def optimise(
     progress: Progress | None = None,
     device: Device = "cpu",
 ) -> tuple[Scene, dict[str, Any]]:
-    """Fit the attributes of a scene's Gaussians to images, one view an iteration.
+    """Fit the attributes of a scene's Gaussians to images, one view per iteration.
 
-    Views come in random order, each once before any comes again. On the CPU, the result is the same
-    however often it was interrupted and taken up from `checkpoint`. There are no iterations if the
-    views show the scene as their images do.
+    Views come in random order, each once before any repeats. On the CPU, the result does not depend
+    on interruptions and resuming from `checkpoint`. There are no iterations if the rendered views
+    already equal the images.
 
     Parameters
     ----------
@@ -73,14 +74,14 @@ def optimise(
         Written every 500 iterations and at the end. If it exists, the run resumes from it.
     progress : callable, optional
     device : {"auto", "cpu", "cuda"}
-        Where gsplat does the work, on ``cuda``; see `render`.
+        Device; ``cuda`` uses gsplat. See `render`.
 
     Returns
     -------
     Scene
     dict
-        For reports: ``iterations``; ``updated``, Gaussians that were seen and so changed;
-        ``seconds``, with those before interruptions; and ``curve``, see `_curve`.
+        For reports: ``iterations``; ``updated``, the number of visible and thus changed Gaussians;
+        ``seconds``, including time before interruptions; and ``curve``, see `_curve`.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def optimise(
         If an image is not finite, or the checkpoint is damaged, belongs to other inputs, or cannot
         be written.
     MissingTool
-        If ``cuda`` is asked for but not available.
+        If ``cuda`` is requested but not available.
     """
     on_device = gsplat_backend.is_chosen(device)
     for camera, image in zip(views.cameras, views.images, strict=True):
@@ -131,7 +132,7 @@ def optimise(
 
 
 class _Steps:
-    """Steps of Adam on the CPU, some views at once; those of `DeviceSteps`."""
+    """Steps of Adam on the CPU, several views at once; the same interface as `DeviceSteps`."""
 
     def __init__(self, scene: Scene, state: AdamState, views: ReferenceViews) -> None:
         self._state, self._views = state, views
@@ -140,7 +141,7 @@ class _Steps:
     def take(
         self, order: Sequence[int], step: int, sizes: Sequence[NDArray[np.float64]]
     ) -> list[float]:
-        """Step by views of these indices, the first with number `step`; their squared errors."""
+        """Take a step for each view index in `order`, numbered from `step`; return errors."""
         seen = run_all(self._look, order)
         take_steps(self._state, seen, step, sizes)
         return [each.squared_error for each in seen]
@@ -150,7 +151,7 @@ class _Steps:
         return differentiate(self._fitted, camera, image, self._views.background)
 
     def state(self) -> AdamState:
-        """What there is now, which the next step changes."""
+        """The current state, which the next step overwrites."""
         return self._state
 
 
@@ -163,7 +164,8 @@ def _rates(
 ) -> float:
     """Factor on all step sizes, at most 1.
 
-    Steps of Adam are as large where little is to win, and there cost more than they win.
+    Adam's steps have the same size when little can be improved, and would then do more harm than
+    good.
     """
     signs = np.random.default_rng(0).integers(0, 2, values.shape, np.int8)
     with np.errstate(over="ignore"):
@@ -176,7 +178,7 @@ def _rates(
 
 
 def _apart(first: Sequence[NDArray], second: Sequence[NDArray]) -> float:
-    """Mean squared difference of images, of what is shown of them."""
+    """Mean squared difference of images, in their displayed range."""
     pairs = zip(first, second, strict=True)
     return float(np.mean([np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2) for a, b in pairs]))
 
@@ -189,7 +191,7 @@ def _iterate(
     save: Callable[[Checkpoint], None] | None,
     advance: Callable[[], None],
 ) -> Checkpoint:
-    """Run the remaining iterations; call `save` every now and then, and at the end."""
+    """Run the remaining iterations; call `save` regularly and at the end."""
     errors, seconds = run.errors.tolist(), run.seconds.tolist()
     done = len(errors)
     start = time.perf_counter() - (seconds[-1] if done else 0.0)
@@ -218,7 +220,7 @@ def _inputs(
 
 
 def with_values(scene: Scene, values: NDArray[np.float32]) -> Scene:
-    """The scene with views of ``values (C, N)`` as attributes: it follows their changes."""
+    """The scene with views of ``values (C, N)`` as attributes, so that it follows their changes."""
     ends = np.cumsum([len(getattr(scene, group)) for group in GROUPS])
     planes: dict[str, Any] = dict(zip(GROUPS, np.split(values, ends[:-1]), strict=True))
     return replace(scene, **planes)
@@ -236,13 +238,13 @@ def take_steps(
     step: int,
     sizes: Sequence[NDArray[np.float64]],
 ) -> None:
-    """Steps of Adam, the first with number `step` from 1, by views of the same values."""
+    """Take steps of Adam, numbered from `step`, by views differentiated at the same values."""
     count = len(state.values)
 
     def update(start: int) -> None:
         stop = min(start + _CHUNK, count)
         bounds = [np.searchsorted(view.chosen, (start, stop)) for view in seen]
-        # All before the first step, which changes what they are derived from.
+        # All slopes before the first step, which changes the values they depend on.
         slopes = [view.slopes(*part) for view, part in zip(seen, bounds, strict=True)]
         for k, (first, end) in enumerate(bounds):
             chosen = seen[k].chosen[first:end]
@@ -252,10 +254,10 @@ def take_steps(
 
 
 def _curve(run: Checkpoint) -> list[dict[str, Any]]:
-    """A point for about every hundredth of a run.
+    """Learning curve with about 100 points.
 
-    It has the iterations done, the seconds, and the mean PSNR (dB, unclipped) of the views since
-    the last point.
+    Each point has the number of iterations, the seconds, and the mean PSNR (dB, unclipped) of the
+    views since the previous point.
     """
     count = len(run.errors)
     every = max(1, count // 100)

@@ -19,7 +19,7 @@ from gs_codec.formats.limits import FAILURES
 from gs_codec.preparation.adam import AdamState
 from gs_codec.runtime.atomic import atomic_writer
 
-#: What reading a damaged archive of arrays may raise.
+#: Exceptions that reading a damaged array archive may raise.
 _DAMAGE: tuple[type[Exception], ...] = (
     *FAILURES, AttributeError, zipfile.BadZipFile, tokenize.TokenError
 )  # fmt: skip
@@ -35,7 +35,7 @@ class Checkpoint:
     errors : ndarray, shape (iterations done,), float64
         Mean squared error of each iteration's view, before its update.
     seconds : ndarray, shape (iterations done,), float64
-        Time from the start to the end of each iteration, interruptions not counted.
+        Time from the start of the run to the end of each iteration, without interruptions.
     """
 
     state: AdamState
@@ -56,7 +56,7 @@ def digest_of(parts: Iterable[NDArray | str]) -> str:
 
 
 def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint of a run whose inputs have `digest`; the file appears whole or not at all.
+    """Write a checkpoint of a run whose inputs have `digest`, atomically.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The order of the steps of preparation."""
+"""The order of preparation steps."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ from gs_codec.views.find import find_cameras
 
 log = logging.getLogger(__name__)
 
-#: Refinement fits this many times as many views as other steps use: its time does not depend on
+#: Refinement fits this many times as many views as other steps use; its time does not depend on
 #: their number.
 _TARGETS = 4
 
-#: About the most bytes that the images of these further views may take.
+#: Approximate maximum bytes of the images of these extra views.
 _TARGET_BYTES = 1 << 30
 
-#: Most views between cameras for each that is missing.
+#: Maximum number of views between cameras for each missing camera.
 _BETWEEN = 4
 
-#: Of cameras that are not marked, refinement keeps each of this number out, as 3DGS does.
+#: If no cameras are marked, refinement holds out every n-th one, as 3DGS does.
 _EVERY = 8
 
-#: What a step returns: the indices of the Gaussians that stay (None: all), the new scene, and
+#: What a step returns: the indices of the remaining Gaussians (None: all), the new scene, and
 #: details for the report.
 _Outcome = tuple[NDArray[np.int64] | None, Scene, dict[str, Any]]
 
@@ -82,15 +82,15 @@ def prepare_scene(
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
-    What steps would code it, by the views chosen, tells how far a balanced plan prunes; by default
-    those of profile `m`.
+    `steps_of` gives the step sizes that decide how far a balanced plan prunes; by default those of
+    profile `m`.
 
     Raises
     ------
     InvalidInput
         If there are no cameras, no Gaussian would be left, or an image is broken.
     MissingTool
-        If a device is to refine, and there is none.
+        If refinement needs a device, and there is none.
     """
     if plan.steps.refine:
         is_chosen(plan.device)
@@ -111,7 +111,7 @@ def prepare_scene(
             labels[kept[gone]] = LABELS.index(step.label)
             kept = kept[stay]
         reports.append(_report(step.name, scene, context, seconds, details))
-    # Nothing after refinement needs its targets, which are many images.
+    # Targets are many images, and nothing after refinement needs them.
     views = views._replace(targets=None)
     return scene, PrepareReport(
         labels, tuple(reports), views, sh_degree=scene.sh_degree, centres=centres
@@ -119,12 +119,12 @@ def prepare_scene(
 
 
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:
-    """Draw or read the views that guide a plan's steps, and those that measure quality.
+    """Render or read the views that guide a plan's steps, and those that measure quality.
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, no photograph of them is found, or one is broken.
+        If there are no cameras, none has a photograph, or a photograph is damaged.
     """
     known = _split(scene, plan, progress)
     rest, test, _ = known
@@ -157,10 +157,10 @@ def _targets(
     plan: Plan,
     progress: Progress | None,
 ) -> ReferenceViews:
-    """Photographs, and renders of the scene from those of the cameras that have none.
+    """Photographs, and renders of the scene from cameras without one.
 
-    A scene with few photographs fits them better than what lies between; on bonsai, renders from
-    its other cameras keep a third of the loss away.
+    With few photographs, a scene would overfit to them; on bonsai, renders from the other cameras
+    avoid a third of that loss.
     """
     if photographs is None:
         return draw_targets(scene, cameras, plan.background, plan.device, progress)
@@ -187,10 +187,9 @@ def guiding_views(
 ) -> ReferenceViews | None:
     """The reference views of a plan that guide the encoder.
 
-    If the scene was optimised or not prepared, they have no images: those are its own, which
-    `guide` draws. Else they are `references`, by default the renders of `choose_views`. There are
-    none for a scene that does not tell where its cameras were and comes without: guessed ones would
-    mislead.
+    If the scene was optimised or not prepared, they have no images, and `guide` renders the scene
+    itself. Otherwise they are `references`, by default the renders of `choose_views`. Returns None
+    if no cameras are given and they cannot be estimated: guessed ones would mislead.
     """
     known = references or _split(scene, plan, progress)
     if known.origin == "anywhere":
@@ -206,7 +205,7 @@ def guiding_views(
 
 
 def checking_cameras(scene: Scene, plan: Plan) -> list[Camera]:
-    """Of given cameras those that do not guide the encoder, or views between those that do."""
+    """Given cameras that do not guide the encoder, or views between those that do."""
     known = _split(scene, replace(plan, steps=Steps()), None)
     if known.test != known.rest:
         return known.test
@@ -214,9 +213,9 @@ def checking_cameras(scene: Scene, plan: Plan) -> list[Camera]:
 
 
 def _enough(known: _Split, most: int) -> list[Camera]:
-    """Of given cameras at most this many; if there are fewer, views between them as well.
+    """At most this many given cameras; if there are fewer, views between them are added.
 
-    These are at most four for each that is missing: all of them where cameras are few.
+    At most four are added for each missing one, even if cameras are few.
     """
     cameras = known.rest
     if known.origin != "given":
@@ -227,7 +226,7 @@ def _enough(known: _Split, most: int) -> list[Camera]:
 
 
 class _Split(NamedTuple):
-    """Cameras that guide the steps, held-out ones, and where they come from."""
+    """Cameras that guide the steps, held-out cameras, and their origin."""
 
     rest: list[Camera]
     test: list[Camera]
@@ -237,8 +236,8 @@ class _Split(NamedTuple):
 def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
     """Find the cameras of a plan.
 
-    If none or all are marked, the same cameras guide and measure, but refinement, which would fit
-    what it is measured by, keeps every 8th out.
+    If none or all are marked, the same cameras guide and measure. Refinement, which would fit the
+    views it is measured by, then holds out every 8th.
     """
     origin: Origin = "given"
     if plan.estimates:
@@ -311,7 +310,7 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _against(scene: Scene, fitted: Scene, context: _Context) -> str | None:
-    """What held-out views have against a refined scene."""
+    """The reason to reject a refined scene because of its held-out views, if any."""
     held_out, progress = context.views.held_out, context.progress
     before, after = (held_out.errors(each, progress) for each in (scene, fitted))
     lost = held_out.drop(after, before)
@@ -352,7 +351,7 @@ def _rectify(scene: Scene, context: _Context) -> _Outcome:
 
 
 class _Step(NamedTuple):
-    """A step: its name, when it runs, its function, and the label of Gaussians it removes."""
+    """A step: its name, when it runs, its function, and the label of the Gaussians it removes."""
 
     name: str
     is_asked: Callable[[Steps], bool]
@@ -360,7 +359,7 @@ class _Step(NamedTuple):
     label: str = ""
 
 
-#: In the order they run.
+#: All steps, in the order they run.
 _STEPS = (
     _Step("importance pruning", lambda s: s.prune_importance > 0, _prune_importance, "importance"),
     _Step("geometry pruning", lambda s: s.prune_geometry > 0, _prune_geometry, "geometry"),

@@ -23,10 +23,10 @@ from gs_codec.report import EncodeReport, RenderedLoss
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import Scene
 
-#: Why an input Gaussian was removed; its label is the index in this tuple.
+#: Reasons why an input Gaussian was removed; a label is an index into this tuple.
 LABELS = ("kept", "geometry", "importance", "leave-one-out")
 
-#: The same in the order of the steps.
+#: The reasons in the order of the steps.
 _ORDER = ("importance", "geometry", "leave-one-out")
 
 
@@ -37,13 +37,13 @@ class StepReport:
     Attributes
     ----------
     name : str
-        The step, ``original`` for the input.
+        Name of the step, or ``original`` for the input.
     count : int
-        Gaussians.
+        Number of Gaussians.
     size_bytes : float
-        Size of their attributes: float32, or at the depths of quantisation, or coded.
+        Size of the attributes: as float32, at the quantisation depths, or coded.
     quality : Quality
-        Of its held-out views, against photographs if given, else against renders of the input.
+        Quality of held-out views, against photographs if given, else against renders of the input.
     seconds : float
         Time of the step, without the time to measure quality.
     details : dict
@@ -58,14 +58,14 @@ class StepReport:
     details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as plain types, for JSON, where `count` is ``gaussians``."""
+        """Convert to plain types for JSON; `count` becomes ``gaussians``."""
         plain = dict(vars(self), quality=self.quality.as_dict())
         return {"name": plain.pop("name"), "gaussians": plain.pop("count"), **plain}
 
 
 @dataclass(frozen=True)
 class PrepareReport:
-    """The steps, in order, and a label for each input Gaussian.
+    """The steps in order, and a label for each input Gaussian.
 
     Attributes
     ----------
@@ -77,11 +77,11 @@ class PrepareReport:
     views : ViewSplit
         The views that guided the steps and that measured quality.
     rendered : RenderedLoss, optional
-        What windows of other views lose by preparation and coding together.
+        Loss in crops of other views, from preparation and coding together.
     sh_degree : int
         SH degree of the scene.
     centres : int
-        `centres_checksum` of the input, by which the report is known to be of a scene.
+        `centres_checksum` of the input, which identifies the scene of the report.
     """
 
     labels: NDArray[np.uint8]
@@ -93,12 +93,12 @@ class PrepareReport:
 
     @property
     def removed(self) -> dict[str, int]:
-        """How many Gaussians were removed for each reason, in the order of the steps."""
+        """Number of Gaussians removed for each reason, in the order of the steps."""
         counts = np.bincount(self.labels, minlength=len(LABELS))
         return {label: int(counts[LABELS.index(label)]) for label in _ORDER}
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything but the labels as plain types, for JSON."""
+        """Convert everything but the labels to plain types, for JSON."""
         return {
             "input_gaussians": self.steps[0].count,
             "gaussians": self.steps[-1].count,
@@ -115,7 +115,7 @@ class PrepareReport:
     def coded(
         self, scene: Scene, config: Config, data: bytes, report: EncodeReport
     ) -> PrepareReport:
-        """The report with the steps of coding; see `coding_steps`."""
+        """Add the steps of coding to the report; see `coding_steps`."""
         coding = coding_steps(scene, config, data, report, self.views.held_out)
         return replace(self, steps=(*self.steps, *coding))
 
@@ -123,14 +123,14 @@ class PrepareReport:
 def centres_checksum(positions: NDArray[np.float32]) -> int:
     """CRC-32C of the centres ``(3, N)`` in their order, the same in every coordinate system.
 
-    Systems differ in the signs and the order of coordinates, so that sorted sizes are the same.
+    Systems differ in the signs and the order of coordinates, so sorted magnitudes are the same.
     """
     sizes = np.sort(np.abs(positions), axis=0)
     return int(crc32c(np.ascontiguousarray(sizes.T, "<f4").tobytes()))
 
 
 def ablation_table(prepared: dict[str, Any]) -> Table:
-    """A report's steps in the form of the paper's ablation."""
+    """A report's steps as a table like the paper's ablation."""
     rows = []
     for step in prepared["steps"]:
         quality = step["quality"]
@@ -144,8 +144,8 @@ def ablation_table(prepared: dict[str, Any]) -> Table:
 def save_report(folder: str | Path, report: PrepareReport) -> None:
     """Write ``report.json``, ``ablation.md`` and ``labels.npy``.
 
-    ``labels.npy`` has a uint8 for each input Gaussian, in the input's order: its index in
-    `LABELS`, 0 for those that were kept.
+    ``labels.npy`` has a uint8 for each input Gaussian, in the input's order: its index in `LABELS`,
+    0 for kept ones.
 
     Raises
     ------
@@ -173,10 +173,10 @@ def coding_steps(
 ) -> list[StepReport]:
     """Size and quality after quantisation, entropy coding, and coding of the geometry.
 
-    Quantised attributes take the bits of their depths. Entropy coding then codes all but positions
-    and SH-DC; geometry coding codes these too, and gives the size of the file. Only quantisation
-    loses quality. Profiles without depths have one step. `data` and `report` are from encoding;
-    with weights of `lpips`, quality has LPIPS too.
+    The size after quantisation counts the bits of the depths. Entropy coding codes everything but
+    positions and SH-DC; geometry coding codes these too, which gives the size of the file. Only
+    quantisation loses quality. Profiles without depths have a single step. `data` and `report` come
+    from encoding; with `lpips` weights, quality includes LPIPS.
     """
     quality = held_out.quality(decode_as(config, data), lpips=lpips)
     if config.profile not in PROFILES:

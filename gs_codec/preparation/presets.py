@@ -1,4 +1,4 @@
-"""Whole pipelines by name: steps of preparation, and how to encode what they leave."""
+"""Named pipelines: steps of preparation, and how to encode the result."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from gs_codec.config import Config, Option, changed_options
 from gs_codec.preparation.steps import Steps
 from gs_codec.runtime.arguments import checked
 
-#: Half range of SH-AC, in Laplace scales. The paper leaves it to a supplement, but at 4 bits its
-#: SH-AC have an entropy of 2.436 bits (Table 1). In this range a Laplace distribution has 2.48.
+#: Half range of SH-AC, in Laplace scales. The paper gives it only in its supplement, but at 4 bits
+#: its SH-AC have an entropy of 2.436 bits (Table 1). With this range, a Laplace distribution has
+#: 2.48.
 _LAPLACE_SCALES = 7.5
 
 
 @dataclass(frozen=True)
 class Preset:
-    """Steps of preparation, and how to encode what they leave.
+    """Steps of preparation, and how to encode the result.
 
     Parameters
     ----------
     steps : Steps
-        For a `Plan`, with the cameras and images of the scene.
+        Steps for a `Plan`, which adds the cameras and images of the scene.
     config : Config
-        For `encode`, after the steps.
+        Configuration for `encode`, after the steps.
 
     Examples
     --------
@@ -36,13 +37,13 @@ class Preset:
     config: Config
 
     def options(self) -> dict[str, Any]:
-        """The values that differ from the defaults, by the names of the commands' options."""
+        """The values that differ from the defaults, by option name."""
         return changed_options(self.steps) | changed_options(self.config)
 
 
 #: ``entropygs``: the paper's pipeline in its order (Sections 4.2 to 4.4). Its sizes after each step
-#: imply the percentages: 760.1 to 266.0 MB by importance, theta1; 266.0 to 264.4 MB by geometry,
-#: (1 - theta2)^3. 6000 iterations are 20 % of a usual training.
+#: imply the percentages: 760.1 to 266.0 MB by importance, theta1; 266.0 to 264.4 MB by geometry, (1
+#: - theta2)^3. 6000 iterations are 20 % of a typical training.
 PRESETS: Mapping[str, Preset] = {
     "entropygs": Preset(
         Steps(
@@ -60,12 +61,12 @@ PRESETS: Mapping[str, Preset] = {
 
 @checked
 def preset(name: str) -> Preset:
-    """A pipeline by its name.
+    """Look up a pipeline by name.
 
     Parameters
     ----------
     name : {"entropygs"}
-        ``entropygs`` is the paper's: prune, rectify and refine, then a paper profile.
+        ``entropygs`` is the paper's pipeline: prune, rectify and refine, then a paper profile.
 
     Returns
     -------
@@ -75,7 +76,7 @@ def preset(name: str) -> Preset:
     Raises
     ------
     InvalidInput
-        If there is none of this name.
+        If there is no preset of this name.
 
     Examples
     --------

@@ -1,16 +1,16 @@
-"""Which Gaussians go: by position, by importance, or by what images lose without each.
+"""Select Gaussians to prune: by position, by importance, or by leave-one-out error.
 
-Every rule returns the indices of the Gaussians that stay, in the scene's order. Among equal scores,
-the first in the scene is removed first.
+Every rule returns the indices of the remaining Gaussians, in the scene's order. Ties are removed in
+the scene's order.
 
-Without splat k, the pixels that it covers change by ``S alpha / (1 - alpha) - alpha T c``, where S
-is the light of everything behind it. The squared change is summed over pixels and views.
+Removing splat k changes the pixels that it covers by ``S alpha / (1 - alpha) - alpha T c``, where S
+is the light of everything behind it. The leave-one-out error sums the squared change over pixels
+and views.
 
-Errors of single Gaussians do not add up where they cover each other, so scores are computed
-again after each round.
+Errors of overlapping Gaussians do not add up, so scores are recomputed after each round.
 
-Views from anywhere around a scene leave out what its own cameras saw, so what is expected of a
-Gaussian of its opacity and size counts as well.
+Views that are merely spread around a scene may miss what its cameras saw. With those, the error
+expected from a Gaussian's opacity and size counts as well.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from gs_codec.scene import Scene
 #: Exponent of a Gaussian's volume in LightGaussian's score.
 _VOLUME_POWER = 0.1
 
-#: Volumes are divided by this quantile of theirs.
+#: Volumes are divided by this quantile of all volumes.
 _VOLUME_QUANTILE = 0.9
 
-#: Share of the remaining Gaussians that a round may remove.
+#: Maximum share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2
 
-#: Share of what is expected of a Gaussian, where views are from anywhere.
+#: Weight of the expected error, if views are merely spread around the scene.
 _EXPECTED = 0.05
 
-#: Bisections of the last round, where the loss reaches its limit.
+#: Number of bisections in the last round, which reaches the loss limit.
 _BISECTIONS = 6
 
 
@@ -58,9 +58,9 @@ def portion(count: int, percent: float) -> int:
     Raises
     ------
     InvalidInput
-        If nothing would be left.
+        If no Gaussian would remain.
     """
-    # The millionth makes up for binary rounding of percentages: 7 % of 100 is 7.
+    # The 1e-6 compensates for binary rounding of percentages: 7 % of 100 is 7.
     number = int(np.floor(count * percent / 100 + 1e-6))
     if number >= count > 0:
         raise InvalidInput(
@@ -75,11 +75,11 @@ def keep_highest(scores: NDArray, number: int) -> NDArray[np.int64]:
 
 
 def keep_near(scene: Scene, percent: float, rule: GeometryRule) -> NDArray[np.int64]:
-    """Remove the `percent` farthest from the centre along x, then of the rest along y, then z.
+    """Remove the `percent` farthest from the centre along x, then from the rest along y, then z.
 
-    The paper's geometry pruning (Section 4.2): N (1 - theta2)^3 stay. It removes the largest
-    absolute values, so its centre is the origin (rule ``largest``), wherever that lies in a
-    capture; ours is the median.
+    The paper's geometry pruning (Section 4.2): N (1 - theta2)^3 remain. The paper removes the
+    largest absolute values (rule ``largest``), so its centre is the origin, wherever that lies in a
+    capture; our default is the median.
     """
     centre = np.zeros(3)
     if rule == "median" and scene.count:
@@ -96,8 +96,9 @@ def importance(
 ) -> NDArray[np.float64]:
     """LightGaussian's score (Fan et al. 2023, Section 3.2; the paper's Section 4.2), ``(N,)``.
 
-    Opacity times the transmittance in front of the Gaussian, summed over its pixels and the views,
-    times (volume / 90th percentile of volumes)^0.1. Larger volumes count as the 90th percentile.
+    The score is opacity times the transmittance in front of the Gaussian, summed over pixels and
+    views, times (volume / 90th percentile of volumes)^0.1. Larger volumes count as the 90th
+    percentile.
     """
     seen = np.zeros(scene.count)
     advance = step_counter(progress, "importance", len(cameras))
@@ -115,7 +116,7 @@ def importance(
 def leave_one_out(
     scene: Scene, views: ReferenceViews, stage: str, progress: Progress | None = None
 ) -> NDArray[np.float64]:
-    """Squared error that a scene's views would have without each single Gaussian, ``(N,)``.
+    """Squared error of a scene's views from removing each single Gaussian, ``(N,)``.
 
     Errors against other images are not a better guide: all Gaussians whose removal reduces the
     same error would be removed together, which is too many.
@@ -135,7 +136,7 @@ def leave_one_out(
 
 
 def expected_weight(scene: Scene) -> NDArray[np.float64]:
-    """Weight ``(N,)`` that camera-free rules expect of each Gaussian, 1 in the mean."""
+    """Weight ``(N,)`` that camera-free rules expect of each Gaussian, normalised to a mean of 1."""
     finite = np.isfinite(scene.log_scale).all(axis=0) & np.isfinite(scene.opacity[0])
     usable, expected = scene.take(np.flatnonzero(finite)), np.zeros(scene.count)
     scales = sort_axes(usable.log_scale, usable.rot)[1]
@@ -150,11 +151,11 @@ def prune_leave_one_out(
     progress: Progress | None = None,
     balance: Balance | None = None,
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Prune in rounds; return indices of the Gaussians that stay, and details of the rounds.
+    """Prune in rounds; return indices of the remaining Gaussians, and details of the rounds.
 
     Scores use the renders of `views`; the PSNR loss is measured on its photographs if there are
-    any. A limit on the loss without a number removes as many as that allows; with a balance,
-    rounds go on as long as they pay.
+    any. With a limit on the loss but no number, as many are removed as the limit allows. With a
+    balance, rounds continue as long as they pay off.
     """
     max_drop = steps.prune_max_psnr_drop
     wanted = portion(scene.count, steps.prune or 0.0)

@@ -29,17 +29,16 @@ from gs_codec.views.photographs import read_photograph
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: Where cameras come from: given, estimated from what the scene tells, or anywhere around it, if it
-#: does not tell.
+#: Origin of cameras: given, estimated from the scene, or, if that fails, spread anywhere around it.
 Origin = Literal["given", "estimated", "anywhere"]
 
 
 @dataclass(frozen=True)
 class ReferenceViews:
-    """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter; or none is drawn yet.
+    """Cameras and their images ``(H, W, 3)`` float32, 0-1 or brighter; no images before rendering.
 
-    `photographs` tells whether the images are photographs or renders of the scene to be prepared;
-    `source` is that scene, if it is known; `origin`, where its cameras come from.
+    `photographs` states whether the images are photographs, or renders of the scene to be prepared.
+    `source` is that scene, if known; `origin` is the origin of the cameras.
     """
 
     cameras: tuple[Camera, ...]
@@ -50,24 +49,24 @@ class ReferenceViews:
     origin: Origin = "given"
 
     def first(self, number: int) -> ReferenceViews:
-        """The first views, at most this many."""
+        """The first views, at most `number`."""
         if number >= len(self.cameras):
             return self
         return replace(self, cameras=self.cameras[:number], images=self.images[:number])
 
     def evenly(self, number: int) -> ReferenceViews:
-        """At most this many of the views, evenly spaced."""
+        """At most `number` of the views, evenly spaced."""
         cameras, images = evenly(self.cameras, number), evenly(self.images, number)
         return replace(self, cameras=tuple(cameras), images=tuple(images))
 
     def quality(
         self, scene: Scene, progress: Progress | None = None, lpips: str | None = None
     ) -> Quality:
-        """Quality of a scene's images against these, mean over the views; `lpips` are weights."""
+        """Mean quality of a scene's images against these; `lpips` are weights."""
         return mean_quality(self._of_each(scene, partial(compare_images, lpips=lpips), progress))
 
     def error(self, scene: Scene, progress: Progress | None = None) -> float:
-        """Mean squared error of a scene's images, mean over the views."""
+        """Mean squared error of a scene's images, averaged over the views."""
         return float(np.mean(self.errors(scene, progress)))
 
     def errors(self, scene: Scene, progress: Progress | None = None) -> NDArray[np.float64]:
@@ -86,7 +85,7 @@ class ReferenceViews:
         measure: Callable[[NDArray, NDArray], Result],
         progress: Progress | None,
     ) -> list[Result]:
-        """Measure the image that each camera sees of a scene against its own."""
+        """Compare each camera's render of a scene with its reference image."""
 
         def run(i: int) -> Result:
             drawn = render(scene, self.cameras[i], self.background, device="cpu")
@@ -98,16 +97,16 @@ class ReferenceViews:
     def drop(
         self, errors: float | NDArray[np.float64], before: float | NDArray[np.float64]
     ) -> float:
-        """Loss of PSNR, dB, mean over the views, from mean squared errors `before` to `errors`.
+        """Mean PSNR loss of the views in dB, from mean squared errors `before` to `errors`.
 
         If the images are the scene's own renders, the scene is assumed to have 30 dB against
-        photographs, and both errors to add up.
+        photographs, and both errors are assumed to add up.
         """
         own = 0.0 if self.photographs else NOMINAL_ERROR
         return 10 * float(np.mean(np.log10((own + errors) / (own + before))))
 
     def error_for(self, drop: float, before: float) -> float:
-        """The mean squared error that loses `drop` dB in each view: the inverse of `drop`."""
+        """The mean squared error that loses `drop` dB in each view; inverse of `drop`."""
         own = 0.0 if self.photographs else NOMINAL_ERROR
         return (own + before) * 10 ** (drop / 10) - own
 
@@ -118,13 +117,13 @@ class ViewSplit(NamedTuple):
     Attributes
     ----------
     renders : ReferenceViews
-        Renders of the input by the cameras that guide the steps.
+        Renders of the input from the cameras that guide the steps.
     photographs : ReferenceViews or None
-        Photographs of such cameras, where there are any.
+        Photographs from guiding cameras, if there are any.
     held_out : ReferenceViews
         The views that measure quality.
     targets : ReferenceViews or None
-        What refinement fits, if there is any: photographs, and renders where there are none.
+        Images that refinement fits, if it runs: photographs, or renders from cameras without one.
     """
 
     renders: ReferenceViews
@@ -134,7 +133,7 @@ class ViewSplit(NamedTuple):
 
     @property
     def references(self) -> ReferenceViews:
-        """The images to match: photographs if there are any, else renders."""
+        """The images to match: photographs if there are any, otherwise renders."""
         return self.photographs or self.renders
 
 
@@ -145,7 +144,7 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Ca
     Raises
     ------
     InvalidInput
-        If there is no image of any camera, or as for `seek_images`.
+        If no camera has an image, or as in `seek_images`.
     """
     paths = seek_images(folder, cameras)
     found = [(camera, path) for camera, path in zip(cameras, paths, strict=True) if path]
@@ -176,12 +175,12 @@ def draw_targets(
     device: Device,
     progress: Progress | None = None,
 ) -> ReferenceViews:
-    """Render a scene's own views to fit them, in float32, where they will be; not to measure by.
+    """Render a scene's own views as targets, in float32, on the device that fits them.
 
     Raises
     ------
     MissingTool
-        If the device is asked for but not available.
+        If the device is requested but not available.
     """
     on_device = gsplat_backend.is_chosen(device)
     values = gsplat_backend.upload(scene) if on_device else None
@@ -200,14 +199,14 @@ def draw_targets(
 def read_photographs(
     found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
 ) -> ReferenceViews:
-    """Read photographs, undistorted, and resize the cameras to them.
+    """Read and undistort photographs, and resize the cameras to them.
 
     Raises
     ------
     InvalidInput
-        If one is broken, or does not have its camera's shape.
+        If one is damaged, or its shape differs from its camera's.
     MissingTool
-        If one has to be undistorted, and OpenCV is not installed.
+        If one must be undistorted, and OpenCV is not installed.
     """
     read = run_all(lambda item: read_photograph(*item), found)
     cameras, images = zip(*read, strict=True)

@@ -18,9 +18,9 @@ from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Weight of the squared change of SH, in pixels: a Gaussian whose sum of (alpha T)^2 over all views
-#: equals it makes about half of the change that its views ask for. A larger value lowers the gain
-#: in held-out views; with 0, Gaussians that are hardly seen would change freely.
+#: Weight of the squared change of SH, in pixels. A Gaussian whose sum of (alpha T)^2 over all views
+#: equals it makes about half of the change that its views demand. A larger value lowers the gain in
+#: held-out views; with 0, hardly visible Gaussians would change freely.
 _RIDGE = 0.03
 
 #: Added to SH-AC in the denominators of their penalty, as in `compact_sh`.
@@ -35,12 +35,12 @@ class RefitReport(NamedTuple):
     Attributes
     ----------
     psnr : list of float
-        PSNR of all views together, dB, values not clipped: before, and after each iteration as the
-        linear model predicts. Infinite if no error is left.
+        PSNR of all views together, dB, values not clipped: before, then after each iteration as
+        predicted by the linear model. Infinite if there is no error.
     objective : list of float
-        The minimised function, before and after each iteration; it never grows.
+        The minimised function, before and after each iteration; it never increases.
     kept : bool
-        Whether the input is returned, because the refitted scene's rendered objective is no better.
+        Whether the input was returned, because the refitted scene renders no better.
     """
 
     psnr: list[float]
@@ -62,24 +62,24 @@ def refit_colour(
 
     Minimises the sum over views, pixels and colours of the squared residual, `_RIDGE` times the
     squared change of SH, and the penalty on SH-AC of `compact_sh`, by conjugate gradients on the
-    normal equations, with their diagonal as preconditioner. Memory is six times the size of the
-    SH, plus about 2 GiB at most for the weights alpha T of views: where these would take more, only
-    a part of each view's tiles counts. A colour that is clamped at black in a view has no gradient
-    there; which colours are clamped is decided once, at the start.
+    normal equations, with their diagonal as preconditioner. Memory is six times the size of the SH,
+    plus at most about 2 GiB for the weights alpha T of views; if these would take more, only some
+    of each view's tiles count. A colour that is clamped at black in a view has no gradient there;
+    clamping is determined once, at the start.
 
     Parameters
     ----------
     scene : Scene
     views : ReferenceViews
     iterations : int, from 0 up
-        Each takes about as long as drawing all views.
+        Each takes about as long as rendering all views.
     strength : float, from 0 up
         Penalty on SH-AC as in `compact_sh`, with the scene's own SH-AC in the denominators.
         Without it, SH-AC that compaction made small would grow again and cost more bits.
     keep_zeros : bool
         Whether SH-AC of Y, Co and Cg that are 0 stay 0: for scenes that `compact_sh` returned.
     operator : ImageOperator, optional
-        Operator of the views and of a scene with the same shapes, if there is one already.
+        Existing operator for the views and for a scene with the same shapes.
     progress : callable, optional
     """
     cameras = views.cameras
@@ -114,8 +114,8 @@ def _descend(
     """Conjugate gradients; return the change of SH, and squared errors and objectives.
 
     Coefficients with zero curvature do not change. Overwrites `near.gradient` and `near.curvature`.
-    `damping` are SH x at the start and factors p ``(1 + K,)``; to the squared error it adds
-    ``_RIDGE change^2 + p / (abs(x) + _HALF)^2 (x + change)^2``.
+    `damping` is the initial SH x and factors p ``(1 + K,)``; it adds to the squared error ``_RIDGE
+    change^2 + p / (abs(x) + _HALF)^2 (x + change)^2``.
     """
     residual = near.gradient
     change, direction = np.zeros_like(residual), np.zeros_like(residual)
@@ -137,7 +137,7 @@ def _descend(
 
 
 def _total(function: Callable, *arguments: Any) -> float:
-    """Sum of a kernel's results over parts of arrays ``(N, 3, 1 + K)``, computed in threads."""
+    """Sum a kernel's results over parts of arrays ``(N, 3, 1 + K)``, computed in threads."""
 
     def run(start: int) -> float:
         part = slice(start, start + _CHUNK)
@@ -179,7 +179,7 @@ def _cost(change, inverse, start, penalty):
 
 @kernel
 def _turn(direction, residual, inverse, share):
-    """Set the next conjugate direction; `share` is the weight of the last one in it."""
+    """Set the next conjugate direction; `share` is the weight of the previous one in it."""
     for at in np.ndindex(direction.shape):
         direction[at] = inverse[at] * residual[at] + share * direction[at]
     return 0.0

@@ -18,7 +18,7 @@ from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_C0, Scene
 
-#: Rounding of float32, relative to the largest of R, G and B.
+#: Rounding error of float32, relative to the largest of R, G and B.
 _ROUNDING = 2.0**-22
 
 _CHUNK = 1 << 13
@@ -69,7 +69,7 @@ def solve(matrix, right):
 def coefficients_of(scene: Scene) -> NDArray[np.float32]:
     """SH of all bands in Y, Co, Cg ``(N, 3, 1 + K)``, DC first; a copy.
 
-    What is only the rounding of R, G and B is 0.
+    Values that are only rounding errors of R, G and B become 0.
     """
     coefficients = np.empty((scene.count, 3, 1 + len(scene.f_rest) // 3), np.float32)
 
@@ -84,7 +84,7 @@ def coefficients_of(scene: Scene) -> NDArray[np.float32]:
 def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
     """The scene with SH in Y, Co, Cg ``(N, 3, 1 + K)`` in place of its own.
 
-    Colours that are the same, or not finite, stay as they are in R, G, B.
+    Unchanged colours, and colours that are not finite, keep their exact R, G, B.
     """
     f_dc, f_rest = scene.f_dc.copy(), scene.f_rest.copy()
 
@@ -98,7 +98,7 @@ def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
 
 @inlined
 def _colour(f_dc, f_rest, i, k):
-    """Y, Co, Cg of a coefficient; 0 where they are only the rounding of R, G and B."""
+    """Y, Co, Cg of a coefficient; 0 where they are only rounding errors of R, G and B."""
     if k == 0:
         red, green, blue = f_dc[0, i], f_dc[1, i], f_dc[2, i]
     else:
@@ -143,12 +143,12 @@ def squared_weights(
     cameras: Sequence[Camera],
     progress: Progress | None = None,
 ) -> NDArray[np.float32]:
-    """Sums of (alpha T)^2 over the pixels of each view, ``(views, N)``; 0 where not seen."""
+    """Sums of (alpha T)^2 over the pixels of each view, ``(views, N)``; 0 if not visible."""
     weights = np.empty((len(cameras), scene.count), np.float32)
     advance = step_counter(progress, "weights", len(cameras))
 
     def weigh(view: int) -> None:
-        # One thread for each view is faster than several for one view.
+        # One thread per view is faster than several threads per view.
         drawn = render(scene, cameras[view], accumulate=True, device="cpu")
         weights[view] = drawn.accumulations.squared_weight  # type: ignore[union-attr]
 
@@ -169,7 +169,7 @@ def sh_row(positions, i, camera, row):
 
 @kernel
 def list_views(positions, i, weights, centres, rows, seen):
-    """List SH basis and weight of the views that see Gaussian i; return how many they are."""
+    """List SH basis and weight of the views in which Gaussian i is visible; return their number."""
     count = 0
     for view in range(len(weights)):
         if weights[view, i] > 0.0:

@@ -15,7 +15,7 @@ from gs_codec.runtime.arguments import check_fields
 if TYPE_CHECKING:
     from gs_codec.cameras.camera import Camera
 
-#: Percent of which something is left.
+#: Percentages below 100, so that something remains.
 _PERCENT = {
     "kind": float,
     "metavar": "PERCENT",
@@ -25,15 +25,15 @@ _PERCENT = {
     "percent": True,
 }
 
-#: Where views are drawn and refined.
+#: Device for rendering and refinement.
 Device = Literal["auto", "cpu", "cuda"]
 
-#: What geometry pruning counts from.
+#: Reference point of geometry pruning.
 GeometryRule = Literal["median", "largest"]
 
 _ITERATIONS = {"kind": int, "low": 0, "high": 10_000_000}
 
-#: RGB by the words that stand for it.
+#: RGB of named colours.
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
 CAMERAS = (
@@ -52,32 +52,32 @@ class Steps:
         Percent of the Gaussians to remove along each axis, those farthest from the centre
         (theta2 of the paper, Section 4.2), 0 up to 100.
     geometry_rule : {"median", "largest"}
-        What is farthest: from the median of each axis, or, as the paper has it, the largest
-        absolute values. Default ``median``, which does not depend on where the origin is.
+        Measure of distance: from the median of each axis or, as in the paper, absolute values
+        (``largest``). Default ``median``, which does not depend on the origin.
     prune_importance : float
         Percent to remove by LightGaussian's importance (theta1 of the paper), 0 up to 100.
     prune : float, optional
-        Percent to remove by leave-one-out error, 0 up to 100. By default none, but with `refine`
-        and no other pruning, as many as cost less than coarser steps would; see `Balance`.
+        Percent to remove by leave-one-out error, 0 up to 100. By default none; with `refine` and no
+        other pruning, as many as pay off compared with coarser steps; see `Balance`.
     gaussians : int, optional
-        Remove by leave-one-out error what is beyond this number.
+        Maximum number of Gaussians; the rest is removed by leave-one-out error.
     prune_max_psnr_drop : float or None
-        Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`,
-        only this limits it.
+        Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`, this is
+        the only limit.
     refine : int
-        Iterations of Adam on all attributes of the remaining Gaussians. Left out, with a warning,
-        if held-out views lose by it, unless `keep_refined`.
+        Iterations of Adam on all attributes of the remaining Gaussians. Discarded, with a warning,
+        if held-out views get worse, unless `keep_refined`.
     keep_refined : bool
         Keep the refined scene even if held-out views get worse, as the paper does; no effect
         without `refine`.
     compact_sh : float
         Strength of SH energy compaction, 0 and up: about the mean squared error of an image value
-        (0-1) that it may cost; 3e-5 is usual.
+        (0-1) that it may add; 3e-5 is typical.
     refit_colour : int
         Conjugate-gradient iterations on the colours, SH-DC and SH-AC.
     rectify : float
-        Move SH-AC to within this many Laplace scales of their median, 0 to 1000; 0 does not. It
-        comes before `refine`, which adapts to it.
+        Clamp SH-AC to this many Laplace scales around their median, 0 to 1000; 0 disables it. Runs
+        before `refine`, which adapts to it.
 
     Raises
     ------
@@ -165,7 +165,7 @@ class Steps:
 
     @property
     def balanced(self) -> bool:
-        """Whether pruning goes as far as pays: it is not asked for, and refinement follows."""
+        """Whether pruning stops when it no longer pays off: no amount given, then refinement."""
         limits = (self.prune, self.gaussians, self.prune_max_psnr_drop)
         asked = self.prune_geometry or self.prune_importance or any(x is not None for x in limits)
         return self.refine > 0 and not asked
@@ -180,26 +180,26 @@ class Plan:
     steps : Steps
         Which steps to run; none by default.
     cameras : path, "auto", or sequence of Camera
-        Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced,
-        guide the steps; if they are fewer, views between them do, too. If none or all are marked,
-        the same cameras do both, but with `refine` every 8th is kept out to measure by. ``auto``
-        are two to four times `views`, of as many pixels together as `views` of 420 x 280.
+        Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced, guide
+        the steps, together with views between them if there are fewer. If none or all are marked,
+        the same cameras do both, but `refine` holds out every 8th. ``auto`` estimates two to four
+        times `views` cameras, with as many pixels in total as `views` images of 420 x 280.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
-        measured against them, and `refine` fits to them, and to renders of the input for cameras
-        without one. By default renders of the input are used. Those of distorted lenses are
-        undistorted (see `Lens`).
+        measured against them. `refine` fits them, and renders of the input for cameras without one.
+        By default renders of the input are used. Images with lens distortion are undistorted (see
+        `Lens`).
     width : int, optional
         Width of the views, pixels; not allowed with `gt_images`, whose size is used.
     views : int
-        1 or more. `refine` fits up to four times as many.
+        Maximum number of guiding views, 1 or more. `refine` fits up to four times as many.
     background : tuple of three float
         RGB behind the scene, 0-1.
     checkpoint : path, optional
         File to which `refine` saves its state, and from which it resumes.
     device : {"auto", "cpu", "cuda"}
-        Where `refine` works: ``cuda`` does so with gsplat, ``auto`` if it can. Results differ by
-        what two runs on a device do; the other steps work on the CPU.
+        Device for `refine`: ``cuda`` uses gsplat, ``auto`` uses ``cuda`` if available. Results on a
+        device vary slightly from run to run; the other steps run on the CPU.
 
     Raises
     ------

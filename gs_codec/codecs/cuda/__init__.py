@@ -1,1 +1,1 @@
-"""Profiles ``l``, ``m``, ``s`` decoded on a CUDA device, to the numbers of the CPU's decoder."""
+"""Decode profiles ``l``, ``m`` and ``s`` on a CUDA device, bit-identical to the CPU's decoder."""

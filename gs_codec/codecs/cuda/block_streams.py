@@ -1,4 +1,4 @@
-"""Where the streams of all blocks are in a file, and whether they ended where they had to."""
+"""Locate the streams of all blocks in a file, and check that they were consumed exactly."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from gs_codec.coding.rans import LANES, LOWEST, read_states
 from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream, TruncatedStream
 
-#: Bytes that no stream of a block has: a symbol takes fewer than 6 of them.
+#: Upper bound for the bytes of a block's stream: a symbol takes fewer than 6.
 _LONG = 1 << 27
 
-#: Bytes after the file, which kernels may read before they stop.
+#: Bytes after the file that kernels may read before they stop.
 PADDING = 512
 
 
 def _places(file: EgsFile, section: SectionId) -> NDArray[np.int64]:
-    """Where a section of each block begins and ends in the file, ``(blocks, 2)``."""
+    """Start and end of a section of each block in the file, ``(blocks, 2)``."""
     entries = [file.table[section, block] for block in range(file.header.block_count)]
     return np.array([(entry.position, entry.position + entry.size) for entry in entries])
 
 
 @dataclass(frozen=True)
 class Streams:
-    """Words and raw bits of the streams of all blocks, by their places in the file.
+    """Words and raw bits of the streams of all blocks, located in the file.
 
-    ``begins`` and ``ends (blocks, streams, 2)`` are of words, in words, and of raw bits, in bits;
-    those of ``low_bits (blocks, 2)`` in bits, of ``trees (blocks, 2)`` in bytes. ``states (blocks,
-    LANES)`` are the initial ones.
+    ``begins`` and ``ends (blocks, streams, 2)`` are offsets of the words, in words, and of the raw
+    bits, in bits. ``low_bits (blocks, 2)`` are start and end in bits, ``trees (blocks, 2)`` in
+    bytes. ``states (blocks, LANES)`` are the initial states.
     """
 
     data: NDArray[np.uint8]
@@ -45,7 +45,7 @@ class Streams:
 
     @classmethod
     def of(cls, file: EgsFile, streams: Sequence[str], data: NDArray[np.uint8]) -> Streams:
-        """Find the streams of a file; fills ``data``, `PADDING` longer, with its checked sections.
+        """Locate the streams of a file; fill ``data``, `PADDING` longer, with its checked sections.
 
         Raises
         ------
@@ -78,10 +78,10 @@ class Streams:
 
     @property
     def reached(self) -> NDArray[np.int64]:
-        """What kernels have of each stream at first, ``(blocks, streams, 4)``.
+        """Initial read positions of the kernels in each stream, ``(blocks, streams, 4)``.
 
-        Words and bits that were read, bits from a multiple of 32 on; symbols; and Gaussians that
-        have some of what comes next.
+        The four are: words read; bits read, counted from a multiple of 32; symbols read; and
+        Gaussians that have symbols in the next step.
         """
         reached = np.zeros((*self.begins.shape[:2], 4), np.int64)
         reached[..., 1] = self.begins[..., 1] & 31
@@ -95,7 +95,7 @@ class Streams:
         faults: NDArray[np.int64],
         coders: NDArray[np.int64],
     ) -> None:
-        """Check where kernels stopped, the final states, and that no kernel found a fault.
+        """Check the kernels' end positions, final states and faults.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """The f_dc pass on a device. FORMAT.md, section "Colours".
 
-A lane for each channel and each activity decodes the token that it would be, while the activity is
-not known yet; then the lane that was right has the value.
+While the activity is not known yet, one lane for each channel and each possible activity decodes a
+token; then the lane with the right activity has the value.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from gs_codec.coding.rans import LANES, LOWEST
 _CHANNELS = 3
 _USED = _CHANNELS * ACTIVITIES
 
-#: Lanes that a thread may have in use.
+#: Lanes in use per thread.
 _HELD = min(_USED, OWN)
 
 
@@ -44,7 +44,7 @@ def read_colours(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     ago, weights, inverses, unit, shifts, values, faults,
 ):  # fmt: skip
-    """Decode ``values (3 N,)``, fixed-point numbers; of neighbours as `surround` gives them."""
+    """Decode fixed-point ``values (3 N,)``, with neighbours from `surround`."""
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
     words_at, raw_at, end, limit, position, used = part_of(begins, ends, reached, block, stream)
@@ -66,7 +66,7 @@ def read_colours(
         lane = own * WIDTH + thread
         state[lane] = states[block, lane]
         lacks[own] = widths[own] = before[own] = chosen[own] = 0
-        # Lanes without a guess are never right.
+        # Lanes without a guess never match.
         channels[own] = min(lane // ACTIVITIES, _CHANNELS - 1)
         guesses[own] = lane % ACTIVITIES if lane < _USED else -1
         where[own] = channels[own]
@@ -83,7 +83,7 @@ def read_colours(
             fault[0] = OUT_OF_WORDS
         if fault[0] != 0:
             break
-        # Those of the next Gaussian, which take long to come.
+        # Prefetch the data of the next Gaussian to hide latency.
         ahead = start + min(i + 1, count - 1)
         next_back, next_weight = np.int32(ago[ahead]), np.int64(weights[ahead])
         next_inverse, next_shift = inverses[ahead], np.int32(shifts[ahead])
@@ -105,7 +105,7 @@ def read_colours(
             tokens[own], after[own] = pull(runs, spans, row, state[where[own]])
             total = np.int64(w0) * np.int64(v0) + np.int64(w1) * np.int64(v1)
             total += np.int64(w2) * np.int64(v2) + np.int64(w3) * np.int64(v3)
-            # Rounded down: the quotient is half of a 2048th or more away from integers.
+            # Rounded down: the quotient is at least 1/4096 away from integers.
             mean = np.int32(math.floor((np.float64(2 * total + mass) + 0.5) * inverse))
             spread = np.int64(w0) * np.int64(abs(np.int64(v0) - np.int64(mean)))
             spread += np.int64(w1) * np.int64(abs(np.int64(v1) - np.int64(mean)))

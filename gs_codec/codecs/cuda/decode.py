@@ -1,7 +1,7 @@
 """Profiles ``l``, ``m`` and ``s`` on a device: stream to tensors.
 
-Headers, checksums and tables are read on the CPU. A warp decodes a block, pass by pass, and another
-the tree of its positions meanwhile. What the device finds is checked before anybody sees it.
+Headers, checksums and tables are read on the CPU. One warp decodes a block pass by pass, while
+another decodes the tree of its positions. Results are checked before they are returned.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
     Returns
     -------
     dict of str to Tensor
-        Float32 ``means (N, 3)``, ``quats (N, 4)``, ``log_scales (N, 3)``, ``logits (N,)``, ``sh
-        (N, 1 + K, 3)``, as the file states them.
+        Float32 ``means (N, 3)``, ``quats (N, 4)``, ``log_scales (N, 3)``, ``logits (N,)``, ``sh (N,
+        1 + K, 3)``, as stored in the file.
 
     Raises
     ------
@@ -100,7 +100,7 @@ class _Decoder:
         )
 
     def decode(self) -> dict[str, torch.Tensor]:
-        """All attributes, checked."""
+        """Decode all attributes and check them."""
         count = self.header.count
         trees = self._new((count,), torch.int64), self._new((count,), torch.uint8)
         planes = self._shapes(*trees)
@@ -123,14 +123,14 @@ class _Decoder:
         return torch.zeros(shape, dtype=kind, device=self.device)
 
     def _each(self, kernel: Any, *arguments: Any) -> None:
-        """Run a kernel that has a thread for each Gaussian."""
+        """Run a kernel with one thread per Gaussian."""
         for_each(kernel, self.header.count, *arguments)
 
     def _chain(self, kernel: Any, number: int, stream: int | None, *arguments: Any) -> None:
-        """Run a kernel that has a warp for each block, the pass of a number."""
+        """Run a kernel with one warp per block, for pass `number`."""
         given = map(argument, arguments)
         first = [] if stream is None else [stream]
-        # The first pass has a second warp, for the tree.
+        # The first pass has a second warp that reads the tree.
         kernel[self.header.block_count * (2 if number == 0 else 1), WIDTH](
             *self.tables, self.rows[number], *self.chains, *first, *given, argument(self.faults)
         )
@@ -142,9 +142,10 @@ class _Decoder:
     def _shapes(
         self, codes: torch.Tensor, lefts: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Integers of classes and shapes ``(9, N)``, and poles ``(N,)``; fills what trees tell.
+        """Decode classes and shapes ``(9, N)`` as integers, and poles ``(N,)``, and the trees.
 
-        These are the codes of positions without their low bits, and how many these are.
+        From the trees, it fills the position codes without their low bits, and the number of low
+        bits.
         """
         lattice, count = self.lattice, self.header.count
         planes, poles = self._new((9, count), torch.int32), self._new((count,), torch.int8)
@@ -164,7 +165,7 @@ class _Decoder:
     def _places(
         self, trees: tuple[torch.Tensor, ...], shapes: tuple[torch.Tensor, torch.Tensor]
     ) -> tuple[torch.Tensor, ...]:
-        """Shifts of colours, widths of low bits, places in half steps, and centres."""
+        """Shifts of colours, widths of low bits, positions in half steps, and centres."""
         count, grid = self.header.count, self.lattice.grid
         codes, lefts = trees
         shifts, widths = self._new((count,), torch.uint8), self._new((count,), torch.uint8)
@@ -184,7 +185,7 @@ class _Decoder:
         return shifts, widths, places, means
 
     def _levels(self, ago: torch.Tensor, shifts: torch.Tensor) -> torch.Tensor:
-        """Levels of SH-AC ``(K, 3, N)``; of one coefficient, all 0, if there are none."""
+        """Levels of SH-AC ``(K, 3, N)``; if there are none, one coefficient of zeros."""
         count, bands = self.header.count, sh_bands(self.coefficients)
         levels = self._new((max(self.coefficients, 1), 3, count), torch.int32)
         left, shares, live = self._new((3, count), torch.int32)
@@ -209,21 +210,21 @@ class _Decoder:
         levels: torch.Tensor,
         shifts: torch.Tensor,
     ) -> dict[str, torch.Tensor]:
-        """Everything but centres."""
+        """Convert everything except centres to floats."""
         count, coefficients = self.header.count, self.coefficients
         sizes = {"quats": (4,), "log_scales": (3,), "logits": (), "sh": (1 + coefficients, 3)}
         found = {name: self._new((count, *size), torch.float32) for name, size in sizes.items()}
         self._each(fill_shapes, *shapes, found["logits"], found["log_scales"], found["quats"])
         bands = enumerate(sh_bands(coefficients), 1)
         units = [self.lattice.units[f"sh{number}"] for number, band in bands for _ in band]
-        # A kernel wants numbers even where there are no coefficients.
+        # A kernel needs an argument even if there are no coefficients.
         steps = self._upload(np.array(units or [0], np.float64))
         own = steps, shifts, coefficients, self.header.block_size, BAD_VALUE, self.faults
         self._each(fill_colours, values, levels, *own, found["sh"].view(-1))
         return found
 
     def _check(self, widths: torch.Tensor, means: torch.Tensor) -> None:
-        """Raise what the kernels found wrong."""
+        """Raise the faults that kernels found."""
         size, whole = self.header.block_size, self.header.count // self.header.block_size
         parts = [means[: whole * size].view(whole, size, 3), means[None, whole * size :]]
         bits = [part.to(torch.int64) for part in (widths[: whole * size], widths[whole * size :])]

@@ -1,4 +1,4 @@
-"""Numbers of a scene from its integers, a thread for each Gaussian, rounded as on a CPU."""
+"""Convert integers to the floats of a scene, one thread per Gaussian, rounded as on a CPU."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from gs_codec.codecs.cuda.lanes import SIMULATED, device, launched, meet, rounde
 from gs_codec.coding.ycocg import GREEN, LUMA, ORANGE
 from gs_codec.scene import SH_COEFFICIENTS
 
-#: Threads of a kernel that has one for each Gaussian.
+#: Threads of a kernel that has one thread per Gaussian.
 THREADS = 1 if SIMULATED else 128
 
-#: Colours of a Gaussian that threads share, and one, so that none waits for another.
+#: Row length of a Gaussian's colours in shared memory; the extra column avoids bank conflicts.
 _COLUMNS = 3 * (1 + max(SH_COEFFICIENTS)) + 1
 
 _ONE = float(1 << FRACTION_BITS)
@@ -55,7 +55,7 @@ def _fill(tile, thread, column, y, o, g):
 def fill_colours(values, levels, units, shifts, coefficients, block_size, fault, faults, sh):
     """Fill ``sh (N (1 + K) 3,)`` from SH-DC ``values (3, N)`` and SH-AC ``levels (K, 3, N)``.
 
-    Threads write what they share, as colours of a Gaussian lie side by side.
+    Threads write from shared memory, so that writes of adjacent colours are coalesced.
     """
     tile = cuda.shared.array((THREADS, _COLUMNS), np.float32)
     thread, width = cuda.threadIdx.x, 3 * (1 + coefficients)

@@ -1,8 +1,8 @@
-"""What kernels on a device share: lanes of rANS, and products that are rounded.
+"""Shared by device kernels: rANS lanes, and products rounded separately.
 
-A warp decodes a block: a thread for each lane. In numba's simulator, where threads are slow, one
-thread goes through all lanes; so kernels keep what a lane has in arrays of `OWN` items, and go
-through these.
+A warp decodes a block, one thread per lane. In numba's simulator, where threads are slow, one
+thread processes all lanes. So kernels keep the state of lanes in arrays of `OWN` items, and loop
+over these.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gs_codec.runtime.kernel_cache import kept
 #: Whether kernels run in numba's simulator.
 SIMULATED = bool(config.ENABLE_CUDASIM)
 
-#: Threads of a block of Gaussians, and lanes that each has.
+#: Threads per block of Gaussians, and lanes per thread.
 WIDTH = 1 if SIMULATED else LANES
 OWN = LANES // WIDTH
 
@@ -31,14 +31,14 @@ if SIMULATED:
     launched = cuda.jit
 
     def device(function):
-        """A function that kernels call."""
+        """Mark a function that kernels call."""
         return function
 
     def settle():
-        """Let all lanes see what each has written."""
+        """Make writes visible to all lanes."""
 
     def meet():
-        """Let all threads of a block see what each has written."""
+        """Make writes visible to all threads of a block."""
 
     def ballot(flags):
         """Mask of the lanes whose flag is not 0."""
@@ -49,20 +49,20 @@ if SIMULATED:
         return np.int32(bin(mask).count("1"))
 
     def bit_length(value):
-        """Bits of a number from 0 to 2**31 - 1."""
+        """Number of bits of an integer from 0 to 2**31 - 1."""
         return np.int32(int(value).bit_length())
 
     def value_of(values, lane):
-        """What a lane has."""
+        """The value of a lane."""
         return np.int32(values[lane])
 
     def sums_before(values, sums):
-        """Fill `sums` with what the lanes before each have in total; returns that of all."""
+        """Fill `sums` with the total of all lanes before each; return the total of all lanes."""
         sums[:] = np.cumsum(values) - values
         return np.int32(np.sum(values))
 
     def rounded(first, second):
-        """A product that is rounded before it is added to anything."""
+        """A product rounded before any addition."""
         return first * second
 
 else:
@@ -72,19 +72,19 @@ else:
     device = cuda.jit(device=True)
 
     def launched(function: Callable) -> Any:
-        """Compile a kernel, which takes seconds, or load it from the disk, if possible."""
+        """Compile a kernel, which takes seconds, or load it from disk if possible."""
         compiled: Any = cuda.jit(function)
         compiled._cache = kept(CUDACache, function, lambda target: target)
         return compiled
 
     @device
     def settle():
-        """Let all lanes see what each has written."""
+        """Make writes visible to all lanes."""
         cuda.syncwarp()
 
     @device
     def meet():
-        """Let all threads of a block see what each has written."""
+        """Make writes visible to all threads of a block."""
         cuda.syncthreads()
 
     @device
@@ -99,17 +99,17 @@ else:
 
     @device
     def bit_length(value):
-        """Bits of a number from 0 to 2**31 - 1."""
+        """Number of bits of an integer from 0 to 2**31 - 1."""
         return 32 - np.int32(cuda.clz(np.int32(value)))
 
     @device
     def value_of(values, lane):
-        """What a lane has."""
+        """The value of a lane."""
         return np.int32(cuda.shfl_sync(_ALL, values[0], lane))
 
     @device
     def sums_before(values, sums):
-        """Fill `sums` with what the lanes before each have in total; returns that of all."""
+        """Fill `sums` with the total of all lanes before each; return the total of all lanes."""
         lane = cuda.threadIdx.x
         total = np.int32(values[0])
         for turn in range(5):
@@ -120,22 +120,22 @@ else:
 
     @device
     def rounded(first, second):
-        """A product that is rounded before it is added to anything: never a fused operation."""
+        """A product rounded before any addition, which prevents fused multiply-add."""
         return libdevice.dmul_rn(first, second)
 
 
 @device
 def lanes_before(mask, lane):
-    """Number of lanes in a mask that come before a lane."""
+    """Number of lanes in a mask before `lane`."""
     return ones(mask & ((np.int64(1) << lane) - 1))
 
 
 def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Tables in which a token is found in two steps, as all lanes wait for the last.
+    """Tables that find a token in two steps, because all lanes wait for the slowest.
 
-    Tokens that occur have ranks. Of every ``2**RUN_BITS`` slots, the first have the rank of the
-    token of the first slot (8 bits) and marks of the slots at which further tokens start. The
-    second have, of each rank, its token, start and frequency less 1 (8, 12, 12 bits).
+    Tokens that occur are ranked. The first array has an entry for every ``2**RUN_BITS`` slots: the
+    rank of the token of the first slot (8 bits), and marks of the slots where further tokens start.
+    The second has the token, start and frequency minus 1 of each rank (8, 12, 12 bits).
     """
     spans = tables.spans.reshape(-1, 1 << SPAN_BITS)
     rows, tokens = np.nonzero(spans & 0xFFFF)
@@ -155,15 +155,15 @@ def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint
     return (first | (marks & ~1) << 8).astype(np.uint32).ravel(), ranked.ravel()
 
 
-# 32-bit integers where they are enough, as a device has no others: numba computes in 64 bits unless
+# 32-bit integers where they suffice, which are native on a device: numba computes in 64 bits unless
 # each result is converted. Only signed ones are mixed.
 
 
 @device
 def part_of(begins, ends, reached, block, stream):
-    """Where a block's words and raw bits of a stream begin, end after that, and are read up to.
+    """Read position and ends of a block's words and raw bits in a stream.
 
-    Raw bits are counted from item ``raw_at`` of those 32 each.
+    Raw bits are counted from item ``raw_at`` of the array, 32 bits per item.
     """
     words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
     end = np.int32(ends[block, stream, 0] - words_at)
@@ -174,7 +174,7 @@ def part_of(begins, ends, reached, block, stream):
 
 @device
 def pull(runs, spans, row, state):
-    """Decode a token under a table; returns it and the state, which lacks a word if it is low."""
+    """Decode a token with a table; return it and the state, which needs a word if it is low."""
     wide = np.int64(state)
     slot = np.int32(wide & ((1 << PRECISION) - 1))
     at = np.int32((row << (PRECISION - RUN_BITS)) + (slot >> RUN_BITS))
@@ -188,7 +188,7 @@ def pull(runs, spans, row, state):
 
 @device
 def completed(after, lacks, words, at):
-    """A state with the word that it lacks, or does not lack."""
+    """The state, with the missing word appended if it needs one."""
     if lacks:
         return np.uint32(np.int64(after) << 16 | np.int64(words[np.uint64(at)]))
     return after
@@ -196,15 +196,15 @@ def completed(after, lacks, words, at):
 
 @device
 def raw_width(token):
-    """Number of raw bits that complete a token."""
+    """Number of raw bits that follow a token."""
     return np.int32((((token >> 1) - 16) >> 2) + 2 if token >= 32 else 0)
 
 
 @device
 def integer_of(token, raw, begin, used, width):
-    """The integer of a token and its raw bits, `width` from bit `used` on.
+    """The integer of a token and its raw bits, `width` bits from bit `used` on.
 
-    Bits are those from item `begin` on of ``raw``, 32 in each, most significant first.
+    Bits are counted from item `begin` of ``raw``, 32 per item, most significant first.
     """
     size = np.int32(token >> 1)
     if width > 0:

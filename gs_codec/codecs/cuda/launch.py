@@ -1,4 +1,4 @@
-"""How tensors reach kernels, and kernels a device: the CPU's memory in numba's simulator."""
+"""Pass tensors to kernels, and kernels to a device (in numba's simulator, the CPU's memory)."""
 
 from __future__ import annotations
 
@@ -18,44 +18,44 @@ from gs_codec.codecs.cuda.lanes import SIMULATED
 
 @contextmanager
 def working_on(device: str) -> Iterator[torch.device]:
-    """Run kernels and torch on a device, in one stream; gives where tensors are."""
+    """Run kernels and torch on a device, in one stream; yield the device of tensors."""
     place = torch.device("cpu" if SIMULATED else device)
     with warnings.catch_warnings():
-        # A file of few blocks keeps few processors busy, which numba warns of.
+        # numba warns that a file of few blocks underuses the device.
         warnings.filterwarnings("ignore", ".*Grid size")
         if SIMULATED:
             yield place
             return
-        # numba's stream is the default one.
+        # numba uses the default stream.
         stream = torch.cuda.default_stream(place)
         with torch.cuda.stream(stream), cuda.gpus[stream.device.index]:
             yield place
 
 
 def argument(value: Any) -> Any:
-    """What a kernel takes: of a tensor, the same memory."""
+    """Convert a value for a kernel; tensors share their memory."""
     if not isinstance(value, torch.Tensor):
         return value
     return value.numpy() if SIMULATED else cuda.as_cuda_array(value, sync=False)
 
 
 def unsigned(tensor: torch.Tensor) -> Any:
-    """What a kernel takes of a tensor of 32-bit integers that are not negative."""
+    """Convert a tensor of non-negative 32-bit integers for a kernel."""
     return argument(tensor.view(-1)).view(np.uint32).reshape(tensor.shape)
 
 
 def staging(count: int, kind: torch.dtype) -> torch.Tensor:
-    """Memory of the CPU that is copied to a device while both go on."""
+    """Pinned CPU memory, copied to a device asynchronously."""
     return torch.empty(count, dtype=kind, pin_memory=not SIMULATED)
 
 
 def upload(array: NDArray, place: torch.device) -> torch.Tensor:
-    """A copy there of an array."""
+    """Copy an array to a device."""
     return torch.from_numpy(np.ascontiguousarray(array)).to(place, non_blocking=True)
 
 
 def for_each(kernel: Any, count: int, *arguments: Any) -> None:
-    """Run a kernel that has a thread for each Gaussian."""
-    # In the simulator one thread goes through all.
+    """Run a kernel with one thread per Gaussian."""
+    # In the simulator one thread processes all Gaussians.
     grid = 1 if SIMULATED else -(-count // THREADS)
     kernel[grid, THREADS](*map(argument, arguments))

@@ -1,4 +1,4 @@
-"""Positions and neighbours on a device, a thread for each Gaussian. FORMAT.md, "Positions"."""
+"""Positions and neighbours on a device, one thread per Gaussian. FORMAT.md, "Positions"."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def place(
 ):  # fmt: skip
     """Read low bits; fill ``places (3, N)`` in half steps and ``means (N, 3)``.
 
-    Bits of a block begin where ``firsts`` says, less what ``before (N,)`` is at its first Gaussian.
+    The bits of a block begin at ``firsts``, minus the value of ``before (N,)`` at its first
+    Gaussian.
     """
     for i in range(cuda.grid(1), len(widths), cuda.gridsize(1)):
         block, width = i // block_size, np.int64(widths[i])
@@ -59,10 +60,10 @@ def place(
 
 @launched
 def surround(places, block_size, ago, weights, inverses):
-    """Find the nearest of the Gaussians just before each, ``(N,)``.
+    """Find the nearest preceding Gaussians of each, ``(N,)``.
 
-    ``ago`` tells how many Gaussians ago each of four came, 8 bits each, 0 where there is none;
-    ``weights`` has theirs, 16 bits each; ``inverses`` half of the inverse of their sum.
+    ``ago`` has the distance back to each of four neighbours, 8 bits each, 0 for none; ``weights``
+    their weights, 16 bits each; ``inverses`` half the inverse of the weights' sum.
     """
     near = cuda.local.array((1, NEIGHBOURS), np.int64)
     distances = cuda.local.array((1, NEIGHBOURS), np.int64)

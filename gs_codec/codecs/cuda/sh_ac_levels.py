@@ -1,7 +1,7 @@
-"""Levels of SH-AC on a device, a warp for each block. FORMAT.md, section "Passes of SH-AC".
+"""Levels of SH-AC on a device, one warp per block. FORMAT.md, section "Passes of SH-AC".
 
-A row of symbols is decoded as in `sums`: lanes have the token of each sum of signs that their
-neighbours may have, and take the right one when these know theirs.
+A row of symbols is decoded as in `sums`: each lane decodes a token for every possible sum of its
+neighbours' signs, and selects the right one once those signs are known.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from gs_codec.coding.context_rans import BAD_SUM, OUT_OF_WORDS
 from gs_codec.coding.nearest import WINDOW
 from gs_codec.coding.rans import LANES, LOWEST
 
-#: Contexts of a colour.
+#: Number of contexts of a colour.
 _OF_COLOUR = SUMS * SIGNS * MEMBERS
 
-#: Number of the Gaussian of a lane that has none.
+#: Marks a lane without a Gaussian.
 _NONE = -1 - WINDOW
 
-#: A level beyond any sum.
+#: A level above any sum.
 _LARGEST = (1 << 31) - 1
 
 
@@ -46,10 +46,10 @@ def read_levels(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     offset, members, ago, shares, live, marks, levels, faults,
 ):  # fmt: skip
-    """Decode ``levels (members 3 N,)``, 0 before, of a band; `shares` and `live` are used up.
+    """Decode ``levels (members 3 N,)`` of a band, initially 0; overwrites `shares` and `live`.
 
-    ``marks (N,)`` tell the last coefficient of a Gaussian and its sign: 4 times its number, from 1
-    on, plus the sign plus 1; they are 0 before.
+    ``marks (N,)``, initially 0, record the last coefficient of a Gaussian and its sign: 4 times the
+    coefficient's number, from 1 on, plus the sign, plus 1.
     """
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, total = starts[block], starts[cuda.gridDim.x]
@@ -57,8 +57,8 @@ def read_levels(
     symbol, lives = np.int32(reached[block, stream, 2]), np.int32(reached[block, stream, 3])
     fault = np.int32(0)
     state = cuda.local.array(OWN, np.uint32)
-    # The Gaussian of a lane, or a negative number; where its neighbours are, and what it has left;
-    # and those of the next row and the number of the one after it, which take long to come.
+    # State of a lane: its Gaussian (or a negative number), its neighbours, its remaining sum; the
+    # same for the next row, prefetched to hide latency.
     numbers = cuda.local.array(OWN, np.int32)
     backs = cuda.local.array(OWN, np.int32)
     rests = cuda.local.array(OWN, np.int32)
@@ -66,11 +66,11 @@ def read_levels(
     next_backs = cuda.local.array(OWN, np.int32)
     next_rests = cuda.local.array(OWN, np.int32)
     later = cuda.local.array(OWN, np.int32)
-    # Lanes of the two neighbours, or -1; and the sum of the signs of those that have none.
+    # Lanes of the two neighbours, or -1; and the sum of the signs of neighbours in earlier rows.
     source0 = cuda.local.array(OWN, np.int32)
     source1 = cuda.local.array(OWN, np.int32)
     known = cuda.local.array(OWN, np.int32)
-    # Tokens by how large the sum of the neighbours' signs is, and states after them.
+    # Tokens for each possible sum of the neighbours' signs, and the states after them.
     t0 = cuda.local.array(OWN, np.int32)
     t1 = cuda.local.array(OWN, np.int32)
     t2 = cuda.local.array(OWN, np.int32)
@@ -176,7 +176,7 @@ def read_levels(
                     at = np.int32(used + before[own])
                     value = integer_of(t0[own], raw, raw_at, at, widths[own])
                     if k == 3 * members:
-                        # A sign; anything else is beyond what is left.
+                        # A sign; any other value exceeds the remaining sum.
                         value = np.int32(value * rests[own] if abs(value) == 1 else _LARGEST)
                     rest = np.int32(rests[own] - abs(value))
                     if rest < 0:

@@ -1,10 +1,10 @@
 """The shape pass on a device. FORMAT.md, section "Passes".
 
-The nine symbols of a Gaussian depend on one another. Nine lanes take them apart, one for each list,
-at the same time those of one Gaussian and of three before it: at each step in two phases, in the
-first the shape class of a Gaussian, scale_1 of the one two before and the rotation of the one three
-before; in the second the colour class and opacity, scale_0 of the one before, scale_2 of the one
-two before. So a lane has what its context depends on, and the state that it needs.
+The nine symbols of a Gaussian depend on one another. Nine lanes, one for each list, decode them as
+a pipeline over four Gaussians. Each step has two phases. The first decodes the shape class of
+Gaussian i, scale_1 of Gaussian i - 2 and the rotation of Gaussian i - 3. The second decodes the
+colour class and opacity of Gaussian i, scale_0 of Gaussian i - 1, and scale_2 of Gaussian i - 2. So
+each lane's context and state are known when it needs them.
 """
 
 from __future__ import annotations
@@ -42,28 +42,29 @@ from gs_codec.coding.rans import LANES, LOWEST
 
 _CLASS, _COLOUR, _OPACITY, _SCALE, _ROLL, _ITEMS = 0, 1, 2, 3, 6, 9
 
-#: Streams of the pass; that of each lane, the first lane of that stream, and how many it has.
+#: Number of streams of the pass; then, for each lane, its stream, the first lane of that stream,
+#: and the stream's number of lanes.
 STREAMS = 4
 _STREAM = np.array([0, 0, 1, 2, 2, 2, 3, 3, 3], np.int64)
 _FIRST = np.array([0, 0, 2, 3, 3, 3, 6, 6, 6], np.int64)
 _MOST = 3
 
-#: Phase in which a lane decodes, and how many Gaussians it is behind.
+#: Phase in which each lane decodes; and the number of Gaussians it is behind.
 _PHASE = np.array([0, 1, 1, 1, 0, 1, 0, 0, 0], np.int64)
 _BEHIND = np.array([0, 0, 0, 1, 2, 2, 3, 3, 3], np.int64)
 _LAST = 3
 
-#: Lanes of the same stream whose symbols of the same phase come before.
+#: Mask of the lanes of the same stream that decode earlier in the same phase.
 _PRIOR = np.array([0, 0, 0, 1 << 5, 0, 0, 0, 1 << 6, 3 << 6], np.int64)
 
-#: How many of opacity and three scales a rule may know when a lane uses it.
+#: Number of attributes (opacity and scales) that the rule of each lane may use.
 _KNOWN = np.array([0, 0, 0, 1, 2, 3, 4, 4, 4], np.int64)
 
-#: Factors of the shift, and of the bucket of the last two values, in a lane's context.
+#: Factors of the shift, and of the bucket of the last two values, in each lane's context.
 _BY_SHIFT = np.array([0, 0, BEFORE, BEFORE, BEFORE, BEFORE, 1, 1, 1], np.int64)
 _BY_BUCKET = np.array([0, 0, 1, 1, 1, 1, 0, 0, 0], np.int64)
 
-#: Lanes that a thread may have in use; steps after which faults are looked for.
+#: Lanes in use per thread; steps between checks for faults.
 _HELD = min(_ITEMS, OWN)
 _PATIENCE = 16
 
@@ -76,8 +77,8 @@ def read_shapes(
 ):  # fmt: skip
     """Decode ``planes (9 N,)``: classes, opacity, scales, turns; and ``poles (N,)``.
 
-    Rules, ``numbers (9, 5)`` and ``limits (9,)``, units and centres are of the lanes. A second warp
-    for each block reads its tree at the same time, see `read_tree`.
+    Rules (``numbers (9, 5)`` and ``limits (9,)``), units and centres are given per lane. A second
+    warp per block reads its tree at the same time; see `read_tree`.
     """
     blocks = len(starts) - 1
     if cuda.blockIdx.x < blocks:
@@ -101,7 +102,7 @@ def _read(
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
     state = cuda.shared.array(LANES, np.uint32)
-    # Of each lane: where its stream is, what it is, its rule, and its last two values.
+    # For each lane: its position in the stream, its kind, its rule, and its last two values.
     words_at = cuda.local.array(OWN, np.int64)
     raw_at = cuda.local.array(OWN, np.int64)
     position = cuda.local.array(OWN, np.int32)
@@ -125,7 +126,7 @@ def _read(
     last = cuda.local.array(OWN, np.int64)
     past = cuda.local.array(OWN, np.int64)
     fault = cuda.local.array(OWN, np.int32)
-    # Of each lane, in a phase.
+    # For each lane, in a phase.
     active = cuda.local.array(OWN, np.int32)
     shift = cuda.local.array(OWN, np.int32)
     token = cuda.local.array(OWN, np.int32)
@@ -142,7 +143,7 @@ def _read(
         stream = _STREAM[kind]
         words_at[own], raw_at[own] = begins[block, stream, 0], begins[block, stream, 1] >> 5
         position[own], used[own] = reached[block, stream, 0], reached[block, stream, 1]
-        # Lanes without a list never have their turn.
+        # Lanes without a list are never active.
         behind[own], turn[own] = _BEHIND[kind], _PHASE[kind] if lane < _ITEMS else -1
         prior[own], first[own] = _PRIOR[kind], _FIRST[kind]
         limit[own], unit[own] = limits[kind], units[kind]
@@ -162,7 +163,7 @@ def _read(
         out[own] = kind * starts[len(starts) - 1] + start - behind[own]
     settle()
     most0, most1 = np.int32(most[0]), np.int32(most[1])
-    # Class, opacity and scales of a Gaussian and of the three before.
+    # Class, opacity and scales of a Gaussian and of the three before it.
     c0 = c1 = c2 = c3 = o0 = o1 = o2 = o3 = np.int32(0)
     l1 = l2 = l3 = m2 = m3 = s2 = s3 = np.int32(0)
     for step in range(count + _LAST):
@@ -171,7 +172,7 @@ def _read(
                 lane = np.int32(own * WIDTH + thread)
                 i = np.int32(step - behind[own])
                 active[own] = np.int32(turn[own] == phase and i >= 0 and i < count)
-                # What is not decoded yet has a factor of 0.
+                # Values not decoded yet have a coefficient of 0.
                 octaves = c0 if lane < _SCALE else c1 if lane == _SCALE else c2
                 octaves = c3 if lane >= _ROLL else octaves
                 logit = o3 if lane >= _ROLL else o1 if lane == _SCALE else o2

@@ -1,9 +1,8 @@
-"""Sums of magnitudes of SH-AC, and bands' shares of them, on a device, a warp for each block.
+"""Sums of magnitudes of SH-AC, and their shares by band, on a device, one warp per block.
 
-FORMAT.md, section "Passes of SH-AC". Lanes decode a row of symbols at once. Where the context of a
-symbol depends on symbols before it in the row, its lane goes by what it believes of those, tells
-what it found, and tries again until nothing changes: lanes are right one after another, and most
-rows after a few rounds.
+FORMAT.md, section "Passes of SH-AC". Lanes decode a row of symbols at once. If the context of a
+symbol depends on earlier symbols of the row, its lane guesses those, publishes its result, and
+repeats until nothing changes. Lanes become correct one after another; most rows need few rounds.
 """
 
 from __future__ import annotations
@@ -33,16 +32,16 @@ from gs_codec.codecs.cuda.lanes import (
 from gs_codec.coding.context_rans import BAD_SUM, OUT_OF_WORDS
 from gs_codec.coding.rans import LANES, LOWEST
 
-#: Number of contexts of the sum of all bands, which come first in the first pass.
+#: Number of contexts for the sum of all bands, which come first in the first pass.
 OF_SUM = COLOUR_SHIFTS * SUMS
 
-#: Number of contexts of the band's share, which come next unless the band is the last.
+#: Number of contexts for a band's share, which come next unless the band is the last.
 OF_SHARE = SUMS
 
 
 @device
 def bucket(total):
-    """As `contexts.sum_bucket`, computed: lanes that differ would wait for one another's entry."""
+    """`contexts.sum_bucket`, computed: table lookups of different entries would be serialised."""
     least = np.int32(bit_length(max(total, 2)) - 1)
     large = np.int32(min(2 * least + ((total >> (least - 1)) & 1), SUMS - 1))
     return np.int32(total) if total < 2 else large
@@ -65,7 +64,7 @@ def read_sums(
     left,
     faults,
 ):
-    """Decode the sums of magnitudes of all bands, first of the first band's pass."""
+    """Decode the sums of magnitudes of all bands, first in the first band's pass."""
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
     words_at, raw_at, end, limit, position, used = part_of(begins, ends, reached, block, stream)
@@ -152,9 +151,9 @@ def read_shares(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     offset, left, shares, live, faults,
 ):  # fmt: skip
-    """Decode a band's shares of what is left; those of the last band, of offset -1, are all of it.
+    """Decode a band's shares of the remaining sums; the last band (offset -1) takes all of it.
 
-    ``live`` gets the numbers of the Gaussians that have some, in order.
+    ``live`` gets the indices of the Gaussians with a share above 0, in order.
     """
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])

@@ -1,4 +1,4 @@
-"""Trees of positions on a device, a thread for each block. FORMAT.md, section "Geometry"."""
+"""Trees of positions on a device, one thread per block. FORMAT.md, section "Geometry"."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gs_codec.coding.count_tree import TREE_CONTEXTS, walk
 def read_tree(
     block, data, places, starts, total_bits, codes, lefts, coders, contexts, nodes, state
 ):  # fmt: skip
-    """Fill codes of positions and how many low bits they lack, ``(N,)``.
+    """Decode position codes and their numbers of missing low bits, ``(N,)``.
 
-    The tree of a block is between its ``places (blocks, 2)``; ``coders (blocks, 5)`` get the state
-    that its coder ends with. ``contexts (TREE_CONTEXTS,)``, int32, and ``nodes (5, STACK)`` and
-    ``state (5,)``, int64, are scratch memory.
+    The tree of a block is between its ``places (blocks, 2)``; ``coders (blocks, 5)`` receives the
+    final state of its coder. ``contexts (TREE_CONTEXTS,)``, int32, ``nodes (5, STACK)`` and ``state
+    (5,)``, int64, are scratch memory.
     """
     start, stop = starts[block], starts[block + 1]
     tree = data[places[block, 0] : places[block, 1]]

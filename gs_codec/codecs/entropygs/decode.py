@@ -29,7 +29,7 @@ _POINTS = {SectionId.GEOMETRY, SectionId.SH_DC}
 
 
 def channel_sections(file: EgsFile) -> set[SectionId]:
-    """The sections that each block has: those of streams with a channel that is not constant."""
+    """Sections of each block: those of streams with at least one varying channel."""
     streams = {channel.stream for channel in channels_of(file) if channel.quantiser.depth}
     expected = {SectionId.of_stream(stream) for stream in streams}
     if streams & set(RANS_STREAMS) and not is_torchac(file):
@@ -40,7 +40,7 @@ def channel_sections(file: EgsFile) -> set[SectionId]:
 
 
 def sections_beside(file: EgsFile, expected: set[SectionId]) -> set[SectionId]:
-    """The sections of the scene that go with those of its blocks, which are `expected`."""
+    """Sections of the whole scene that accompany the block sections `expected`."""
     beside = {SectionId.CHANNELS}
     if SectionId.GPCC in expected:
         beside.add(SectionId.TOOL)
@@ -70,7 +70,7 @@ def decode_channels(
     """Decode blocks to attribute groups, in stream order.
 
     `spans` gives each block's range in the result; SH is decoded up to `degree`. `tool` decodes
-    points that are coded by G-PCC.
+    points coded by G-PCC.
     """
     count = max((span.stop for span in spans.values()), default=0)
     decoder = _Blocks(file, degree, count, tool)
@@ -87,8 +87,8 @@ def decode_channels(
 class _Blocks:
     """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree.
 
-    Of each channel of attributes that varies, ``varying`` holds the stream, the plane ``(N,)``, and
-    the values of its symbols, and ``tables`` the frequency table.
+    For each varying attribute channel, ``varying`` has the stream, the plane ``(N,)`` and the
+    values of its symbols, and ``tables`` the frequency table.
     """
 
     def __init__(self, file: EgsFile, degree: int, count: int, tool: Tmc3 | None) -> None:
@@ -133,7 +133,7 @@ class _Blocks:
         check_centres(self.file, block, self.groups["positions"][:, start:stop])
 
     def _symbols_of_points(self, block: int) -> list[NDArray]:
-        """Symbols of x, y, z and, unless all are constant, of f_dc."""
+        """Symbols of x, y, z and, unless all are constant, of f_dc of a block."""
         if self.tool is not None:
             cells, colours = decode_gpcc(self.file, self.tool, self.points, block)
             return [*cells, *colours]
@@ -145,14 +145,14 @@ class _Blocks:
         return [*cells, *decode_colour(data, cells, depths, f"sh-dc of block {block}")]
 
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
-        """Fill the channels of a block that are modelled."""
+        """Fill the modelled channels of a block."""
         by_coder = self._by_torchac if is_torchac(self.file) else self._by_rans
         symbols = by_coder(block, stop - start)
         for row, (_, plane, levels) in zip(symbols, self.varying, strict=True):
             np.take(levels, row, out=plane[start:stop], mode="clip")
 
     def _streams(self, block: int) -> list[tuple[int, memoryview]]:
-        """Number of channels of each stream that varies, and its section."""
+        """Number of channels and section of each varying stream."""
         streams = [stream for stream, *_ in self.varying]
         return [
             (streams.count(stream), self.file.section(SectionId.of_stream(stream), block))

@@ -62,7 +62,7 @@ def encode_channels(
 
 
 def _extent(ordered: Ordered, coded: Coded, start: int, stop: int) -> NDArray[np.float32]:
-    """Where the decoded Gaussians of a block are."""
+    """Bounding boxes of the decoded Gaussians of a block."""
     planes: dict[str, list[NDArray[np.float32]]] = {"positions": [], "log_scale": [], "rot": []}
     cells = zip(ordered.cells[:, start:stop], ordered.channels, strict=False)
     planes["positions"] = [dequantise(row, channel.quantiser) for row, channel in cells]
@@ -85,7 +85,7 @@ def _encode_blocks(
     tool: Tmc3 | None,
     progress: Progress | None,
 ) -> list[Section]:
-    """Sections of all blocks, block after block."""
+    """Sections of all blocks, block by block."""
     if config.coder == "torchac":
         attributes = partial(_encode_by_torchac, coded)
     else:

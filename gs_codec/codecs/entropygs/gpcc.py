@@ -1,6 +1,6 @@
 """Geometry and SH-DC coded by G-PCC (`tmc3`). FORMAT.md, section "G-PCC".
 
-`tmc3` reads and writes PLY files; the files that it writes are not trusted.
+`tmc3` reads and writes PLY files; the files it writes are validated.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ _AXES = ("x", "y", "z")
 _COLOURS = ("red", "green", "blue")
 _ROW = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _COLOURS])
 
-#: Lossless geometry, duplicates kept; lossless 8-bit colour, its options before its name.
+#: Lossless geometry, keeping duplicates; lossless 8-bit colour, whose options must precede its
+#: name.
 _ENCODE = (
     "--mode=0", "--uncompressedDataPath=in.ply", "--compressedStreamPath=out.bin",
     "--trisoupNodeSizeLog2=0", "--mergeDuplicatedPoints=0", "--positionQuantizationScale=1",
@@ -50,12 +51,12 @@ _DECODE = (
 )  # fmt: skip
 
 _HEADER_BYTES = 1 << 13
-#: Fewest Gaussians in a block if there are several: the program runs once for each.
+#: Minimum Gaussians per block if there are several, because the program runs once per block.
 _LEAST_BLOCK = 512
 
 
 def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> bytes:
-    """Code ``cells (3, N)`` of at most 18 bits an axis, ``colours (3, N)`` of at most 8 bits.
+    """Code ``cells (3, N)`` of at most 18 bits per axis, and ``colours (3, N)`` of at most 8 bits.
 
     Raises
     ------
@@ -75,12 +76,12 @@ def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uin
 def decode_points(
     tool: Tmc3, data: bytes | memoryview, count: int, axes: Depths, colours: Depths
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
-    """The inverse of `encode_points` for `count` points of these depths, in any order.
+    """Invert `encode_points` for `count` points of these depths; points come in any order.
 
     Raises
     ------
     ToolFailed
-        If the program fails, or does not give exactly `count` points.
+        If the program fails, or does not return exactly `count` points.
     """
     most = _HEADER_BYTES + 64 * count
     ply = tool.run(_DECODE, {"in.bin": data}, "out.ply", most)
@@ -91,7 +92,7 @@ def decode_points(
 
 
 def _read_rows(ply: bytes, count: int) -> NDArray:
-    """The rows of a binary PLY that has `count` vertices, and nothing else."""
+    """The rows of a binary PLY with `count` vertices and nothing else."""
     try:
         header = read_header(memoryview(ply))
     except InvalidInput as error:
@@ -124,7 +125,7 @@ def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
 
 
 def tool_of(config: Config) -> Tmc3 | None:
-    """Find the program that a configuration asks for; None if our octree codes the points.
+    """Find the program that a configuration selects; None if our octree codes the points.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def encode_gpcc(
     Raises
     ------
     ToolFailed
-        Also if, with `verify`, decoding does not give the points back.
+        If the program fails; with `verify`, also if decoding does not return the points.
     """
     if not any(map(sum, ordered.depths)):
         return []
@@ -204,7 +205,7 @@ def decode_gpcc(
     ------
     TruncatedStream, CorruptStream
     ToolFailed
-        If decoding fails; the cause may be the stream or the program.
+        If decoding fails; the stream or the program may be at fault.
     """
     quantisers = [channel.quantiser for channel in channels[:6]]
     axes, colours = triple_depths(quantisers[:3]), triple_depths(quantisers[3:])
@@ -235,7 +236,7 @@ def _decode(
     axes: Depths,
     colours: Depths,
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
-    """Symbols of points in canonical order, checked by their checksum."""
+    """Decode points to symbols in canonical order, and verify their checksum."""
     cells, symbols = decode_points(tool, coded, count, axes, colours)
     order = canonical_order(encode_morton(cells, axes), *symbols)
     cells, symbols = cells[:, order], symbols[:, order]

@@ -1,4 +1,4 @@
-"""Models of symbols: Laplace, Gaussian mixtures (paper, Section 4.3); the choice by code length."""
+"""Symbol models: Laplace, Gaussian mixture (paper, Section 4.3); selection by code length."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _ITERATIONS = 200
 _TOLERANCE = 1e-8
 _SMALLEST_SIGMA = 0.25
 
-#: floor(2**60 exp(-1/8192)), from which the normal distribution's table follows.
+#: floor(2**60 exp(-1/8192)), from which the table of the normal distribution is computed.
 _STEP_DECAY = 1152780775708076725
 _TABLE_SIZE = 512  # 8 sigma in steps of 1/64
 
-#: Precisions of tables to try; a larger one must save this share, as it decodes slower.
+#: Table precisions to try; a larger one decodes more slowly, so it must save at least this share.
 _PRECISIONS = (12, 14, 15)
 _WORTHWHILE = 2e-4
 
@@ -44,7 +44,7 @@ _MANTISSAS = (2, 3, 4, 6)
 
 @dataclass(frozen=True)
 class LaplaceModel:
-    """Laplace distribution centred on the middle symbol ``A / 2``, edge bins open.
+    """Laplace distribution centred on the middle symbol ``A / 2``, with open edge bins.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ class LaplaceModel:
 
     @classmethod
     def fit(cls, scale: float, precision: int) -> LaplaceModel:
-        """Model of mean absolute deviation `scale`, in symbols."""
+        """Model with mean absolute deviation `scale`, in symbols."""
         decay = math.exp(-0.5 / max(scale, 1e-3))
         return cls(min(max(round(65536 * decay), 1), 65535), precision)
 
     def frequencies(self, alphabet: int) -> FrequencyTable:
-        """Table of ``alphabet`` symbols, by integer arithmetic alone (FORMAT.md, "Laplace")."""
+        """Table of `alphabet` symbols, by integer arithmetic only (FORMAT.md, "Laplace")."""
         middle = alphabet // 2
         tails = []
         tail = self.decay << 15
@@ -109,14 +109,14 @@ class Component:
 
 @dataclass(frozen=True)
 class MixtureModel:
-    """Mixture of 1-4 Gaussians over symbols, edge bins open."""
+    """Mixture of 1-4 Gaussians over symbols, with open edge bins."""
 
     kind: ClassVar[str] = "mixture"
     components: tuple[Component, ...]
     precision: int
 
     def frequencies(self, alphabet: int) -> FrequencyTable:
-        """Table of ``alphabet`` symbols, by integer arithmetic alone (FORMAT.md, "Mixture")."""
+        """Table of `alphabet` symbols, by integer arithmetic only (FORMAT.md, "Mixture")."""
         table = normal_table()
         edges = (np.arange(1, alphabet, dtype=np.int64) << 16) - (1 << 15)
         inner = np.zeros(alphabet - 1, np.int64)
@@ -142,7 +142,7 @@ class MixtureModel:
 
 @kernel
 def _expectation_maximisation(histogram, weights, means, sigmas, spread):
-    """EM on bin centres, in place; components that die are left with weight 0."""
+    """EM on bin centres, in place; components that vanish get weight 0."""
     count = weights.size
     mass = np.zeros(count)
     first = np.zeros(count)
@@ -205,13 +205,13 @@ def fit_mixture(histogram: NDArray[np.int64], count: int, precision: int) -> Mix
 
 Model = LaplaceModel | MixtureModel | SentModel
 
-#: By their numbers in a file.
+#: Model classes by their number in a file.
 _MODELS = (LaplaceModel, MixtureModel, SentModel)
 _HEAD = "BB"  # kind, precision
 
 
 def pack_model(model: Model) -> bytes:
-    """Serialise a model; the weights of a `SentModel` are apart."""
+    """Serialise a model; the weights of a `SentModel` are stored separately."""
     head = struct.pack(_HEAD, _MODELS.index(type(model)), model.precision)
     if isinstance(model, LaplaceModel):
         return head + struct.pack("<H", model.decay)
@@ -222,7 +222,7 @@ def pack_model(model: Model) -> bytes:
 
 
 def unpack_model(reader: ByteReader, depth: int, where: str) -> Model:
-    """The inverse of `pack_model` for symbols of `depth` bits; a `SentModel` has no weights."""
+    """Invert `pack_model` for symbols of `depth` bits; a `SentModel` gets no weights."""
     kind, precision = reader.unpack(_HEAD)
     if kind >= len(_MODELS) or not max(MIN_PRECISION, depth) <= precision <= MAX_PRECISION:
         raise CorruptStream(f"{where}: model {kind} of precision {precision}")
@@ -245,7 +245,7 @@ def unpack_model(reader: ByteReader, depth: int, where: str) -> Model:
 
 
 def model_bytes(model: Model) -> int:
-    """Bytes of a model's parameters in a file; of a sent table, if it is the only one."""
+    """Bytes of a model's parameters in a file; for a sent table, as if it were the only one."""
     size = len(pack_model(model)) - struct.calcsize(_HEAD)
     if isinstance(model, SentModel):
         size += len(encode_tables([model.weights], [model.mantissa]))
@@ -254,9 +254,9 @@ def model_bytes(model: Model) -> int:
 
 @dataclass(frozen=True)
 class Choice:
-    """A channel's model and table, with the code lengths that it was chosen by.
+    """A channel's model and table, with the code lengths that it was selected by.
 
-    The code lengths are of all symbols of the channel, without parameters.
+    The code lengths cover all symbols of the channel, without parameters.
     """
 
     model: Model
@@ -269,7 +269,7 @@ class Choice:
 def choose_model(
     histogram: NDArray[np.int64], laplace_scale: float | None, models: Models
 ) -> Choice:
-    """Cheapest of the asked models, parameters included.
+    """Choose the cheapest of the allowed models, parameters included.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def choose_model(
     laplace_scale : float or None
         Mean absolute deviation in symbols for SH-AC; None tries mixtures instead.
     models : {"parametric", "table", "best"}
-        Those distributions, sent tables, or both.
+        Which models to try: distributions, sent tables, or both.
     """
     fitted: list[Model] = []
     if models != "table":

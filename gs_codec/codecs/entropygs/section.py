@@ -22,13 +22,13 @@ _QUANTISERS = (ConstantQuantiser, RangeQuantiser, CentredQuantiser)
 _WHERE = "section 'channels'"
 _NAMES = property_names()
 
-#: Streams whose channels are coded by rANS, in the order they share its states.
+#: Streams of rANS-coded channels, in the order in which they share states.
 RANS_STREAMS = DEPTH_GROUPS[2:]
 
 
 @dataclass(frozen=True)
 class Channel:
-    """How one channel is quantised and, if its symbols are rANS-coded, modelled.
+    """How one channel is quantised and, if rANS-coded, modelled.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Channel:
     index : int
         Row in the attribute.
     stream : str
-        The stream that codes it, named like its depth group.
+        The stream of its symbols, named like its depth group.
     quantiser : Quantiser
         Kind, depth (bits), origin and step.
     model : Model or None
@@ -100,7 +100,7 @@ def channels_of(file: EgsFile) -> list[Channel]:
 
 
 def read_channels(data: memoryview, coefficients: int) -> list[Channel]:
-    """The inverse of `write_channels`, for a number of SH-AC coefficients per colour.
+    """Invert `write_channels`, for `coefficients` SH-AC coefficients per colour.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Symbols of a scene in the order of the stream, and the models of those that rANS codes."""
+"""Symbols of a scene in stream order, and models of the rANS-coded ones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Ordered:
     Attributes
     ----------
     order : ndarray, shape (N,), int64
-        Index in the scene of each Gaussian of the stream.
+        Index in the scene of each Gaussian, in stream order.
     codes : ndarray, shape (N,), int64
         Morton codes, ascending.
     cells : ndarray, shape (3, N), uint32
@@ -70,7 +70,7 @@ def order_scene(scene: Scene, depths: Mapping[str, int]) -> Ordered:
 
 
 def order_like(scene: Scene, quantisers: Sequence[Quantiser]) -> NDArray[np.int64]:
-    """The order in which `scene` is coded under the quantisers of x, y, z and f_dc."""
+    """The order in which `scene` is coded with the quantisers of x, y, z and f_dc."""
     return _sort(scene, quantisers)[0]
 
 
@@ -83,7 +83,7 @@ def triple_depths(quantisers: Sequence[Quantiser]) -> tuple[int, int, int]:
 def _sort(
     scene: Scene, quantisers: Sequence[Quantiser]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint32], NDArray[np.uint16]]:
-    """Canonical order; and codes, cells and colours in the scene's own order."""
+    """Canonical order; codes, cells and colours in the scene's own order."""
     cells = quantise_positions(scene.positions, quantisers[:3])
     as_given = np.arange(scene.count)
     pairs = zip(scene.f_dc, quantisers[3:], strict=True)
@@ -94,18 +94,18 @@ def _sort(
 
 @dataclass(frozen=True)
 class Coded:
-    """The channels in the streams of rANS, with their symbols in canonical order.
+    """The rANS-coded channels, with their symbols in canonical order.
 
     Attributes
     ----------
     channels : list of Channel
-        All of them, in stream order; those without a model are constant.
+        All channels, in stream order; those without a model are constant.
     symbols : ndarray, shape (C, N), uint16
-        Of the channels that are not constant, as are `tables` and `costs`.
+        Symbols of the varying channels, like `tables` and `costs`.
     tables : list of FrequencyTable
     costs : list of ChannelCost
     rectified : int
-        SH-AC values moved to the edge of their Laplace range.
+        Number of SH-AC values clamped to their Laplace range.
     """
 
     channels: list[Channel]
@@ -126,7 +126,7 @@ class Coded:
 def quantise_and_model(
     scene: Scene, order: NDArray[np.int64], config: Config, progress: Progress | None = None
 ) -> Coded:
-    """Quantise all channels but geometry and SH-DC, in `order`, and choose their models."""
+    """Quantise all channels except geometry and SH-DC, in `order`, and choose their models."""
     depths = config.resolved_depths()
 
     def fit(key: tuple[str, int, str]) -> tuple[Channel, float | None]:
@@ -161,7 +161,7 @@ def quantise_and_model(
 def fit_channel(
     values: NDArray[np.float32], group: str, depth: int, laplace_scales: float | None = None
 ) -> tuple[Quantiser, float | None]:
-    """Quantiser of a channel ``(N,)``, and the Laplace scale in steps if it is of SH-AC."""
+    """Quantiser of a channel ``(N,)``, and for SH-AC its Laplace scale in steps."""
     if group == "f_rest":
         return fit_centred(values, depth, laplace_scales)
     return fit_range(values, depth), None

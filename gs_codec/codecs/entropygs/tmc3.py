@@ -1,6 +1,6 @@
-"""Run MPEG's G-PCC reference software, `tmc3`, as a program that is not trusted.
+"""Run MPEG's G-PCC reference software, `tmc3`, as an untrusted program.
 
-It aborts, crashes or runs forever on some input; every failure becomes a `ToolFailed`.
+It aborts, crashes or hangs on some inputs; every failure becomes a `ToolFailed`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from gs_codec.errors import MissingTool, ToolFailed
 from gs_codec.runtime.programs import Limits, first_line, run_on_files
 
-#: The environment variable that names the program.
+#: Environment variable with the path of the program.
 VARIABLE = "GS_CODEC_TMC3"
 
 _MISSING = (
@@ -25,7 +25,7 @@ _MISSING = (
 
 @dataclass(frozen=True)
 class Tmc3:
-    """A program that was found; ``version`` is 1-200 printable ASCII characters of its help."""
+    """A program that was found; ``version`` is 1-200 printable ASCII characters from its help."""
 
     path: str
     version: str
@@ -33,12 +33,12 @@ class Tmc3:
 
     @classmethod
     def find(cls, path: str | Path | None = None) -> Tmc3:
-        """Find the program at `path`, or by the environment variable or PATH.
+        """Find the program at `path`, or through the environment variable or PATH.
 
         Raises
         ------
         MissingTool
-            If there is none, or it is another program.
+            If there is none, or it is a different program.
         """
         given = str(path) if path is not None else os.environ.get(VARIABLE)
         found = shutil.which(given or "tmc3")
@@ -61,11 +61,11 @@ class Tmc3:
         output: str,
         most: int,
     ) -> bytes:
-        """Run the program in a folder with the files `inputs`; returns the bytes of file `output`.
+        """Run the program in a folder with the files `inputs`; return the bytes of file `output`.
 
         Raises
         ------
         ToolFailed
-            If it fails, takes more than its limits, or writes more than `most` bytes.
+            If it fails, exceeds its limits, or writes more than `most` bytes.
         """
         return run_on_files([self.path, *arguments], inputs, output, self.limits, most)

@@ -1,6 +1,6 @@
 """The paper's entropy coder, the package torchac. FORMAT.md, section "Torchac".
 
-It codes under the tables of our models, a channel of a block at a time.
+It uses the tables of our models, and codes one channel of a block at a time.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from gs_codec.errors import CorruptStream, MissingTool, one_line
 from gs_codec.runtime.atomic import alone
 from gs_codec.runtime.lazy import pip_install
 
-#: Symbols coded together, times the alphabet: torchac wants a row of its CDF for each symbol.
+#: Symbols coded together, times the alphabet: torchac needs a CDF row for each symbol.
 _VALUES = 1 << 22
 
 
 def require_torchac() -> None:
-    """Import torch and torchac, which compiles itself the first time.
+    """Import torch and torchac; the first import compiles torchac.
 
     Raises
     ------
@@ -48,14 +48,14 @@ def require_torchac() -> None:
 
 @cache
 def _load():
-    """The modules torch and torchac."""
+    """Import torch and torchac."""
     if not all(importlib.util.find_spec(name) for name in ("torch", "torchac")):
         raise MissingTool(f"torchac is not installed: {pip_install('paper')}")
     import torch
 
     try:
         with _without_output(), _compiling(torch.__version__), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a docstring, where it was not compiled before
+            warnings.simplefilter("ignore")  # about a docstring, when first compiled
             import torchac
     except (RuntimeError, OSError) as error:
         reason = one_line(error)[:200]
@@ -65,10 +65,10 @@ def _load():
 
 @contextlib.contextmanager
 def _compiling(torch_version: str) -> Iterator[None]:
-    """Let torch compile by the ninja of this environment, activated or not, in a folder of ours.
+    """Let torch compile with this environment's ninja, activated or not, in our own folder.
 
-    One process at a time, and no process waits for one that was killed: the file by which torch
-    itself knows that another compiles stays then, and all that come later would wait for ever.
+    Only one process compiles at a time, and a killed process blocks no other: torch's own lock file
+    would remain, and later processes would wait for it for ever.
     """
     from torch.utils.cpp_extension import get_default_build_root
 
@@ -93,7 +93,7 @@ def _compiling(torch_version: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _without_output() -> Iterator[None]:
-    """Drop what this process and its compilers write to stdout: torchac reports its build there."""
+    """Discard what this process and its compilers write to stdout: torchac prints its build."""
     sys.stdout.flush()
     saved = os.dup(1)
     with open(os.devnull, "w", encoding="utf-8") as nowhere:
@@ -112,7 +112,7 @@ def is_torchac(file: EgsFile) -> bool:
 
 
 def require_coder(file: EgsFile) -> None:
-    """Check that what a file's attributes are coded with is here.
+    """Check that the coder of a file's attributes is installed.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def decode_stream(
 
 
 def _checksum(symbols: Sequence[NDArray[np.uint16]]) -> int:
-    """CRC-32C of symbols, channel after channel."""
+    """CRC-32C of symbols, channel by channel."""
     checksum = 0
     for row in symbols:
         checksum = crc32c(row.astype("<u2").tobytes(), checksum)
@@ -184,17 +184,17 @@ def _decode(reader: ByteReader, count: int, table: FrequencyTable) -> NDArray[np
 
 
 def _runs(count: int, table: FrequencyTable) -> Iterator[tuple[int, int]]:
-    """Where runs of symbols begin and end."""
+    """Bounds of runs of symbols."""
     size = _VALUES // table.frequencies.size
     return ((start, min(start + size, count)) for start in range(0, count, size))
 
 
 def _cdf(table: FrequencyTable, count: int):
-    """The table as the int16 CDF torchac wants, one row for each symbol to code."""
+    """The table as an int16 CDF for torchac, with one row for each symbol to code."""
     torch, _ = _load()
     starts = np.append(table.starts[_present(table)], 1 << table.precision).astype(np.int64)
     wrapped = (starts << (16 - table.precision)).astype(np.uint16).view(np.int16)
-    return torch.from_numpy(np.tile(wrapped, (count, 1)))  # copied by torch, it starts threads
+    return torch.from_numpy(np.tile(wrapped, (count, 1)))  # copying with torch would start threads
 
 
 def _present(table: FrequencyTable) -> NDArray[np.intp]:

@@ -1,10 +1,10 @@
-"""Float columns to bytes and back, bit-exactly. FORMAT.md, "Columns".
+"""Convert float columns to bytes and back, bit-exactly. FORMAT.md, "Columns".
 
-Only pcodec's classic mode is used, without deltas or with consecutive ones:
-then no stream can demand more memory than its values take.
+Only pcodec's classic mode is used, with or without consecutive deltas, so that no stream can demand
+more memory than its values.
 
-Columns are coded one by one; or split into classes by sign and exponent of another column (the
-guide); or, for quaternions, with w as its difference from the w of a unit quaternion.
+Columns are coded one by one. They may be split into classes by the sign and exponent of another
+column (the guide). For quaternions, w is coded as the difference from the w of a unit quaternion.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LEVEL = 10
 _FORMAT = 4
 _CONSECUTIVE = 1
 
-#: Number of values that are coded both ways, to decide whether to code differences.
+#: Number of values that are coded both ways to decide whether to code differences.
 _SAMPLE = 8192
 _DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
 
@@ -37,7 +37,7 @@ _PLAIN, _UNIT = range(2)
 
 
 def to_ordered(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Integers that ascend with the floats of these bit patterns, one for each pattern."""
+    """Map bit patterns of floats, one to one, to integers in the order of the floats."""
     return np.where(bits & _SIGN, ~bits, bits | _SIGN)
 
 
@@ -47,7 +47,7 @@ def from_ordered(ordered: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def write_integers(values: NDArray[np.uint32]) -> bytes:
-    """Code values ``(n,)``, n >= 1, or their differences, whichever is smaller."""
+    """Code values ``(n,)``, n >= 1, or their differences, whichever takes fewer bytes."""
     middle = max(values.size - _SAMPLE, 0) // 2
     tries = [_write(values[middle : middle + _SAMPLE], delta) for delta in _DELTAS]
     smallest = tries.index(min(tries, key=len))
@@ -92,9 +92,9 @@ def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32
 
 
 def _classes(guide: Bits) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of ``guide (n,)`` sorted by class, stably, and the size of each class.
+    """Stable sort of ``guide (n,)`` by class: indices, and the size of each class.
 
-    A class is a sign, and an exponent within the 16 that matter: 2^-11 to 2^4.
+    A class is a sign and an exponent, clamped to 2^-11 ... 2^4.
     """
     classes = np.clip((guide >> 23) & 255, 116, 131) - 116 + 16 * (guide >> 31)
     return np.argsort(classes.astype(np.uint8), kind="stable"), np.bincount(classes, minlength=32)
@@ -124,7 +124,7 @@ def read_stack(reader: ByteReader, shape: tuple[int, ...]) -> Bits:
 
 
 def write_guided(columns: Bits, guide: Bits) -> bytes:
-    """Code ``(C, n)`` given ``guide (C, n)``, which the decoder has already."""
+    """Code ``(C, n)`` given ``guide (C, n)``, which the decoder already has."""
     order, sizes = _classes(guide.ravel())
     grouped = to_ordered(columns).ravel()[order]
     return _pack(_code(np.split(grouped, np.cumsum(sizes)[:-1])))

@@ -1,4 +1,4 @@
-"""Profile ``lossless``: scene to sections and back, every bit kept. FORMAT.md, "Lossless"."""
+"""Profile ``lossless``: scene to sections and back, bit-exactly. FORMAT.md, "Lossless"."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ _BANDS = {
     for stream, band in zip(SH_STREAMS, sh_bands(), strict=True)
 }
 
-#: Green predicts red and blue best, so it is coded first.
+#: Green is coded first, because it predicts red and blue best.
 _RED, _GREEN, _BLUE = range(3)
 
 
 def lossless_sections(sh_degree: int) -> list[SectionId]:
-    """The sections that each block has."""
+    """Sections of each block."""
     return [*_GROUP_OF, *list(_BANDS)[:sh_degree]]
 
 
@@ -102,10 +102,10 @@ def decode_lossless(
 
 
 def lossless_order(scene: Scene) -> NDArray[np.int64]:
-    """Stream order of a scene: by the Morton code of all 32 bits of each coordinate.
+    """Stream order of a scene: the order of Morton codes of all 32 bits of each coordinate.
 
-    Any float can be sorted, NaN too. Gaussians at the same position are sorted by their other
-    attributes; only Gaussians that agree in every bit keep the order of the input.
+    Any float can be sorted, including NaN. Gaussians at the same position are sorted by their other
+    attributes; only Gaussians that are identical in every bit keep the order of the input.
     """
     ordered = to_ordered(scene.positions.view(np.uint32))
     high = encode_morton(ordered >> np.uint32(11), (21, 21, 21))
@@ -120,7 +120,7 @@ def lossless_order(scene: Scene) -> NDArray[np.int64]:
 
 
 def _extent(scene: Scene, members: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Where the Gaussians of a block are."""
+    """Bounding boxes of the Gaussians of a block."""
     return block_extent(
         scene.positions[:, members], scene.log_scale[:, members], scene.rot[:, members]
     )
@@ -132,7 +132,7 @@ def _encode_blocks(
     order: NDArray[np.int64],
     progress: Progress | None,
 ) -> list[Section]:
-    """Sections of all blocks, block after block."""
+    """Sections of all blocks, block by block."""
 
     def encode(section_id: SectionId, block: int) -> Section:
         plane = getattr(scene, _GROUP_OF.get(section_id, "f_rest"))
@@ -158,7 +158,7 @@ def _encode_section(section_id: SectionId, columns: Bits) -> bytes:
 
 
 def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
-    """Code a band of SH-AC; band 1 holds the mask of the colours that are not all zero."""
+    """Code a band of SH-AC; band 1 includes the mask of colours that are not all zero."""
     colours = f_rest.reshape(3, -1, f_rest.shape[1])
     there = np.any(colours, axis=1)
     mask = b""
@@ -168,7 +168,7 @@ def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
 
 
 def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
-    """Code coefficients ``(3, C, n)``; ``there (3, n)`` tells which Gaussians have a colour."""
+    """Code coefficients ``(3, C, n)``; ``there (3, n)`` marks the colours that are not all zero."""
     green = colours[_GREEN]
     parts = [write_stack(green[:, there[_GREEN]])]
     parts += [write_guided(colours[c][:, there[c]], green[:, there[c]]) for c in (_RED, _BLUE)]

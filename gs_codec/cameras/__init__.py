@@ -1,1 +1,1 @@
-"""Cameras: pinhole cameras and lenses, and the files of other programs that hold them."""
+"""Cameras: pinhole cameras and lenses, and readers of other programs' camera files."""

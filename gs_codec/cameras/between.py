@@ -9,21 +9,21 @@ import numpy as np
 
 from gs_codec.cameras.camera import Camera
 
-#: Neighbours of each camera that views are put between.
+#: Number of neighbours of each camera between which views are added.
 _NEIGHBOURS = 3
 
-#: How far a turn of a radian is, in distances to the nearest camera.
+#: Weight of a turn of one radian, in distances to the nearest camera.
 _TURN = 2.0
 
-#: Least cosine between the directions of two neighbours.
+#: Minimum cosine of the angle between the directions of two neighbours.
 _TOGETHER = 0.5
 
 
 def cameras_between(cameras: Sequence[Camera]) -> list[Camera]:
-    """A camera halfway between each and its three nearest neighbours, which look the same way.
+    """A camera halfway between each camera and its three nearest neighbours in similar directions.
 
-    They show what lies between a capture's views: where these are few, a Gaussian that none of them
-    needs may be seen from there. Distances count turns as well. The lens is that of one of the two.
+    They show what is between a capture's views: with few views, a Gaussian that none of them needs
+    may be visible there. Distances include turns. The lens is that of one of the two.
     """
     if len(cameras) < 2:
         return []
@@ -35,7 +35,7 @@ def cameras_between(cameras: Sequence[Camera]) -> list[Camera]:
     spacing = max(float(np.median(squares.min(axis=1))), 1e-30)
     cosines = forward @ forward.T
     apart = squares / spacing + 2 * _TURN**2 * (1 - cosines)
-    # Beyond a turn of 120 degrees in all, a mean of two rotations is hardly one.
+    # For turns above 120 degrees, the mean of two rotations is not meaningful.
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     apart[(cosines < _TOGETHER) | (traces <= 0)] = np.inf
     found: dict[tuple[int, int], Camera] = {}
@@ -48,7 +48,7 @@ def cameras_between(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def _halfway(first: Camera, second: Camera) -> Camera:
-    """Between two cameras, with the lens of the first."""
+    """The camera halfway between two, with the lens of the first."""
     left, _, right = np.linalg.svd(first.rotation + second.rotation)
     return replace(
         first,

@@ -12,13 +12,13 @@ from gs_codec.cameras.lens import Lens, check_view
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 
-#: How far R R^T may be from the identity; files hold rotations to about six digits.
+#: Maximum deviation of R R^T from the identity; files have about six digits.
 _ORTHONORMAL_TOLERANCE = 1e-3
 
-#: How far it is from the identity by rounding alone.
+#: Maximum deviation from the identity by rounding alone.
 _ROUNDING = 1e-14
 
-#: Sine of the angle from straight up or down below which a direction has no side of its own.
+#: Sine of the angle from vertical below which a direction has no horizontal part.
 _LEVEL = 1e-6
 
 
@@ -33,8 +33,8 @@ class Camera:
     Parameters
     ----------
     name : str
-        The image's name, by which image files are found and written. Several cameras may have one
-        name, but not where photographs are found by it.
+        Name of the image, used to find and write image files. Several cameras may share a name, but
+        not if photographs are found by it.
     width, height : int
         Pixels, 1 to `MAX_SIDE`.
     fx, fy : float
@@ -42,14 +42,14 @@ class Camera:
     cx, cy : float
         Principal point, pixels.
     rotation : ndarray, shape (3, 3), float64
-        World to camera; made orthonormal to rounding.
+        World to camera; made orthonormal up to rounding.
     position : ndarray, shape (3,), float64
         The camera's centre in the world.
     split : {"train", "test"} or None
-        What the image was used for, if known.
+        Use of the image, if known.
     lens : Lens, optional
-        The distorted lens that this camera stands for (see `Lens.pinhole`). Photographs that are
-        read for the camera are undistorted; what is rendered does not depend on it.
+        The distorted lens that this camera replaces (see `Lens.pinhole`). Photographs read for the
+        camera are undistorted; renders do not depend on it.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Camera:
         object.__setattr__(self, "rotation", _nearest_rotation(where, np.asarray(self.rotation)))
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view on an image of another size."""
+        """The same view, with another image size."""
         x, y = width / self.width, height / self.height
         return replace(
             self,
@@ -104,7 +104,7 @@ class Camera:
 def facing(direction: NDArray, up: NDArray) -> NDArray[np.float64]:
     """Rotation of an upright camera: rows right, down, forward.
 
-    Straight up or down, it looks as if tilted from -z, or from -y if the z axis is up.
+    A vertical direction is treated as tilted from -z, or from -y if the z axis is up.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def facing(direction: NDArray, up: NDArray) -> NDArray[np.float64]:
 
 
 def _scaled(name: str, vector: NDArray) -> NDArray[np.float64]:
-    """A vector times a power of two, which rounds nothing, so that squares keep in range."""
+    """Scale a vector by a power of two, which is exact, so that squares do not overflow."""
     vector = np.asarray(vector, np.float64)
     if not (np.isfinite(vector).all() and vector.any()):
         raise InvalidInput(f"{name} {vector.tolist()}: expected finite numbers, not all 0")
@@ -135,17 +135,17 @@ def _scaled(name: str, vector: NDArray) -> NDArray[np.float64]:
 
 
 def _nearest_rotation(where: str, matrix: NDArray) -> NDArray[np.float64]:
-    """The rotation nearest to `matrix`, which must nearly be one."""
+    """The rotation nearest to `matrix`, which must be close to one."""
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise InvalidInput(f"{where}: rotation is not a finite 3x3 matrix")
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    if not error <= _ORTHONORMAL_TOLERANCE:  # NaN too
+    if not error <= _ORTHONORMAL_TOLERANCE:  # also rejects NaN
         raise InvalidInput(f"{where}: rotation is singular or scaled, expected R R^T = 1")
     if np.linalg.det(matrix) < 0:
         raise InvalidInput(f"{where}: rotation is a reflection (determinant -1)")
     if error <= _ROUNDING:
-        # Kept to the last bit, so that a camera that is written and read stays the same.
+        # Kept exactly, so that writing and reading a camera does not change it.
         return np.array(matrix, np.float64, order="C")
     u, _, v = np.linalg.svd(matrix)
     return u @ v

@@ -1,4 +1,4 @@
-"""Cameras from files of several programs; to cameras.json."""
+"""Read cameras from files of several programs; write cameras.json."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ log = logging.getLogger(__name__)
 #: Location of each camera for error messages, and the fields of its `Camera`.
 _Entries = Iterator[tuple[str, dict[str, Any]]]
 
-#: Longest name of an image, characters.
+#: Maximum length of an image name, in characters.
 _MAX_NAME = 1024
 
-#: Not allowed in names of images: control characters, line ends and lone surrogates.
+#: Characters not allowed in image names: control characters, line ends and lone surrogates.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 _COLMAP_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
 
-#: Files of cameras in a folder, in order of preference; all of a group are read together.
+#: Camera files in a folder, in order of preference; all files of a group are read together.
 _JSON_FILES = (
     ("cameras.json",),
     ("transforms.json",),
     ("transforms_train.json", "transforms_test.json"),
 )
 
-#: Readers of JSON objects, by a field that only theirs have.
+#: Readers of JSON objects, by a field that identifies them.
 _READERS: dict[str, Callable[[Path, dict[str, Any]], _Entries]] = {
     "frames": read_transforms,
     "camera_path": read_camera_path,
@@ -63,21 +63,22 @@ def read_cameras(path: str | Path) -> list[Camera]:
         ``sparse/0``, ``sparse/1`` and so on, or in ``sparse``; a JSON file; or a folder without
         these, but with ``cameras.json``, ``transforms.json``, or ``transforms_train.json`` and
         ``transforms_test.json``, or else with models in ``colmap/sparse/0``, ``dense/0/sparse`` or
-        the like. Of several models the one with most images is read, and a log message says so. A
-        binary model is preferred to a text model. JSON files are told by their contents:
+        similar. Of several models, the one with the most images is read, and a log message says so.
+        A binary model is preferred to a text model. JSON files are recognised by content:
         ``cameras.json`` of the INRIA trainer, transforms of nerfstudio, instant-ngp or Blender's
         datasets, camera paths of nerfstudio, poses of SuperSplat.
 
     Returns
     -------
     list of Camera
-        From JSON in the file's order; from COLMAP by image name, split into train and test. Those
-        of distorted lenses stand for undistorted photographs (see `Lens`).
+        Cameras from JSON are in the file's order; those from COLMAP are sorted by image name, and
+        split into train and test. Cameras of distorted lenses are for undistorted photographs (see
+        `Lens`).
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, a file is broken, or a camera is of a model that is not read.
+        If there are no cameras, a file is damaged, or a camera model is not supported.
 
     Examples
     --------
@@ -99,10 +100,10 @@ def read_cameras(path: str | Path) -> list[Camera]:
 
 @checked
 def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool = False) -> None:
-    """Write cameras in the layout of the INRIA trainer's ``cameras.json``; whole or not at all.
+    """Write cameras in the layout of the INRIA trainer's ``cameras.json``, atomically.
 
-    `read_cameras` gives the same cameras again, to the last bit, but without their `Camera.lens`,
-    which the layout does not have: a log message says so.
+    `read_cameras` returns the same cameras, bit-exactly, but without `Camera.lens`, which the
+    layout does not have; a log message says so.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
 
 
 def _entries(path: Path) -> _Entries:
-    # os.path because Path's own tests raise on names that are too long.
+    # os.path, because the tests of Path raise on names that are too long.
     if os.path.isfile(path):
         if path.suffix.lower() == ".json":
             return _read_json(path)
@@ -186,7 +187,7 @@ def _read_json(path: Path) -> _Entries:
 
 
 def _check_name(where: str, name: str) -> None:
-    """Check the name of an image; several may have one name."""
+    """Check the name of an image; several cameras may share one."""
     if not 0 < len(name) <= _MAX_NAME:
         raise InvalidInput(
             f"{where}: name of {counted(len(name), 'character')}, expected 1 to {_MAX_NAME}"

@@ -1,9 +1,9 @@
 """Camera paths: those of nerfstudio's viewer, and the poses of SuperSplat.
 
 nerfstudio's ``camera_path`` has a camera-to-world matrix for each frame, whose columns are right,
-up and back. SuperSplat has keyframes, a position and a target each: ``animTracks`` and
-``cameras`` in the settings.json of an exported viewer, ``poseSets`` in the document.json of a
-project. It shows scenes turned by 180 degrees about z, y up; its poses are in that world.
+up and back. SuperSplat has keyframes, a position and a target each: ``animTracks`` and ``cameras``
+in the settings.json of an exported viewer, ``poseSets`` in the document.json of a project. It shows
+scenes rotated by 180 degrees about z, with y up; its poses are in that world.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from gs_codec.cameras.json_fields import (
 )
 from gs_codec.errors import InvalidInput
 
-#: Image size of SuperSplat's poses, pixels: the files have none.
+#: Image size of SuperSplat's poses, in pixels; the files have none.
 WIDTH = 1280
 HEIGHT = 720
 
-#: Field of view where an old file has none, degrees.
+#: Field of view if an old file has none, in degrees.
 FIELD_OF_VIEW = 60.0
 
-#: From SuperSplat's world to that of the scene, and back.
+#: Converts SuperSplat's world to that of the scene, and back.
 _TURN = np.array([-1.0, -1.0, 1.0])
 
 #: Up, in the scene's world.
@@ -49,12 +49,12 @@ def read_camera_path(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, d
     Yields
     ------
     tuple of str and dict
-        Where the camera is, and the fields of its `Camera`, whose ranges are not yet checked.
+        Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
 
     Raises
     ------
     InvalidInput
-        If the file is of another shape, or the cameras have no perspective.
+        If the structure of the file is wrong, or a camera is not perspective.
     """
     kind = whole.get("camera_type", "perspective")
     if kind != "perspective":
@@ -66,7 +66,7 @@ def read_camera_path(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, d
         frame = as_object(where, frame, "a frame")
         values = as_numbers(where, "camera_to_world", get(where, frame, "camera_to_world"), 16)
         pose = np.reshape(values, (4, 4))
-        # Vertical, as in three.js.
+        # Vertical field of view, as in three.js.
         half = as_angle(where, "fov", get(where, frame, "fov"), 180)
         yield (
             where,
@@ -84,12 +84,12 @@ def read_supersplat(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, di
     Yields
     ------
     tuple of str and dict
-        Where the camera is, and the fields of its `Camera`, whose ranges are not yet checked.
+        Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
 
     Raises
     ------
     InvalidInput
-        If the file is of another shape, or a camera is where it looks.
+        If the structure of the file is wrong, or a camera is at its own target.
     """
     focal = max(WIDTH, HEIGHT) / 2
     for index, (where, pose) in enumerate(_poses(path, whole)):
@@ -97,7 +97,7 @@ def read_supersplat(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, di
             _TURN * as_numbers(where, key, get(where, pose, key), 3)
             for key in ("position", "target")
         ]
-        # Of the longer side.
+        # Field of view along the longer side.
         half = as_angle(where, "fov", pose.get("fov", FIELD_OF_VIEW), 180)
         yield (
             where,
@@ -110,9 +110,9 @@ def read_supersplat(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, di
 
 
 def _poses(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Where each pose is, with its position, target and, if the file has it, field of view."""
+    """Location of each pose, with its position, target and, if present, field of view."""
     camera = whole.get("camera")
-    # Version 1 of the settings, and projects, have one field of view for all.
+    # Settings of version 1, and projects, have one field of view for all poses.
     default = {"fov": camera["fov"]} if isinstance(camera, dict) and "fov" in camera else {}
     for key in ("cameras", "poseSets", "animTracks"):
         for number, entry in enumerate(as_list(str(path), key, whole.get(key, []))):
@@ -130,7 +130,7 @@ def _poses(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, A
 
 
 def _keyframes(where: str, track: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Keyframes of a track, whose numbers are in one list for each field."""
+    """Keyframes of a track; each field has one list of numbers for all."""
     keyframes = as_object(where, get(where, track, "keyframes"), "keyframes")
     values = as_object(where, get(where, keyframes, "values"), "values of keyframes")
     count = len(as_list(where, "times", get(where, keyframes, "times")))
@@ -145,7 +145,7 @@ def _keyframes(where: str, track: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _view(index: int, width: int, height: int, focal: float) -> dict[str, Any]:
-    """Name and intrinsics of a camera; those of a path show no photographs."""
+    """Name and intrinsics of a camera; cameras of a path have no photographs."""
     sides: dict[str, Any] = {"name": f"{index:05d}", "width": width, "height": height}
     return {**sides, "fx": focal, "fy": focal, "cx": width / 2, "cy": height / 2}
 

@@ -1,7 +1,7 @@
 """COLMAP sparse models, binary and text.
 
-Only cameras and images are read; their poses are complete, so that the rigs and frames files of
-COLMAP 3.12 and later are not needed. Layouts: https://colmap.github.io/format.html.
+Only cameras and images are read; their poses are complete, so the rigs and frames files of COLMAP
+3.12 and later are not needed. Layouts: https://colmap.github.io/format.html.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _MODELS = (
     *("EUCM", "EQUIRECTANGULAR"),
 )
 
-#: Parameters of the models that are read.
+#: Parameters of the supported models.
 _PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -47,7 +47,7 @@ _PARAMETERS = {
     "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", *FISHEYE),
 }
 
-#: Where a capture has models: the best known places, and others, which go after JSON files; # is a
+#: Folders with models in a capture: the usual ones; and others, tried after JSON files. # is a
 #: number.
 PLACES = ("", "sparse/#", "sparse")
 DEEPER_PLACES = (
@@ -55,13 +55,13 @@ DEEPER_PLACES = (
     *("undistorted/sparse/#", "undistorted/sparse", "distorted/sparse/#", "distorted/sparse"),
 )
 
-#: Most folders that are searched to say where models are.
+#: Maximum number of folders searched for models.
 _FOLDERS = 1000
 
-#: Every `_HOLDOUT`-th image is for testing, as with ``--eval`` of the INRIA trainer.
+#: Every `_HOLDOUT`-th image is a test image, as with ``--eval`` of the INRIA trainer.
 _HOLDOUT = 8
 
-#: Longest name in a file, and longest line other than lines of points, bytes.
+#: Maximum length of a name, and of a line other than a line of points, in bytes.
 _MAX_NAME = 1 << 12
 _MAX_LINE = 1 << 13
 
@@ -69,7 +69,7 @@ T = TypeVar("T")
 
 
 class _Intrinsics(NamedTuple):
-    """A COLMAP camera: sides in pixels, and the parameters of its model."""
+    """A COLMAP camera: width and height in pixels, and the parameters of its model."""
 
     camera_id: int
     model: str
@@ -88,21 +88,21 @@ class _Image(NamedTuple):
 
 
 def find_model(folder: Path, places: Sequence[str]) -> Path | None:
-    """The model's folder in the first of `places` that has one; None without a model.
+    """The folder of the model, in the first of `places` that has one; None if none has.
 
-    Of several numbered ones, that with most images is taken, and a log message says so.
+    Of several numbered models, the one with the most images is used, and a log message says so.
 
     Parameters
     ----------
     folder : Path
-        Of a capture.
+        Folder of a capture.
     places : sequence of str
         `PLACES` or `DEEPER_PLACES`.
 
     Raises
     ------
     InvalidInput
-        If images have to be counted, and a file of them is broken.
+        If images must be counted, and their file is damaged.
     """
     for place in places:
         found = folder.glob(place.replace("#", "[0-9]*")) if place else [folder]
@@ -127,7 +127,7 @@ def find_model(folder: Path, places: Sequence[str]) -> Path | None:
 
 
 def models_below(folder: Path) -> list[str]:
-    """Folders of models in a folder, by name; sought in at most `_FOLDERS` folders."""
+    """Folders of models below a folder, by name; searches at most `_FOLDERS` folders."""
     walked = islice(os.walk(folder), _FOLDERS)
     return sorted(
         os.path.relpath(below, folder) for below, _, _ in walked if _is_model(Path(below))
@@ -148,12 +148,12 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     Yields
     ------
     tuple of str and dict
-        Where the image is, and the fields of its `Camera`, whose ranges are not yet checked.
+        Location of the image in the file, and the fields of its `Camera`, with ranges unchecked.
 
     Raises
     ------
     InvalidInput
-        If a file is broken, or a camera's model is none of `_PARAMETERS`.
+        If a file is damaged, or a camera model is not in `_PARAMETERS`.
     """
     if _has_files(folder, ".bin"):
         cameras_path = folder / "cameras.bin"
@@ -223,7 +223,7 @@ def _pose(image: _Image) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         raise InvalidInput(
             f"{image.where}: pose {image.pose}, expected a finite rotation and position"
         )
-    # Divided twice: squares of the largest or smallest floats would overflow or vanish.
+    # Normalised twice, because squares of very large or small floats would overflow or vanish.
     quaternion = quaternion / largest
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     rotation = np.array(
@@ -270,7 +270,7 @@ def _read_binary(
 def _binary_camera(path: Path, _: FileBytes, reader: ByteReader) -> _Intrinsics:
     camera_id, number, width, height = reader.unpack("IiQQ")
     model = _MODELS[number] if 0 <= number < len(_MODELS) else f"number {number}"
-    # The number of parameters is known only for the models that are supported.
+    # The number of parameters is known only for supported models.
     count = len(_parameters(f"{path}: camera {camera_id}", model))
     return _Intrinsics(camera_id, model, width, height, reader.unpack(f"{count}d"))
 
@@ -289,7 +289,7 @@ def _binary_image(path: Path, data: FileBytes, reader: ByteReader) -> _Image:
 
 
 class _Lines:
-    """The lines of a text file; only short ones are held in memory."""
+    """The lines of a text file; only short ones are kept in memory."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path = path
@@ -312,14 +312,14 @@ class _Lines:
         return b""
 
     def skip_points(self) -> None:
-        """Pass an image's line of 2D points, which may be empty or, at the end, missing."""
+        """Skip an image's line of 2D points, which may be empty or, at the end, missing."""
         self._number += 1
         end = b""
         while part := self._file.readline(1 << 16):
             end = (end + part)[-64:]
             if part.endswith(b"\n"):
                 break
-        # If empty lines were lost, this line describes an image, which ends in a name.
+        # If empty lines were lost, this line describes an image, and ends in a name.
         for word in end.split()[-1:]:
             if not word.removeprefix(b"-").isdigit():
                 raise InvalidInput(f"{self.where}: {word!r} at its end, expected 2D points or none")
@@ -346,7 +346,7 @@ def _text_camera(lines: _Lines, line: bytes) -> _Intrinsics:
 
 
 def _text_image(lines: _Lines, line: bytes) -> _Image:
-    # The name comes last and may hold spaces.
+    # The name comes last and may contain spaces.
     fields = line.split(maxsplit=9)
     where = lines.where
     if len(fields) < 10:
@@ -359,7 +359,7 @@ def _text_image(lines: _Lines, line: bytes) -> _Image:
 
 def _parse(where: str, kind: Callable[[bytes], T], field: bytes) -> T:
     try:
-        # Python would accept 1_000, and would take very long for a long number.
+        # Python would accept 1_000, and would take very long to parse a long number.
         if b"_" not in field and len(field) <= 64:
             return kind(field)
     except ValueError:
@@ -369,7 +369,7 @@ def _parse(where: str, kind: Callable[[bytes], T], field: bytes) -> T:
 
 
 def _whole(field: bytes) -> int:
-    """An integer, which some programs write as a float."""
+    """Parse an integer, which some programs write as a float."""
     if b"." not in field:
         return int(field)
     number = float(field)

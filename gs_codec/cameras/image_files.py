@@ -1,4 +1,4 @@
-"""Images from and to files: the photographs of cameras, found by name, and PNG."""
+"""Image files: photographs of cameras, found by name; writing PNG."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
-#: Most pixels of a photograph.
+#: Maximum number of pixels of a photograph.
 _MOST = 1 << 27
 
 
@@ -35,7 +35,7 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     Raises
     ------
     InvalidInput
-        If it is missing, broken, or larger than a camera can be.
+        If it is missing, damaged, or larger than the maximum camera size.
     """
     with located(path):
         pixels = read_pixels(path, _FORMATS, _check_size)
@@ -52,7 +52,7 @@ def image_size(path: str | Path) -> tuple[int, int]:
     Raises
     ------
     InvalidInput
-        As for `read_image`, but what follows the header is not read.
+        As in `read_image`, but only the header is read.
     """
     with located(path):
         return read_size(path, _FORMATS, _check_size)
@@ -66,7 +66,7 @@ def _check_size(width: int, height: int) -> None:
 
 
 def write_png(path: str | Path, image: NDArray) -> None:
-    """Write ``(H, W, 3)``, clipped to 0-1, at 8 bits; the file appears whole or not at all.
+    """Write ``(H, W, 3)``, clipped to 0-1, with 8 bits, atomically.
 
     Raises
     ------
@@ -83,8 +83,8 @@ def write_png(path: str | Path, image: NDArray) -> None:
 def output_names(cameras: Sequence[Camera]) -> list[str]:
     """A file name, without suffix, for each camera's image.
 
-    Path separators and characters that are not printable become underscores. Names that several
-    cameras would have are numbered from 1, and a log message says so.
+    Path separators and characters that are not printable become underscores. Repeated names are
+    numbered from 1, and a log message says so.
     """
     stems = [_output_stem(camera.name) for camera in cameras]
     counts = Counter(stems)
@@ -112,12 +112,12 @@ def _output_stem(name: str) -> str:
 
 
 def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | None]:
-    """The image of each camera in a folder, as `seek_image` finds it by name.
+    """The image of each camera in a folder, found by `seek_image`.
 
     Raises
     ------
     InvalidInput
-        As for `seek_image`, or if two cameras would have one image.
+        As in `seek_image`, or if two cameras would share an image.
     """
     paths = [seek_image(folder, camera.name) for camera in cameras]
     owners: dict[Path, int] = {}
@@ -132,12 +132,12 @@ def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | No
 
 
 def find_image(folder: str | Path, name: str) -> Path:
-    """Find a camera's image in a folder: its name, with its own suffix or another.
+    """Find a camera's image in a folder, by name, with its own or another suffix.
 
     Raises
     ------
     InvalidInput
-        If there is none, or the name leads out of the folder.
+        If there is none, or the name is outside the folder.
     """
     path = seek_image(folder, name)
     if path is None:
@@ -146,7 +146,7 @@ def find_image(folder: str | Path, name: str) -> Path:
 
 
 def seek_image(folder: str | Path, name: str) -> Path | None:
-    """As `find_image`, but return None if the folder exists and has no such image."""
+    """Like `find_image`, but return None if the folder exists and has no such image."""
     if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
         raise InvalidInput(f"{folder}: image '{name}', expected a name that stays in the folder")
     for inside in _names_inside(folder, name):
@@ -161,9 +161,9 @@ def seek_image(folder: str | Path, name: str) -> Path | None:
 
 
 def _names_inside(folder: str | Path, name: str) -> Iterator[str]:
-    """A name, and what is left of it within `folder` if its first folder is that.
+    """Yield a name, and its path within `folder` if it begins with that folder's name.
 
-    Names in transforms.json begin with ``images``, where the photographs are, or may be smaller in
+    Names in transforms.json begin with ``images``, which may be `folder`, or have smaller copies in
     ``images_2``.
     """
     yield name
@@ -179,7 +179,7 @@ def _stem(name: str) -> str:
 
 
 def find_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path]:
-    """As `seek_images`, but an image that is missing is an error."""
+    """Like `seek_images`, but a missing image is an error."""
     paths = seek_images(folder, cameras)
     return [
         path or find_image(folder, camera.name) for path, camera in zip(paths, cameras, strict=True)

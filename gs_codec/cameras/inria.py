@@ -1,4 +1,4 @@
-"""The cameras.json that the INRIA trainer writes beside a scene."""
+"""The cameras.json that the INRIA trainer writes next to a scene."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def read_inria(path: Path, entries: Any) -> Iterator[tuple[str, dict[str, Any]]]
     ----------
     path : Path
     entries : list
-        What the file holds.
+        Content of the file.
 
     Yields
     ------
     tuple of str and dict
-        Where the camera is, and the fields of its `Camera`, whose ranges are not yet checked.
+        Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
 
     Raises
     ------
     InvalidInput
-        If the file is of another shape.
+        If the structure of the file is wrong.
     """
     for index, entry in enumerate(entries):
         where = f"{path}: entry {index}"
@@ -62,9 +62,9 @@ def as_camera(camera: Camera | Mapping[str, Any]) -> Camera:
 
 
 def as_entry(index: int, camera: Camera) -> dict[str, Any]:
-    """An entry of ``cameras.json``; of no lens, which the layout does not have.
+    """An entry of ``cameras.json``, without the lens, which the layout does not have.
 
-    As the keys that the trainer writes come first, its viewers read it.
+    The trainer's own keys come first, because its viewers expect that.
     """
     split = {} if camera.split is None else {"split": camera.split}
     return {

@@ -1,4 +1,4 @@
-"""Fields of JSON files about cameras; all that is read is checked."""
+"""Validated access to fields of JSON files about cameras."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import opened
 from gs_codec.runtime.wording import counted
 
-#: Largest file, bytes: some 80,000 cameras. A hostile JSON text takes 30 times that in memory.
+#: Maximum file size in bytes, about 80,000 cameras. A hostile JSON text takes 30 times that in
+#: memory.
 MAX_BYTES = 1 << 25
 
-#: Entries of a rotation are at most 1; much larger ones would overflow in its check.
+#: Entries of a rotation are at most 1; much larger ones would overflow when checked.
 _MAX_ROTATION = 2.0
 
 
 def load_json(path: Path) -> Any:
-    """What a file holds.
+    """Parse a JSON file.
 
     Raises
     ------
@@ -49,14 +50,14 @@ def load_json(path: Path) -> Any:
 
 
 def get(where: str, entry: Mapping[str, Any], key: str) -> Any:
-    """A field that must be there."""
+    """A required field."""
     if key not in entry:
         raise InvalidInput(f"{where}: no '{key}'")
     return entry[key]
 
 
 def as_object(where: str, value: Any, expected: str) -> dict[str, Any]:
-    """A JSON object; `expected` says what it stands for."""
+    """A JSON object; `expected` describes it in errors."""
     if not isinstance(value, dict):
         raise InvalidInput(f"{where}: {short(value)}, expected {expected}")
     return value
@@ -109,7 +110,7 @@ def as_numbers(where: str, key: str, value: Any, count: int) -> list[float]:
 
 
 def as_rotation(where: str, value: Any) -> NDArray[np.float64]:
-    """Three rows of three numbers, of which none is much too large for a rotation."""
+    """Three rows of three numbers, none much too large for a rotation."""
     return check_rotation(where, _rows(where, "rotation", value, (3,), 3))
 
 
@@ -132,13 +133,13 @@ def _rows(
 
 
 def check_rotation(where: str, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The matrix, if its entries are small enough to see whether it is a rotation."""
+    """Check that entries are small enough for the test of whether the matrix is a rotation."""
     if np.abs(matrix).max() > _MAX_ROTATION:
         raise InvalidInput(f"{where}: rotation holds {np.abs(matrix).max()}, expected -1 to 1")
     return matrix
 
 
 def short(value: Any) -> str:
-    """A value in a few characters."""
+    """A value, abbreviated to a few characters."""
     text = reprlib.repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

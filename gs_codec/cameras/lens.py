@@ -1,4 +1,4 @@
-"""Lenses with distortion, and the pinhole cameras that stand for them."""
+"""Distorted lenses, and the pinhole cameras that replace them."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 
-#: Largest side of an image, pixels.
+#: Maximum side of an image, in pixels.
 MAX_SIDE = 1 << 14
 
-#: Names of the coefficients in OpenCV's order: of a fisheye lens, and of any other.
+#: Names of the coefficients in OpenCV's order: for a fisheye lens, and for any other.
 FISHEYE = ("k1", "k2", "k3", "k4")
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 _VIEW = ("width", "height", "fx", "fy", "cx", "cy")
 
-#: Most pixels of an edge that are undistorted to find where the image is whole.
+#: Maximum number of edge pixels that are undistorted to find the valid image area.
 _EDGE = 4096
 
-#: Largest growth of an image's sides, as in COLMAP; wide fisheye images would grow without end.
+#: Maximum growth of an image's sides, as in COLMAP; wide fisheye images would grow without limit.
 _MAX_GROWTH = 2.0
 
 #: Maximum number of iterations of Newton's method, as in COLMAP.
 _ITERATIONS = 100
 
-#: Maximum length of its steps: absolute, or as a share of the distance from the centre.
+#: Maximum length of a step: absolute, or relative to the distance from the centre.
 _STEP = 0.1
 
-#: It stops at steps shorter than this.
+#: Iteration stops when steps are shorter than this.
 _DONE = 1e-10
 
-#: Of a complex step, whose derivative is exact.
+#: Size of a complex step, whose derivative is exact.
 _TINY = 1e-20
 
 
 @dataclass(frozen=True)
 class Lens:
-    """How a photograph was taken: its size, focal lengths, principal point and distortion.
+    """The lens of a photograph: its size, focal lengths, principal point and distortion.
 
     A point at ``(x, y)`` on a pinhole camera's plane at distance 1, with ``r2 = x x + y y``, is
     seen from the principal point, in focal lengths, at::
@@ -51,8 +51,8 @@ class Lens:
         x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + r8 r2^4) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
             + 2 p1 x y + p2 (r2 + 2 x x)
 
-    and alike in y, with p1 and p2 swapped. A fisheye lens sees it, with x and y scaled so that
-    their distance from the middle is the angle from the axis, at::
+    and similarly in y, with p1 and p2 swapped. For a fisheye lens, x and y are first scaled so that
+    their distance from the centre is the angle from the axis; then it is seen at::
 
         x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4)
 
@@ -62,7 +62,7 @@ class Lens:
     Parameters
     ----------
     width, height : int
-        Of the photograph, pixels.
+        Size of the photograph, pixels.
     fx, fy : float
         Focal lengths, pixels.
     cx, cy : float
@@ -72,7 +72,7 @@ class Lens:
     coefficients : tuple of float
         k1, k2, k3, k4 if `fisheye`, else k1, k2, p1, p2, k3, k4, k5, k6.
     r8 : float
-        Of the distance to the 8th power; 0 if `fisheye`.
+        Coefficient of the 8th power of the distance; 0 if `fisheye`.
 
     Raises
     ------
@@ -113,10 +113,11 @@ class Lens:
             raise InvalidInput(f"lens: r8 {self.r8}, expected a finite number, 0 of a fisheye lens")
 
     def pinhole(self) -> dict[str, Any]:
-        """Fields of a `Camera` that stands for the lens, which is one of them.
+        """Fields of a pinhole `Camera` that replaces the lens; `lens` is one of them.
 
-        This is the camera of COLMAP's image undistorter: the focal lengths stay, and the image's
-        sides become those at which all its pixels are in the photograph; at most they double.
+        This is the camera of COLMAP's image undistorter: the focal lengths do not change, and the
+        image has the largest size at which all pixels are inside the photograph, at most twice the
+        original.
 
         Raises
         ------
@@ -130,9 +131,9 @@ class Lens:
         return {**dict(zip(_VIEW, view, strict=True)), "lens": self}
 
     def distort(self, points: NDArray) -> NDArray[np.float64]:
-        """Where points ``(2, n)`` on a pinhole camera's plane at distance 1 are in the photograph.
+        """Project points ``(2, n)`` on a pinhole camera's plane at distance 1 into the photograph.
 
-        The inverse of `undistort`, pixels.
+        The inverse of `undistort`; the result is in pixels.
         """
         x, y = np.asarray(points, np.float64)
         if self.fisheye:
@@ -142,9 +143,9 @@ class Lens:
         return _bend(self, x, y) * [[self.fx], [self.fy]] + [[self.cx], [self.cy]]
 
     def undistort(self, points: NDArray) -> NDArray[np.float64]:
-        """Where pixels ``(2, n)`` of the photograph are on a pinhole camera's plane at distance 1.
+        """Map pixels ``(2, n)`` of the photograph to a pinhole camera's plane at distance 1.
 
-        Infinite where that is behind the camera, NaN where it is nowhere.
+        Infinite behind the camera, NaN if there is no solution.
         """
         with np.errstate(all="ignore"):
             bent = (np.asarray(points) - [[self.cx], [self.cy]]) / [[self.fx], [self.fy]]
@@ -167,17 +168,17 @@ def lens_fields(
     Parameters
     ----------
     where : str
-        Begins the text of errors.
+        Location for error messages.
     view : tuple
         Width, height, fx, fy, cx and cy, pixels.
     fisheye : bool
     coefficients : mapping
-        By name, `r8` among them; those that are missing are 0.
+        By name, including `r8`; missing ones are 0.
 
     Raises
     ------
     InvalidInput
-        As for `Lens.pinhole`.
+        As in `Lens.pinhole`.
     """
     if not fisheye and not any(coefficients.values()):
         return dict(zip(_VIEW, view, strict=True))
@@ -209,7 +210,7 @@ def check_view(where: str, view: Any) -> None:
 
 
 def _bend(lens: Lens, x: NDArray, y: NDArray) -> NDArray:
-    """Where points are seen; of a fisheye lens, points by their angle from the axis."""
+    """Apply the distortion to points; for a fisheye lens, given by their angle from the axis."""
     squared = x * x + y * y
     if lens.fisheye:
         k1, k2, k3, k4 = lens.coefficients
@@ -246,7 +247,7 @@ def _solve(lens: Lens, bent: NDArray[np.float64]) -> NDArray[np.float64]:
 @lru_cache(maxsize=1024)
 @np.errstate(all="ignore")
 def _growth(lens: Lens) -> tuple[float, float]:
-    """Factors by which width and height grow, as in COLMAP's UndistortCamera."""
+    """Growth factors of width and height, as in COLMAP's UndistortCamera."""
     growth = []
     for axis, (side, focal, centre) in enumerate(
         ((lens.width, lens.fx, lens.cx), (lens.height, lens.fy, lens.cy))
@@ -258,7 +259,7 @@ def _growth(lens: Lens) -> tuple[float, float]:
         )
         if np.isnan(first).all() and np.isnan(last).all():
             raise InvalidInput("lens: its distortion cannot be undone at the image's edges")
-        # What lies behind the camera limits nothing.
+        # Points behind the camera impose no limit.
         before, after = (
             np.fmin.reduce(away, initial=np.inf) for away in (centre - first, last - centre)
         )
@@ -270,7 +271,7 @@ def _growth(lens: Lens) -> tuple[float, float]:
 
 
 def _edge(lens: Lens, axis: int, at: float) -> NDArray[np.float64]:
-    """Centres of pixels ``(2, n)`` along an edge: where `axis` is `at`."""
+    """Centres of pixels ``(2, n)`` along the edge where `axis` is `at`."""
     length = (lens.height, lens.width)[axis]
     along = np.round(np.linspace(0, length - 1, min(length, _EDGE))) + 0.5
     across = np.full_like(along, at)

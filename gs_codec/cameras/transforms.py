@@ -1,6 +1,6 @@
 """transforms.json of nerfstudio and instant-ngp, and transforms_train.json of Blender's datasets.
 
-All hold camera-to-world matrices whose columns are right, up and back (OpenGL). Layouts:
+All contain camera-to-world matrices whose columns are right, up and back (OpenGL). Layouts:
 https://docs.nerf.studio/quickstart/data_conventions.html, ``nerf_loader.cu`` of instant-ngp.
 """
 
@@ -39,46 +39,47 @@ _MODELS = {
     "OPENCV_FISHEYE": True,
 }
 
-#: A number in text, with few enough digits to be read in no time.
+#: A number in text, short enough to be parsed quickly.
 _NUMBER = re.compile(
     r"\s{0,9}[+-]?[0-9]{1,40}(\.[0-9]{0,40})?([eE][+-]?[0-9]{1,5})?\s{0,9}", re.ASCII
 )
 
-#: Fields of lenses that are not read.
+#: Fields of lenses that are not supported.
 _OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular", "orthographic", "distortion_params")
 
-#: What a split is called in names of fields and files.
+#: Splits by their names in fields and files.
 _SPLITS = {"train": "train", "val": "test", "test": "test"}
 
-#: What nerfstudio writes beside a trained scene: how it moved the cameras before training.
+#: File that nerfstudio writes next to a trained scene: how it moved the cameras before training.
 _MOVED = "dataparser_transforms.json"
 
-#: How old versions of nerfstudio had moved COLMAP's cameras, where the file does not say.
+#: How old versions of nerfstudio moved COLMAP's cameras, for files that do not state it.
 _OLD_APPLIED = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 
 
 def read_transforms(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Read cameras of a transforms.json.
 
-    Images without a stated size have that of the image that is named, beside the file. If
-    ``dataparser_transforms.json`` is beside it, cameras move as nerfstudio moved them to train.
+    If the size of an image is not stated, it is read from the named image file. If
+    ``dataparser_transforms.json`` is in the same folder, cameras are moved as nerfstudio moved them
+    for training.
 
     Parameters
     ----------
     path : Path
     whole : dict
-        What the file holds.
+        Content of the file.
 
     Yields
     ------
     tuple of str and dict
-        Where the camera is, and the fields of its `Camera`, whose ranges are not yet checked.
+        Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
 
     Raises
     ------
     InvalidInput
-        If the file is of another shape, a lens is of another model, or an image is missing whose
-        size is needed.
+        If the structure of the file is wrong, a lens model is not supported, or an image whose size
+        is needed is missing.
     """
     frames = as_list(str(path), "frames", whole["frames"])
     shared = {key: value for key, value in whole.items() if key != "frames"}
@@ -92,7 +93,7 @@ def read_transforms(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, di
         with np.errstate(over="ignore", invalid="ignore"):
             pose = move @ np.vstack([pose, [0, 0, 0, 1]])
             position = scale * pose[:3, 3]
-        # Right, up, back become right, down, forward.
+        # Convert right, up, back to right, down, forward.
         yield (
             where,
             {
@@ -113,7 +114,7 @@ def _name(where: str, value: Any) -> str:
 
 
 def _splits(path: Path, shared: Mapping[str, Any]) -> dict[str, str]:
-    """The split of each image by its name; with an empty name that of all others, by the file's."""
+    """The split of each image by name; an empty name stands for all others, by the file's name."""
     ending = path.stem.lower().rpartition("_")[2]
     splits = {"": _SPLITS[ending]} if ending in _SPLITS else {}
     for word, split in _SPLITS.items():
@@ -124,13 +125,13 @@ def _splits(path: Path, shared: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], float]:
-    """Matrix ``(4, 4)`` and scale by which nerfstudio moved the file's cameras, or neither."""
+    """Matrix ``(4, 4)`` and scale by which nerfstudio moved the file's cameras, if it did."""
     beside = path.with_name(_MOVED)
     if not os.path.isfile(beside):
         return np.eye(4), 1.0
     where = str(beside)
     found = as_object(where, load_json(beside), "how nerfstudio moved the cameras")
-    # From COLMAP's world to the trained scene's; the file's world may be a third one.
+    # From COLMAP's world to the trained scene's; the file may use a third world.
     move, applied = np.eye(4), np.eye(4)
     move[:3] = as_pose(where, "transform", get(where, found, "transform"))
     is_old = os.path.isdir(path.parent / "colmap" / "sparse" / "0")
@@ -149,7 +150,7 @@ def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], 
 
 
 def _intrinsics(where: str, path: Path, fields: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """The fields of a `Camera` except its pose; `fields` are the frame's and those of all."""
+    """The fields of a `Camera` except its pose; `fields` are the frame's and shared ones."""
     fisheye = _is_fisheye(where, fields)
     width, height = _size(where, path, fields, name)
     fx = _focal(where, fields, "x", width)
@@ -163,13 +164,13 @@ def _intrinsics(where: str, path: Path, fields: Mapping[str, Any], name: str) ->
     names = FISHEYE if fisheye else BROWN
     coefficients = {key: _coefficient(where, key, fields.get(key, 0.0)) for key in names}
     if not fisheye and not ("k5" in fields or "k6" in fields):
-        # Only OpenCV, which also has k5 and k6, divides by it.
+        # Only OpenCV's model, which also has k5 and k6, divides by k4.
         coefficients["r8"] = coefficients.pop("k4")
     return lens_fields(where, (width, height, fx, fy or fx, cx, cy), fisheye, coefficients)
 
 
 def _coefficient(where: str, key: str, value: Any) -> float:
-    """A coefficient of a lens, which nerfstudio copies from RealityCapture's tables as text."""
+    """A coefficient of a lens, which nerfstudio copies as text from RealityCapture's tables."""
     if isinstance(value, str) and _NUMBER.fullmatch(value):
         value = float(value)
     return as_number(where, key, value)
@@ -187,7 +188,8 @@ def _is_fisheye(where: str, fields: Mapping[str, Any]) -> bool:
     marked = fields.get("is_fisheye", False)
     if not isinstance(marked, bool):
         raise InvalidInput(f"{where}: is_fisheye {short(marked)}, expected true or false")
-    # instant-ngp marks fisheye lenses whose coefficients are all 0, but draws them as pinholes.
+    # instant-ngp marks lenses as fisheye even if all coefficients are 0, but renders those as
+    # pinholes.
     return _MODELS[model] or (marked and any(fields.get(key) for key in FISHEYE))
 
 

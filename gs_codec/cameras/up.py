@@ -1,4 +1,4 @@
-"""Which way is up: an axis by its name, or by cameras."""
+"""The up direction: an axis by name, or derived from cameras."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ UPS: dict[str, NDArray[np.float64]] = {
     name: np.eye(3)["xyz".index(name[-1])] * (-1 if len(name) > 1 else 1) for name in UP_AXES
 }
 
-#: Name of the up axis that is taken from cameras, given or estimated.
+#: Name of the up axis derived from cameras, given or estimated.
 BY_CAMERAS = "cameras"
 
-#: What to say where the up axis of a scene is not certain.
+#: Message if the up axis of a scene is not certain.
 UNSURE = (
     "cameras 'auto': the scene does not show which way is up; "
     "choose an axis (up), or give its cameras"
 )
 
-#: Least mean square of right axes along a direction that is not level.
+#: Minimum mean square of right axes along a direction that is not level.
 _LOOSE = 1e-3
 
 
 def up_axis(name: str) -> NDArray[np.float64]:
-    """The unit vector of an up axis, by its name.
+    """The unit vector of an up axis, by name.
 
     Raises
     ------
     InvalidInput
-        If there is none of that name.
+        If there is no axis of that name.
     """
     if name not in UPS:
         raise InvalidInput(f"up '{name}': expected {', '.join(UPS)}")
@@ -42,9 +42,10 @@ def up_axis(name: str) -> NDArray[np.float64]:
 
 
 def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
-    """The up vector of upright cameras with these rotations: orthogonal to their right axes.
+    """The up vector of upright cameras with these rotations, orthogonal to their right axes.
 
-    Where these leave several, as cameras that look one way do, it is the nearest to their own.
+    If that is ambiguous, as for cameras that look in one direction, it is the one nearest to their
+    own up.
     """
     right, down, _ = np.moveaxis(np.array(rotations), 1, 0)
     level = right.T @ right / len(right)

@@ -1,4 +1,4 @@
-"""The camera that shows most of a scene."""
+"""The camera that shows the most of a scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gs_codec.cameras.camera import Camera
 from gs_codec.scene import Scene
 
-#: Minimum opacity of the centres that count, as a logit: 0.3.
+#: Minimum opacity logit of the centres that count (opacity 0.3).
 _SOLID = -0.85
 
 #: Maximum number of these centres.
@@ -18,13 +18,13 @@ _SAMPLES = 20_000
 
 
 def widest_view(scene: Scene, cameras: Sequence[Camera]) -> int:
-    """Index of the camera whose image has most of the scene's solid centres inside.
+    """Index of the camera with the most solid centres of the scene inside its image.
 
     Parameters
     ----------
     scene : Scene
     cameras : sequence of Camera
-        At least one; of those that show as many, the first is taken.
+        At least one; ties go to the first.
     """
     solid = np.isfinite(scene.positions).all(axis=0) & (scene.opacity[0] > _SOLID)
     some = np.flatnonzero(solid)
@@ -34,7 +34,7 @@ def widest_view(scene: Scene, cameras: Sequence[Camera]) -> int:
 
 
 def _inside(points: NDArray[np.float64], camera: Camera) -> int:
-    """How many of these points ``(3, n)`` an image shows; lenses are taken as straight."""
+    """Number of points ``(3, n)`` inside an image, ignoring lens distortion."""
     x, y, z = camera.rotation @ (points - camera.position[:, None])
     u, v = camera.fx * x + camera.cx * z, camera.fy * y + camera.cy * z
     inside = (z > 0) & (u >= 0) & (u <= camera.width * z) & (v >= 0) & (v <= camera.height * z)

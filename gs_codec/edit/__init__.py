@@ -1,18 +1,18 @@
 """Edit scenes: select, move, merge, clean, decimate, describe.
 
-Functions take Open3D point clouds as `gs_codec.read` gives them, and return new ones:
+Functions take Open3D point clouds from `gs_codec.read`, and return new ones:
 
     cloud = gs_codec.edit.rotate(gs_codec.read("scene.ply"), (90, 0, 0))
     cloud = gs_codec.edit.select(cloud, "opacity>0.05")
 
-`Action` is what ``gs-codec convert`` is asked for, for `gs_codec.convert_file`.
+An `Action` is an edit by ``gs-codec convert`` or `gs_codec.convert_file`.
 """
 
 from __future__ import annotations
 
 from gs_codec.runtime.lazy import lazy_names
 
-#: Modules, and what they have for everybody.
+#: Modules and their public names.
 _PUBLIC = {
     "gs_codec.edit.selection": (
         "crop_box",

@@ -1,6 +1,6 @@
-"""Actions that commands do to a scene on the way: their names, and what is typed for them.
+"""Actions that commands apply to a scene: their names and typed arguments.
 
-Commands make options of these; nothing here loads what carries them out, see `pipeline`.
+The commands make options from these. Their implementation, in `apply`, is not loaded here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gs_codec.runtime.json_text import parse_json
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
-#: How values are compared in conditions; of signs that begin alike, the longer comes first.
+#: Comparison operators of conditions; an operator precedes its own prefixes.
 COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
     "<=": operator.le,
     ">=": operator.ge,
@@ -32,7 +32,7 @@ COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
 }
 _CONDITION = re.compile(rf"\s*([^\s<>=!]+)\s*({'|'.join(COMPARED)})\s*([^\s<>=!]+)\s*")
 
-#: Most bytes of a file that holds a matrix.
+#: Maximum bytes of a matrix file.
 _LONGEST = 1 << 16
 
 
@@ -43,15 +43,16 @@ class Kind:
     Parameters
     ----------
     help, metavar : str
-        Of its option; without a metavar it is a switch.
+        Help and metavar of its option; without a metavar it is a switch.
     read : callable
-        Arguments of a text; raises `InvalidInput`.
+        Parses the typed text into arguments; raises `InvalidInput`.
     does : {"choose", "move", "change"}
-        Whether it chooses Gaussians, moves the scene away from its cameras, or does something else.
+        Whether it selects Gaussians, moves the scene relative to its cameras, or does something
+        else.
     local : bool
-        Whether it looks at each Gaussian by itself, or sorts them.
+        Whether it treats each Gaussian separately, or sorts them.
     guided : bool
-        Whether cameras guide it.
+        Whether it uses cameras.
     """
 
     help: str
@@ -63,7 +64,7 @@ class Kind:
 
 
 def _numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
-    """Reads so many numbers, or so many, with commas between."""
+    """Parse comma-separated numbers; `counts` are the accepted lengths."""
 
     def read(text: str) -> tuple[float, ...]:
         try:
@@ -80,7 +81,7 @@ def _numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
 
 
 def _whole(low: int, high: int) -> Callable[[str], tuple[int]]:
-    """Reads an integer of a range."""
+    """Parse an integer within a range."""
 
     def read(text: str) -> tuple[int]:
         if not re.fullmatch("[0-9]{1,30}", text) or not low <= int(text) <= high:
@@ -91,7 +92,7 @@ def _whole(low: int, high: int) -> Callable[[str], tuple[int]]:
 
 
 def _share(text: str) -> tuple[float]:
-    """Reads a percentage, with or without its sign."""
+    """Parse a percentage, with or without a percent sign."""
     try:
         percent = float(text.removesuffix("%"))
     except ValueError:
@@ -104,7 +105,7 @@ def _share(text: str) -> tuple[float]:
 
 
 def read_condition(text: str) -> tuple[str, str, float]:
-    """Reads a condition: attribute, comparison, number."""
+    """Parse a condition: attribute, comparison, number."""
     if found := _CONDITION.fullmatch(text):
         with suppress(ValueError):
             if not math.isnan(number := float(found[3])):
@@ -113,24 +114,24 @@ def read_condition(text: str) -> tuple[str, str, float]:
 
 
 def _order(text: str) -> tuple[()]:
-    """Reads the name of an order of Gaussians."""
+    """Parse the name of an order of Gaussians."""
     if text != "morton":
         raise InvalidInput("expected morton")
     return ()
 
 
 def _nothing(text: str) -> tuple[()]:
-    """Reads nothing."""
+    """Parse the empty text of a switch."""
     if text:
         raise InvalidInput("takes no value")
     return ()
 
 
 def _matrix(path: str) -> tuple[list[list[float]]]:
-    """Reads a JSON file of three or four rows of four numbers.
+    """Read a JSON file of three or four rows of four numbers.
 
-    As nerfstudio's ``dataparser_transforms.json`` has it, they may be the ``transform`` of an
-    object whose ``scale`` multiplies what it gives.
+    In nerfstudio's ``dataparser_transforms.json``, they are the ``transform`` of an object, and its
+    ``scale`` multiplies the result.
     """
     try:
         with open(path, "rb") as file:
@@ -149,7 +150,7 @@ def _matrix(path: str) -> tuple[list[list[float]]]:
     return ([*scaled, *(rows[3:] or [[0.0, 0.0, 0.0, 1.0]])],)
 
 
-#: Kinds of actions by their names, in the order of the help.
+#: Kinds of actions by name, in the order of the help.
 KINDS: Mapping[str, Kind] = {
     "crop-box": Kind(
         "Keep Gaussians with centres in this box: lowest, then highest corner.",
@@ -196,19 +197,19 @@ KINDS: Mapping[str, Kind] = {
 
 @dataclass(frozen=True)
 class Action:
-    """Something that is done to a scene, as it is typed for ``gs-codec convert``.
+    """An edit of a scene, as typed for ``gs-codec convert``.
 
     Parameters
     ----------
     name : str
-        The option without its dashes: ``crop-box``.
+        The option without dashes: ``crop-box``.
     text : str
         Its value: ``0,0,0,1,1,1``; empty if it has none.
 
     Raises
     ------
     InvalidInput
-        If there is no such action, or the value is not one for it.
+        If there is no such action, or the value is invalid for it.
 
     Examples
     --------
@@ -233,16 +234,16 @@ class Action:
 
     @property
     def typed(self) -> str:
-        """The action as Python has it: ``Action("rotate", "90,0,0")``."""
+        """The action as Python code: ``Action("rotate", "90,0,0")``."""
         return f'Action("{self.name}", "{self.text}")' if self.text else f'Action("{self.name}")'
 
 
 def check_actions(
     actions: Sequence[Action], plan: Plan | None, limited: bool, coded: bool = False
 ) -> None:
-    """Refuse actions that a memory limit rules out, or that move a scene away from its cameras.
+    """Reject actions that a memory limit rules out, or that move a scene relative to its cameras.
 
-    These may guide actions or, if it is `coded` by them, the encoder.
+    Moving is rejected if the cameras guide other actions or, if `coded`, the encoder.
     """
     given, moved = plan is not None and not plan.estimates, None
     for action in actions:

@@ -1,4 +1,4 @@
-"""Carry actions out, in their order."""
+"""Apply actions in order."""
 
 from __future__ import annotations
 
@@ -36,14 +36,15 @@ def edit_scenes(
     plan: Plan | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, tuple[ActionReport, ...]]:
-    """Merge scenes and do what actions ask for, in their order; all in ``RDF``.
+    """Merge scenes and apply actions in order; everything is in ``RDF``.
 
-    A single scene without actions stays as it is. Views of the plan guide actions.
+    A single scene without actions is returned unchanged. Actions that need cameras use those of the
+    plan.
 
     Raises
     ------
     InvalidInput
-        If an action does not suit the scene, or leaves nothing of it.
+        If an action does not apply to the scene, or removes all Gaussians.
     """
     if actions or len(scenes) > 1:
         scenes = [without_order(turn_axes(scene)) for scene in scenes]
@@ -68,7 +69,7 @@ def _remove_floaters(scene: Scene, context: _Context) -> Scene:
     from gs_codec.edit.floaters import FLOATERS, find_floaters
 
     plan = context.plan
-    # Estimated cameras tell nothing new.
+    # Estimated cameras add no information.
     cameras = None if plan is None or plan.estimates else plan.cameras
     labels = find_floaters(scene, cameras, context.progress)
     counts = np.bincount(labels, minlength=len(FLOATERS)).tolist()

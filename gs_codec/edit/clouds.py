@@ -1,4 +1,4 @@
-"""Functions on scenes take Open3D point clouds too; their arguments are checked."""
+"""Let functions on scenes take Open3D point clouds too; check their arguments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Either = TypeVar("Either", Scene, "PointCloud")
 def on_clouds(
     edit: Callable[Concatenate[Scene, Arguments], Scene],
 ) -> Callable[Concatenate[Either, Arguments], Either]:
-    """Let a function from scene to scene take a cloud and return one; attributes are kept."""
+    """Let a function from scene to scene also map a cloud to a cloud; attributes are kept."""
     change: Callable[..., Any] = checked(edit)
 
     @wraps(edit)
@@ -38,7 +38,7 @@ def on_clouds(
 
 
 def finite(name: str, numbers: Sequence[float], count: int) -> NDArray[np.float64]:
-    """Numbers as an array; `InvalidInput` unless they are so many, and finite."""
+    """Convert to an array; raise `InvalidInput` unless there are `count` finite numbers."""
     array = np.asarray(numbers, np.float64)
     if array.shape != (count,) or not np.isfinite(array).all():
         raise InvalidInput(f"{name}: expected {count} finite numbers")

@@ -1,4 +1,4 @@
-"""The largest cluster of a scene: Gaussians that hang together, without bits apart from them."""
+"""The largest cluster of a scene: connected Gaussians, without separate bits."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from gs_codec.edit.spacing import (
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import Scene
 
-#: Factor on a distance that is still to be found.
+#: Factor on a distance, so that a search includes that distance itself.
 _ABOVE = 1 + 1e-9
 
 
 def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
-    """Which Gaussians are of the largest cluster, ``(N,)``; see `keep_largest_cluster`."""
+    """Which Gaussians ``(N,)`` belong to the largest cluster; see `keep_largest_cluster`."""
     finite = in_place_order(scene)
     cluster = np.zeros(scene.count, bool)
     if len(finite):
@@ -36,25 +36,26 @@ def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
 
 @on_clouds
 def keep_largest_cluster(scene: Scene) -> Scene:
-    """Keep the largest cluster of Gaussians that are near each other, and remove all the rest.
+    """Keep the largest cluster of connected Gaussians, and remove all others.
 
     Two Gaussians are linked if their distance is at most the scene's usual distance (see
-    `remove_floaters`) to the eighth nearest, in units of their sizes. A cluster is all that can be
-    reached by links. The largest has the most Gaussians: of clusters by links of each Gaussian to
-    its eight nearest by centre, the first with the most, and all that is linked to it.
+    `remove_floaters`) to the eighth nearest, in units of their sizes. A cluster consists of all
+    Gaussians reachable through links. To find the largest, links between each Gaussian and its
+    eight nearest centres are followed first; the largest of these clusters (the first if tied) is
+    then extended by everything linked to it.
 
     An object on a floor is one cluster with the floor. Gaussians with a value that is not finite
-    are of no cluster.
+    belong to no cluster.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The Gaussians of the cluster, in their order, with all of their attributes.
+        The Gaussians of the cluster, in their original order, with all attributes.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def keep_largest_cluster(scene: Scene) -> Scene:
 
 
 def _link_nearest(spacing: Spacing, limit: float) -> NDArray[np.int64]:
-    """Label ``(M,)`` of each Gaussian's cluster, by links to its nearest others: its first."""
+    """Cluster label ``(M,)`` of each Gaussian (its first member), by links to neighbours."""
     labels = np.arange(len(spacing.points))
     _join(spacing.nearest, spacing.in_sizes() <= limit, labels)
     return labels
@@ -78,7 +79,7 @@ def _link_nearest(spacing: Spacing, limit: float) -> NDArray[np.int64]:
 
 @kernel
 def _join(nearest, linked, labels):
-    """Give linked Gaussians one label, that of the first; `labels` begin as their indices."""
+    """Give linked Gaussians one label, that of the first; `labels` starts as the indices."""
     for i in range(len(labels)):
         for k in range(nearest.shape[1]):
             if linked[i, k]:
@@ -90,7 +91,7 @@ def _join(nearest, linked, labels):
 
 @inlined
 def _first_of(labels, i):
-    """The Gaussian that labels lead to; the way there is halved for the next time."""
+    """Follow labels to the root; halves the path for later calls."""
     while labels[i] != i:
         labels[i] = labels[labels[i]]
         i = labels[i]
@@ -100,7 +101,7 @@ def _first_of(labels, i):
 def _grow(
     spacing: Spacing, limit: float, labels: NDArray[np.int64], first: int
 ) -> NDArray[np.bool_]:
-    """Which Gaussians ``(M,)`` are of cluster `first`, or of those linked to it, in any steps."""
+    """Which Gaussians ``(M,)`` are in cluster `first`, or connected to it."""
     cluster = labels == first
     edge, rest = np.flatnonzero(cluster), np.flatnonzero(~cluster)
     while len(edge) and len(rest):
@@ -114,12 +115,12 @@ def _grow(
 def _any_linked(
     spacing: Spacing, limit: float, asking: NDArray[np.int64], others: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Which of the Gaussians `asking` are linked to any of `others`, in the order of the first."""
+    """Which of the Gaussians `asking` are linked to any of `others`, in the order of `asking`."""
     linked = np.zeros(len(asking), bool)
     for size, other in ((spacing.length, spacing.width), (spacing.width, spacing.length)):
         for members, reach in by_size(other, others):
             neighbours = Neighbours(spacing.points[members])
-            # Of one size on both sides, the search ends at the distance of a link.
+            # With a single size on both sides, the search can stop at the link distance.
             for group, own in by_size(size[asking], np.flatnonzero(~linked)):
                 farthest = limit * (own + reach)
                 places = spacing.points[asking[group]]

@@ -1,7 +1,7 @@
-"""Fewer Gaussians: the least seen are dropped and neighbours merged, whichever costs less.
+"""Reduce the number of Gaussians: drop the least visible or merge neighbours, at least cost.
 
-Rounds go on until the number is reached. Each compares the error without a Gaussian, as views or,
-without cameras, rules tell it, with that of a merge; see `pairs`.
+Rounds repeat until the number is reached. Each compares the error of dropping a Gaussian, from
+views or camera-free rules, with that of a merge; see `pairs`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from gs_codec.scene import GROUPS, Scene
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2
 
-#: Neighbours that a Gaussian may merge with.
+#: Number of neighbours that a Gaussian may merge with.
 _NEIGHBOURS = 10
 
-#: Conjugate-gradient iterations on the colours: with 10, few views are fitted too closely.
+#: Conjugate-gradient iterations on the colours; with 10, few views would be overfitted.
 _REFIT = 4
 
 
@@ -41,29 +41,30 @@ _REFIT = 4
 def decimate(
     scene: Scene, number: int, plan: Plan | None = None, progress: Progress | None = None
 ) -> Scene:
-    """Leave a number of Gaussians that look as much as possible like all of them.
+    """Reduce a scene to a number of Gaussians that look as similar as possible.
 
-    In rounds, those that are seen least are dropped, and neighbours are replaced by one of their
-    mass, mean and covariance. Those with values that are not finite go first.
+    In rounds, the least visible Gaussians are dropped, and pairs of neighbours are merged into one
+    with their mass, mean and covariance. Gaussians with values that are not finite are dropped
+    first.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     number : int
         1 or more.
     plan : Plan, optional
-        Views of the scene that tell what is seen, and to which colours are fitted at the end; only
-        its cameras, and their number, width and background, count. Without it, opacity, size and
-        the colours of neighbours tell.
+        Cameras that measure visibility, and to which colours are fitted at the end; only the
+        cameras, their number, width and background are used. Without a plan, a rule based on
+        opacity, size and the colours of neighbours is used.
     progress : callable, optional
-        As for `gs_codec.read`.
+        As in `gs_codec.read`.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        Of exactly `number` Gaussians, in the scene's order; all if there are no more. A merged
-        Gaussian has the place and the extra properties of the heavier one.
+        Exactly `number` Gaussians, in the scene's order; all if there are no more. A merged
+        Gaussian takes the index and the extra properties of the heavier one.
 
     Raises
     ------
@@ -77,7 +78,7 @@ def decimate(
     >>> fewer.point.positions.shape
     SizeVector[800, 3]
 
-    By what cameras see, and with colours fitted to it:
+    With cameras, which measure visibility and refit colours:
 
     >>> fewer = gs_codec.edit.decimate(cloud, 800, gs_codec.Plan(cameras="cameras.json", width=48))
     """
@@ -97,7 +98,7 @@ def decimate(
 
 
 def _finite(scene: Scene, number: int) -> Scene:
-    """The scene without values that are not finite, or with some if too few others are there."""
+    """The scene without values that are not finite, unless too few others remain."""
     finite = finite_gaussians(scene)
     gone = min(int(np.count_nonzero(~finite)), scene.count - number)
     return scene.take(keep_highest(finite, gone)) if gone else scene
@@ -107,11 +108,12 @@ def _reduce(
     scene: Scene, number: int, views: ReferenceViews | None, progress: Progress | None
 ) -> Scene:
     """Remove Gaussians in rounds."""
-    # What no view sees counts as well: others may. On a room, held-out views lose 6 dB less.
+    # Gaussians not visible in these views count too, because other views may show them. On a room,
+    # held-out views lose 6 dB less.
     anywhere = views and replace(views, origin="anywhere")
     quotas = list(_quotas(scene.count, number))
     advance = step_counter(progress, "decimate", len(quotas))
-    # What is near in space is near in memory, which is several times as fast.
+    # Neighbours in space are then near in memory, which is several times as fast.
     places = spatial_order(scene.positions, scene.log_scale)
     scene = scene.take(places)
     for turn, quota in enumerate(quotas, 1):
@@ -129,7 +131,7 @@ def _reduce(
 
 
 def _quotas(count: int, number: int) -> Iterator[int]:
-    """How many Gaussians each round removes."""
+    """Number of Gaussians that each round removes."""
     while count > number:
         removed = min(count - number, max(1, int(_ROUND * count)))
         yield removed
@@ -137,7 +139,7 @@ def _quotas(count: int, number: int) -> Iterator[int]:
 
 
 def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Indices ``(N, K + 1)`` of the Gaussians nearest to each, itself among them."""
+    """Indices ``(N, K + 1)`` of the Gaussians nearest to each, including itself."""
     wanted = min(_NEIGHBOURS + 1, positions.shape[1])
     return Neighbours(positions.T).nearest(positions.T, wanted)[1]
 
@@ -145,7 +147,7 @@ def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
 def _merge(
     scene: Scene, blobs: Blobs, first: NDArray[np.int64], second: NDArray[np.int64]
 ) -> tuple[Scene, NDArray[np.bool_]]:
-    """The scene with one Gaussian for each pair, and none for one with itself; which ones stay."""
+    """Replace each pair by one Gaussian, equal pairs by none; also return which remain."""
     heavier = blobs.mass[first] >= blobs.mass[second]
     first, second = np.where(heavier, first, second), np.where(heavier, second, first)
     kept = np.ones(scene.count, bool)

@@ -22,40 +22,40 @@ from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, channel_count, sh_band
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
 
-#: Bins of a histogram.
+#: Number of bins of a histogram.
 BINS = 40
 
-#: Logarithms of scales are clipped to those of floats of 64 bits.
+#: Log-scales are clipped to this range, in which float64 exponentials are finite and above 0.
 _LOG_RANGE = -708.0, 709.0
 
 
 @dataclass(frozen=True)
 class AttributeStatistics:
-    """Values of one attribute over all Gaussians, NaN and infinity apart.
+    """Distribution of one attribute over all Gaussians, ignoring NaN and infinity.
 
     Attributes
     ----------
     name : str
         ``x``, ``y``, ``z``; ``opacity``; ``longest scale``, ``middle scale``, ``shortest scale``
-        (of each Gaussian's three axes); ``red``, ``green``, ``blue``; ``SH band 1`` to
-        ``SH band 3`` (all coefficients of the band, of all colours); ``rotation norm``; then extra
-        properties by their own names.
+        (of each Gaussian); ``red``, ``green``, ``blue``; ``SH band 1`` to ``SH band 3`` (all
+        coefficients of the band, of all colours); ``rotation norm``; then the names of extra
+        properties.
     unit : str
         ``scene units`` (of scales, one standard deviation); ``0-1`` (of base colours, which may
         reach beyond); ``SH`` (of coefficients); ``1`` (of the norm); the type of an extra property.
     nan, infinite : int
         Number of values that are NaN, or infinite.
     minimum, low, median, high, maximum : float or None
-        Of the finite values, the least, those that 1 %, half and 99 % are at or below, and the
-        largest; None without any.
+        Minimum, 1st percentile, median, 99th percentile and maximum of the finite values; None if
+        there are none.
     below, above : int
         Number of finite values beyond the histogram.
     counts : tuple of int
-        Histogram of 40 bins from `low` to `high`; from `minimum` to `maximum` if these two are the
-        same, and around the value if all are. Empty without finite values.
+        Histogram of 40 bins from `low` to `high`; from `minimum` to `maximum` if those are equal,
+        and around the value if all are equal. Empty without finite values.
     edges : tuple of float
-        The 41 edges of the bins, of which only the last holds its upper edge. Spaced evenly, those
-        of scales by their logarithm.
+        The 41 edges of the bins, evenly spaced (for scales, in the logarithm). Only the last bin
+        includes its upper edge.
     """
 
     name: str
@@ -75,7 +75,7 @@ class AttributeStatistics:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a scene holds.
+    """Statistics of a scene.
 
     Attributes
     ----------
@@ -86,9 +86,10 @@ class Statistics:
     coordinates : str or None
         Directions of x, y and z as three letters (such as ``RDF``), if stated.
     antialiased : bool
-        Whether opacity compensation is asked for.
+        Whether the scene uses opacity compensation.
     raw_bytes, bytes_per_gaussian : int
-        Size of the attributes as float32, extra properties apart: of all, and of one.
+        Size of the attributes as float32, without extra properties: of all Gaussians, and per
+        Gaussian.
     attributes : tuple of AttributeStatistics
         Each attribute in its natural unit.
     shares : tuple of Share
@@ -106,13 +107,13 @@ class Statistics:
     shares: tuple[Share, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as plain types, for JSON; every number is finite."""
+        """Convert to plain types, for JSON; every number is finite."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class _Attribute:
-    """An attribute: planes of values, and what makes natural units of them in the same order."""
+    """An attribute: planes of values, and a monotonic function to natural units."""
 
     name: str
     unit: str
@@ -127,12 +128,12 @@ def statistics(cloud: PointCloud) -> Statistics:
     Parameters
     ----------
     cloud : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it; values may be NaN or infinite.
+        A cloud from `gs_codec.read`; values may be NaN or infinite.
 
     Returns
     -------
     Statistics
-        What ``gs-codec inspect --histogram`` shows.
+        The statistics that ``gs-codec inspect --histogram`` shows.
 
     Raises
     ------
@@ -219,7 +220,7 @@ def _describe(attribute: _Attribute) -> AttributeStatistics:
     return named(
         minimum=least,
         low=low,
-        # Halves: the sum of two finite numbers may be infinite.
+        # Halve first, because the sum of two finite numbers may be infinite.
         median=0.5 * left + 0.5 * right,
         high=high,
         maximum=largest,

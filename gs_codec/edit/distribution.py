@@ -18,23 +18,23 @@ def finite_values(planes: Sequence[NDArray]) -> NDArray:
 
 
 def ranked(values: NDArray, ranks: Sequence[int]) -> list[float]:
-    """The values that have these ranks, from 0 on; equal ones keep any order."""
+    """The values of these ranks, counted from 0; ties in any order."""
     return np.partition(values, sorted(set(ranks)))[list(ranks)].astype(np.float64).tolist()
 
 
 def histogram(
     values: NDArray, low: float, high: float, bins: int
 ) -> tuple[list[int], NDArray[np.float64]]:
-    """Numbers of values below all bins, in each, and above all; and the edges of the bins.
+    """Counts of values below all bins, in each bin, and above all bins; and the edges.
 
-    Bins are even, and around a single value if `low` is `high`. A bin holds its lower edge; the
-    last one its upper edge too.
+    Bins have equal widths, and surround the value if `low` equals `high`. A bin includes its lower
+    edge; the last one also its upper edge.
     """
     values = values.astype(np.float64)
     below, above = np.count_nonzero(values < low), np.count_nonzero(values > high)
     if low == high:
         half = 0.5 * (abs(low) or 1.0)
         low, high = max(low - half, -_LARGEST), min(high + half, _LARGEST)
-    # Halves: the difference of two finite numbers may be infinite.
+    # Halve first, because the difference of two finite numbers may be infinite.
     counts, edges = np.histogram(0.5 * values, bins, (0.5 * low, 0.5 * high))
     return [int(below), *counts.tolist(), int(above)], 2 * edges

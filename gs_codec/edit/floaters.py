@@ -1,4 +1,4 @@
-"""Floaters: Gaussians that hang in empty space, that hardly a camera sees, or far outside."""
+"""Floaters: Gaussians in empty space, hardly visible to cameras, or far outside."""
 
 from __future__ import annotations
 
@@ -29,48 +29,48 @@ from gs_codec.runtime.lazy import check_installed
 from gs_codec.scene import Scene
 from gs_codec.views.find import find_cameras
 
-#: Why a Gaussian is a floater; the index is the label. The first stays.
+#: Reasons why a Gaussian is a floater; the label is the index. Label 0 is kept.
 FLOATERS = ("", "isolated", "hardly seen", "outside")
 
-#: Isolated: at least this many times the usual distance from other Gaussians.
+#: Isolated: this many times the usual distance from other Gaussians, or more.
 _FAR = 1.75
 
-#: The same in front of a camera.
+#: The same factor in front of a camera.
 _FAR_BEFORE = 1.25
 
 #: In front of a camera: nearer than this share of the depth of its subject.
 _BEFORE = 0.7
 
-#: The subject of a camera: this share of the pixels that are more than half opaque.
+#: The subject's depth is exceeded by this share of the pixels that are more than half opaque.
 _LOOKED_AT = 0.95
 
 #: Hardly seen: below this share of the mean blending weight.
 _FAINT = 1e-3
 
-#: Minimum number of cameras for that.
+#: Minimum number of cameras for the rule `hardly seen`.
 _VIEWS = 10
 
-#: Views are drawn at most this wide, pixels.
+#: Maximum width of rendered views, in pixels.
 _WIDTH = 640
 
-#: What is outside is beyond the hull enlarged by this factor.
+#: Outside: beyond the convex hull enlarged by this factor.
 _BEYOND = 4.0
 
-#: Most products of facets and points that are kept at once.
+#: Maximum number of products of facets and points computed at once.
 _PRODUCTS = 1 << 24
 
 
 class _Sight(NamedTuple):
-    """What cameras see of each Gaussian ``(N,)``.
+    """Visibility of each Gaussian ``(N,)`` to the cameras.
 
     Attributes
     ----------
     weight : ndarray, float64
-        Sum over views of the share of the image that it makes up.
+        Sum over views of its share of the image.
     held : ndarray, int64
-        Views that have its centre in the image.
+        Number of views with its centre in the image.
     closest : ndarray, float64
-        Of those views, its least depth in units of the depth of what they look at.
+        Minimum over those views of its depth, relative to the depth of their subject.
     """
 
     weight: NDArray[np.float64]
@@ -90,12 +90,13 @@ def find_floaters(
     scene : Scene
     cameras : path or sequence of Camera, optional
     progress : callable, optional
-        Called with a stage's name, views done, and views in all.
+        Called with a stage's name, the views done, and the number of views.
 
     Returns
     -------
     ndarray, shape (N,), uint8
-        0 for Gaussians that stay; for others the index in `FLOATERS` of the first rule they meet.
+        0 for Gaussians that are kept; for others the index in `FLOATERS` of the first rule that
+        matches.
 
     Raises
     ------
@@ -139,19 +140,19 @@ def find_floaters(
 
 
 def _apart(scene: Scene) -> NDArray[np.float64]:
-    """Distance from others in usual distances ``(N,)`` of a finite scene; 0 if it is not far."""
+    """Distance from others, in usual distances, ``(N,)`` of a finite scene; 0 if small."""
     apart = np.zeros(scene.count)
     if scene.count > NEIGHBOURS:
         spacing = find_spacing(scene)
         usual = usual_distance(spacing)
-        # The eighth nearest in units of sizes is at most as far as that by centre.
+        # The eighth nearest in units of sizes is at most as far as the eighth nearest by centre.
         asked = np.flatnonzero(spacing.in_sizes().max(axis=1) > _FAR_BEFORE * usual)
         apart[asked] = far_from_others(spacing, asked) / max(usual, np.finfo(float).tiny)
     return apart
 
 
 def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) -> _Sight:
-    """Draw what cameras see."""
+    """Measure what cameras see."""
     count = scene.count
     sight = _Sight(np.zeros(count), np.zeros(count, np.int64), np.full(count, np.inf))
     advance = step_counter(progress, "views", len(cameras))
@@ -170,7 +171,7 @@ def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) ->
 
 @kernel
 def _find_held(positions, rotation, position, intrinsics, width, height, near, held, closest):
-    """Count a view for each centre in its image, and keep the least depth in units of `near`."""
+    """Count a view for each centre in its image, and keep the minimum depth in units of `near`."""
     fx, fy, cx, cy = intrinsics
     for i in range(positions.shape[1]):
         dx = positions[0, i] - position[0]
@@ -190,7 +191,7 @@ def _outside(
     seen: NDArray[np.bool_],
     asked: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
-    """Indices of those Gaussians asked for that are far from cameras and what they see."""
+    """Indices of those candidates that are far from cameras and from everything they see."""
     from scipy import spatial
 
     asking = np.flatnonzero(asked)
@@ -199,7 +200,7 @@ def _outside(
         return asking[:0]
     try:
         hull = spatial.ConvexHull(points)
-    except spatial.QhullError:  # all in a plane
+    except spatial.QhullError:  # all points are in a plane
         return asking[:0]
     centre = points[hull.vertices].mean(axis=0)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
@@ -208,7 +209,7 @@ def _outside(
     size = max(1, _PRODUCTS // len(normals))
     for start in range(0, len(asking), size):
         part = slice(start, start + size)
-        # Not by BLAS, whose sums depend on the number of threads.
+        # Not with BLAS, whose sums depend on the number of threads.
         heights = np.einsum("ai,ja->ij", scene.positions[:, asking[part]], normals) + margins
         beyond[part] = (heights > 0).any(axis=1)
     return asking[beyond]
@@ -216,9 +217,9 @@ def _outside(
 
 @on_clouds
 def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None = None) -> Scene:
-    """Remove Gaussians that hang in empty space, that cameras hardly see, or far outside.
+    """Remove Gaussians in empty space, hardly visible to cameras, or far outside.
 
-    A Gaussian goes by the first rule that it meets:
+    A Gaussian is removed by the first rule that matches:
 
     - isolated: its distance to its eighth nearest other is more than 1.75 times the scene's usual
       distance, which nine in ten Gaussians do not pass. Distances are in units of sizes: divided
@@ -234,28 +235,27 @@ def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None 
       more of it than that; or if it is beyond the convex hull of the cameras and of what they see,
       enlarged four times about its middle.
 
-    Far away are few Gaussians of any size, at least four times as far from the median centre as
-    where the scene is best cut off: where log2 of the distance, plus a bit for each hundredth of
-    Gaussians beyond, is least. Most scenes have none. They are those that writers of grids, as of
-    ``.spz`` and ``.sog``, say they moved nearer.
+    Far Gaussians are the few whose distance from the median centre is at least four times the best
+    cut. The best cut minimises log2 of the distance, plus one bit for each 1 % of Gaussians beyond
+    it. Most scenes have none. Writers of formats with a grid, such as ``.spz`` and ``.sog``, report
+    that they moved these Gaussians nearer.
 
-    What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within
-    the enlarged hull, so that few cameras do not remove what others would see. Gaussians with a
-    value that is not finite stay.
+    Gaussians visible to cameras are kept unless isolated. With fewer than ten cameras, Gaussians
+    inside the enlarged hull are kept, because other cameras might see them. Gaussians with a value
+    that is not finite are kept.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     cameras : path or sequence of Camera, optional
-        Those the scene was trained with, or others that look at all that is to stay; as for
-        `gs_codec.render`, but not ``auto``. Without them, only isolated Gaussians and
-        those far away go.
+        The training cameras, or others that show everything to be kept; as in `gs_codec.render`,
+        but not ``auto``. Without cameras, only isolated and far Gaussians are removed.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The Gaussians that stay, in their order, with all of their attributes.
+        The remaining Gaussians, in their original order, with all attributes.
 
     Raises
     ------

@@ -21,13 +21,14 @@ log = logging.getLogger(__name__)
 
 @checked
 def merge(clouds: Sequence[PointCloud]) -> PointCloud:
-    """One cloud of the Gaussians of several, in their order.
+    """Concatenate the Gaussians of several clouds into one.
 
     Parameters
     ----------
     clouds : sequence of open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives them. SH of the highest degree are kept; others are 0. Other
-        attributes are kept if all clouds have them alike; a log message names those that are not.
+        Clouds from `gs_codec.read`. The result has the highest SH degree; missing SH are 0. Other
+        attributes are kept if all clouds have them with the same type; a log message names those
+        that are dropped.
 
     Returns
     -------
@@ -37,7 +38,7 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
     Raises
     ------
     InvalidInput
-        If there is none, or an attribute is not as `gs_codec.read` gives it.
+        If there is no cloud, or an attribute is not in the layout of `gs_codec.read`.
 
     Examples
     --------
@@ -52,9 +53,9 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
 
 
 def merge_scenes(scenes: Sequence[Scene]) -> Scene:
-    """One scene of the Gaussians of several in one coordinate system; see `merge`.
+    """Concatenate scenes in one coordinate system; see `merge`.
 
-    Comments of the first are kept, and those of the others that it does not have.
+    Comments of all are kept, without repetitions.
     """
     if not scenes:
         raise InvalidInput("no scenes, expected at least one")
@@ -73,7 +74,7 @@ def merge_scenes(scenes: Sequence[Scene]) -> Scene:
 
 
 def _with_shared(scenes: Sequence[Scene]) -> list[Scene]:
-    """The scenes with the extra properties that all have alike; a log message names the others."""
+    """Keep only the extra properties that all scenes share; a log message names the others."""
     types = [{name: column.dtype for name, column in scene.extra.items()} for scene in scenes]
     shared = [name for name, dtype in types[0].items() if all(t.get(name) == dtype for t in types)]
     others = dict.fromkeys(name for own in types for name in own if name not in shared)

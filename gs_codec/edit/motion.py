@@ -1,4 +1,4 @@
-"""Scenes moved: shifted, turned, scaled, by a matrix; shapes and SH follow."""
+"""Move scenes: translate, rotate, scale, or transform by a matrix, including shapes and SH."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.scene import Scene
 
-#: Least factor; float32 holds lengths that are so many times smaller or larger.
+#: Minimum scale factor, and inverse of the maximum; float32 can represent lengths in this range.
 _LEAST = 1e-30
 
 
 @on_clouds
 def translate(scene: Scene, offset: Sequence[float]) -> Scene:
-    """Shift a scene.
+    """Translate a scene.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     offset : sequence of three float
-        Added to the centres, scene units.
+        Translation of the centres, in scene units.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The scene at its new place, with all of its attributes.
+        The moved scene, with all attributes.
 
     Raises
     ------
@@ -51,20 +51,19 @@ def translate(scene: Scene, offset: Sequence[float]) -> Scene:
 
 @on_clouds
 def rotate(scene: Scene, angles: Sequence[float]) -> Scene:
-    """Turn a scene about the origin; SH-AC are turned by the exact matrix of each band.
+    """Rotate a scene about the origin; SH-AC are rotated exactly, band by band.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     angles : sequence of three or four float
-        Degrees about the x axis, then about y, then about z, which all stay in place; or a
-        quaternion wxyz of any norm.
+        Degrees about the fixed x axis, then y, then z; or a quaternion wxyz of any norm.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The scene at its new place, with all of its attributes.
+        The moved scene, with all attributes.
 
     Raises
     ------
@@ -83,19 +82,19 @@ def rotate(scene: Scene, angles: Sequence[float]) -> Scene:
 
 @on_clouds
 def scale(scene: Scene, factor: float) -> Scene:
-    """Make a scene larger or smaller about the origin.
+    """Scale a scene about the origin.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     factor : float
-        Of all lengths, 1e-30 to 1e30.
+        Factor on all lengths, 1e-30 to 1e30.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The scene at its new place, with all of its attributes.
+        The moved scene, with all attributes.
 
     Raises
     ------
@@ -114,22 +113,22 @@ def scale(scene: Scene, factor: float) -> Scene:
 
 @on_clouds
 def transform(scene: Scene, matrix: ArrayLike) -> Scene:
-    """Move a scene by a matrix: a rotation or mirroring, times a scale, and a shift.
+    """Transform a scene by a matrix: rotation or reflection, uniform scale, and translation.
 
-    Centres, ellipsoids and SH follow; numbers are computed in float64 and rounded once. If axes
-    only swap and change signs, nothing is rounded but SH of degree 2 and 3.
+    Centres, ellipsoids and SH are transformed in float64 and rounded once. If axes are only swapped
+    or negated, only SH of degree 2 and 3 are rounded.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     matrix : array_like, shape (4, 4)
-        Takes centres, as columns ``(x, y, z, 1)``, to their places.
+        Multiplies centres, as columns ``(x, y, z, 1)``, from the left.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The scene at its new place, with all of its attributes.
+        The moved scene, with all attributes.
 
     Raises
     ------

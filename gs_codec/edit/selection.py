@@ -1,4 +1,4 @@
-"""Gaussians chosen by where they are and by what they hold."""
+"""Select Gaussians by position and by attributes."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
 
 @on_clouds
 def crop_box(scene: Scene, low: Sequence[float], high: Sequence[float]) -> Scene:
-    """Keep the Gaussians whose centres are in a box, its faces included.
+    """Keep the Gaussians whose centres are in a box, including its faces.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     low, high : sequence of three float
         Corners of the box, scene units.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        These Gaussians, in their order, with all of their attributes.
+        The remaining Gaussians, in their original order, with all attributes.
 
     Raises
     ------
@@ -63,12 +63,12 @@ def in_box(scene: Scene, low: Sequence[float], high: Sequence[float]) -> NDArray
 
 @on_clouds
 def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
-    """Keep the Gaussians whose centres are in a sphere, its surface included.
+    """Keep the Gaussians whose centres are in a sphere, including its surface.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     centre : sequence of three float
         Scene units.
     radius : float
@@ -77,12 +77,12 @@ def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
     Returns
     -------
     open3d.t.geometry.PointCloud
-        These Gaussians, in their order, with all of their attributes.
+        The remaining Gaussians, in their original order, with all attributes.
 
     Raises
     ------
     InvalidInput
-        If a number is not finite, or the radius not above 0.
+        If a number is not finite, or the radius is not above 0.
 
     Examples
     --------
@@ -101,24 +101,24 @@ def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
 
 @on_clouds
 def select(scene: Scene, condition: str) -> Scene:
-    """Keep the Gaussians for which a condition holds; NaN fulfils none.
+    """Keep the Gaussians that satisfy a condition; NaN satisfies none.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     condition : str
-        An attribute, one of ``< <= > >= == !=``, and a number: ``opacity>0.05``. Attributes are
-        ``x y z`` (scene units), ``opacity`` (0-1), ``scale_0`` to ``scale_2`` and, of each
-        Gaussian's three, ``longest_scale``, ``middle_scale`` and ``shortest_scale`` (standard
-        deviations, scene units), ``red green blue`` (colours of SH-DC, 0-1), ``f_dc_0`` to
-        ``f_dc_2`` and ``f_rest_0`` to ``f_rest_44`` (SH), ``rot_0`` to ``rot_3`` (wxyz as stored),
-        and extra properties by their names.
+        An attribute, one of ``< <= > >= == !=``, and a number: ``opacity>0.05``. Attributes are ``x
+        y z`` (scene units), ``opacity`` (0-1), ``scale_0`` to ``scale_2`` and, of each Gaussian's
+        three, ``longest_scale``, ``middle_scale`` and ``shortest_scale`` (standard deviations,
+        scene units), ``red green blue`` (colours of SH-DC, 0-1), ``f_dc_0`` to ``f_dc_2`` and
+        ``f_rest_0`` to ``f_rest_44`` (SH), ``rot_0`` to ``rot_3`` (wxyz as stored), and extra
+        properties by name.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        These Gaussians, in their order, with all of their attributes.
+        The remaining Gaussians, in their original order, with all attributes.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def select(scene: Scene, condition: str) -> Scene:
 
 
 def select_where(scene: Scene, name: str, compared: str, number: float) -> Scene:
-    """See `select`."""
+    """Like `select`, with a parsed condition."""
     if name not in (known := attribute_names(scene)):
         listed = ", ".join(known[:24]) + (", ..." if len(known) > 24 else "")
         raise InvalidInput(f"no attribute '{name}', expected one of {listed}")
@@ -150,19 +150,19 @@ def select_where(scene: Scene, name: str, compared: str, number: float) -> Scene
 
 @on_clouds
 def remove_nonfinite(scene: Scene) -> Scene:
-    """Remove the Gaussians that hold NaN or infinity.
+    """Remove the Gaussians with NaN or infinity.
 
-    Infinite opacities, which are 0 or 1, and scales of 0 are no reason.
+    Infinite opacity logits (opacity 0 or 1) and scales of 0 are valid and kept.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        These Gaussians, in their order, with all of their attributes.
+        The remaining Gaussians, in their original order, with all attributes.
 
     Raises
     ------
@@ -178,24 +178,24 @@ def remove_nonfinite(scene: Scene) -> Scene:
 
 @on_clouds
 def limit_sh_degree(scene: Scene, sh_degree: int) -> Scene:
-    """Leave out the SH above a degree.
+    """Drop the SH above a degree.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it.
+        A cloud from `gs_codec.read`.
     sh_degree : int
-        0 to 3; a scene of a lower degree stays as it is.
+        0 to 3; a scene of a lower degree does not change.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The scene with the SH that are left.
+        The scene with the remaining SH.
 
     Raises
     ------
     InvalidInput
-        If the degree is another.
+        If the degree is not 0 to 3.
 
     Examples
     --------
@@ -216,12 +216,12 @@ def limit_sh_degree(scene: Scene, sh_degree: int) -> Scene:
 
 @on_clouds
 def sort_morton(scene: Scene) -> Scene:
-    """Put Gaussians in Morton order of their centres, so that neighbours are near in the file.
+    """Sort Gaussians by the Morton code of their centres, so that neighbours are near in the file.
 
     Parameters
     ----------
     scene : open3d.t.geometry.PointCloud
-        As `gs_codec.read` gives it; its centres are finite.
+        A cloud from `gs_codec.read`; its centres are finite.
 
     Returns
     -------
@@ -243,14 +243,14 @@ def sort_morton(scene: Scene) -> Scene:
 
 
 def attribute_names(scene: Scene) -> list[str]:
-    """Names of the attributes that `attribute_values` has of a scene."""
+    """Names of a scene's attributes that `attribute_values` accepts."""
     names = property_names(len(scene.f_rest) // 3)
     stored = [name for group in GROUPS if group != "f_rest" for name in names[group]]
     return [*stored, *_DERIVED, *scene.extra, *names["f_rest"]]
 
 
 def attribute_values(scene: Scene, name: str) -> NDArray:
-    """Values ``(N,)`` of an attribute in its natural unit, see `select`."""
+    """Values ``(N,)`` of an attribute in its natural unit; see `select`."""
     if name in scene.extra:
         return scene.extra[name]
     if name in _DERIVED:
@@ -273,7 +273,7 @@ def _colour(scene: Scene, channel: int) -> NDArray[np.float64]:
     return 0.5 + SH_C0 * scene.f_dc[channel].astype(np.float64)
 
 
-#: Attributes that are computed of stored ones.
+#: Attributes that are computed from stored ones.
 _DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
     "longest_scale": lambda scene: _scale(scene, 2),
     "middle_scale": lambda scene: _scale(scene, 1),
@@ -285,7 +285,7 @@ _DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
 
 
 def _mask(scene: Scene, chosen: Callable[[Scene], NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` are chosen, found part by part."""
+    """Mask ``(N,)`` of the chosen Gaussians, computed part by part."""
     mask = np.empty(scene.count, bool)
     for some in spans(scene.count):
         mask[some] = chosen(scene.between(some.start, some.stop))
@@ -293,5 +293,5 @@ def _mask(scene: Scene, chosen: Callable[[Scene], NDArray[np.bool_]]) -> NDArray
 
 
 def _keep(scene: Scene, mask: NDArray[np.bool_]) -> Scene:
-    """The Gaussians of a mask, in their order; the scene itself if these are all."""
+    """The Gaussians of a mask, in their order; the scene itself if the mask selects all."""
     return scene if mask.all() else without_order(scene.take(mask))

@@ -16,33 +16,34 @@ from gs_codec.rendering.project import MIN_ALPHA
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import GROUPS, Scene
 
-#: One value in so many, at either end, may be an outlier.
+#: Outliers: 1 in 100 values at either end.
 _OUTLIERS = 100
 
-#: A needle's longest axis has more than this many times the length of the middle one.
+#: A needle's longest axis is more than this many times as long as its middle axis.
 _NEEDLE = 10
 
-#: Of the scene's extent: a Gaussian of such a scale reaches over 30 % of the scene.
+#: Minimum scale of a huge Gaussian, relative to the scene's extent; it covers over 30 % of the
+#: scene.
 _HUGE = 0.05
 
-#: 2**64 over the golden ratio, odd: products with it mix the bits of columns.
+#: 2**64 divided by the golden ratio, odd: multiplying by it mixes the bits of columns.
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True)
 class Share:
-    """Gaussians that have something in common.
+    """A group of Gaussians with a common property.
 
     Attributes
     ----------
     name : str
-        As `Statistics` lists them.
+        Name, as listed in `Statistics`.
     rule : str
-        What they have in common, in words.
+        The common property, in words.
     count : int
-        Their number.
+        Number of these Gaussians.
     share : float
-        Their number, of all Gaussians, 0-1.
+        Share of all Gaussians, 0-1.
     """
 
     name: str
@@ -52,20 +53,20 @@ class Share:
 
 
 def shares_of(scene: Scene) -> tuple[Share, ...]:
-    """Gaussians that cannot be seen, look unlike others, or repeat others.
+    """Count Gaussians that are invisible, unusual or duplicates.
 
     Parameters
     ----------
     scene : Scene
-        Of any values. NaN fulfils no rule but that on it.
+        A scene with any values. NaN satisfies only the rule `not finite`.
 
     Returns
     -------
     tuple of Share
         ``transparent``, ``needle-like``, ``huge``, ``same centre``, ``duplicate``, ``not finite``.
-        The extent, by which scales are huge, is the longest side of a box that leaves out 1 % of
-        the centres at either end of each axis. Of Gaussians with the same centre, or with the same
-        values of all attributes, all but the first count.
+        For ``huge``, the extent is the longest side of a box that excludes 1 % of the centres at
+        either end of each axis. For ``same centre`` and ``duplicate`` (all attributes equal), all
+        but the first Gaussian count.
     """
     with using_threads(None, scene.count):
         found = run_all(lambda rule: rule(scene), dict.fromkeys(_RULES.values()))
@@ -78,7 +79,7 @@ def shares_of(scene: Scene) -> tuple[Share, ...]:
 
 
 def members(scene: Scene, name: str) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` a share counts, by its name in `SHARES`."""
+    """Which Gaussians ``(N,)`` a share counts, by name in `SHARES`."""
     return next(mask for found, _, mask in _RULES[name](scene) if found == name)
 
 
@@ -100,20 +101,20 @@ def _needles(scene: Scene) -> _Found:
 def _huge(scene: Scene) -> _Found:
     extent = max(_spread(row) for row in scene.positions)
     longest = scene.log_scale.astype(np.float64).max(axis=0)
-    # Without extent, as of a single Gaussian, none is huge.
+    # Without extent, as with a single Gaussian, none is huge.
     mask = longest > (math.log(_HUGE * extent) if extent else math.inf)
     rule = f"longest scale over {_HUGE:.0%} of the scene's extent, {extent:.4g}"
     return [("huge", rule.replace("%", " %"), mask)]
 
 
 def ends_of(number: int) -> tuple[int, int]:
-    """Ranks between which lie all of so many values but 1 % at either end."""
+    """Ranks that enclose all of `number` values except 1 % at either end."""
     rank = (number - 1) // _OUTLIERS
     return rank, number - 1 - rank
 
 
 def _spread(values: NDArray[np.float32]) -> float:
-    """Length that the finite values span without the outliers at either end."""
+    """Range of the finite values, without the outliers at either end."""
     finite = finite_values([values])
     if not finite.size:
         return 0.0
@@ -135,13 +136,13 @@ def _repeated(scene: Scene) -> _Found:
 
 
 def _words(planes: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """The bits of floats; those of 0 are those of -0."""
+    """The bits of floats, with -0 mapped to 0."""
     with np.errstate(invalid="ignore"):
         return (planes + np.float32(0)).view(np.uint32)
 
 
 def _repetitions(words: NDArray[np.uint32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Columns of ``words (C, n)`` that repeat others, once each: these others, and themselves."""
+    """Columns of ``words (C, n)`` that repeat others: indices of those, and their own."""
     mixed = np.zeros(words.shape[1], np.uint64)
     for row in words:
         mixed = (mixed ^ row) * _FACTOR

@@ -1,10 +1,10 @@
-"""How far Gaussians are from others, in units of their sizes.
+"""Distances between Gaussians, in units of their sizes.
 
 The distance from one Gaussian to another is divided by the first one's largest standard deviation
 plus the geometric mean of the other's. So a large Gaussian in a sparse background is not far from
-its neighbours; and flat ones, which walls are made of, are not near to all that is in front of
-them. Sizes are rounded to powers of two, and neighbours of each size are searched for apart: a
-large Gaussian may be nearer in these units than all the small ones between.
+its neighbours; and flat Gaussians, such as those of walls, are not near to everything in front of
+them. Sizes are rounded to powers of two, and neighbours of each size are searched separately: a
+large Gaussian may be nearer in these units than all the small ones in between.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from gs_codec.coding.neighbours import Neighbours
 from gs_codec.runtime.arrays import empty
 from gs_codec.scene import Scene
 
-#: A Gaussian is as far from others as from its eighth nearest.
+#: A Gaussian's distance from others is that to its eighth nearest neighbour.
 NEIGHBOURS = 8
 
 #: The usual distance is this quantile of the distances.
 _SHARE = 0.9
 
-#: It is estimated from this many Gaussians, evenly spaced in the scene.
+#: Number of Gaussians for estimating it, evenly spaced in the scene.
 _SAMPLE = 4096
 
-#: Powers of two of sizes are within those of float32.
+#: Range of the exponents of sizes in float32.
 _OCTAVES = 126
 
-#: Gaussians whose neighbours are searched for at once.
+#: Number of Gaussians whose neighbours are searched at once.
 _CHUNK = 1 << 17
 
 
 class Spacing(NamedTuple):
-    """Centres and sizes of M Gaussians, and the nearest others of each by centre.
+    """Centres and sizes of M Gaussians, and the nearest neighbours of each by centre.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Spacing(NamedTuple):
 
 
 def in_place_order(scene: Scene) -> NDArray[np.int64]:
-    """Indices of the finite Gaussians along a Morton curve, where neighbours are found faster."""
+    """Indices of the finite Gaussians along a Morton curve, for faster neighbour search."""
     finite = np.flatnonzero(finite_gaussians(scene))
     return finite[spatial_order(scene.positions[:, finite], scene.log_scale[:, finite])]
 
@@ -81,12 +81,12 @@ def find_spacing(scene: Scene) -> Spacing:
 
 
 def _rounded(log_size: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest power of two of each size, by its natural logarithm."""
+    """Round each size, given as a natural logarithm, to the nearest power of two."""
     return np.exp2(np.clip(np.rint(log_size / math.log(2.0)), -_OCTAVES, _OCTAVES))
 
 
 def _find_nearest(points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices and distances ``(M, K)`` of the nearest others of each point."""
+    """Indices and distances ``(M, K)`` of the nearest neighbours of each point, without itself."""
     count = len(points)
     number = min(NEIGHBOURS, count - 1)
     neighbours = Neighbours(points)
@@ -94,7 +94,7 @@ def _find_nearest(points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArr
     for start in range(0, count if number else 0, _CHUNK):
         part = np.arange(start, min(start + _CHUNK, count))
         away, found = neighbours.nearest(points[part], number + 1)
-        # Of points in one place, a point is not always the first, nor among those found.
+        # Among coincident points, a point may not be the first found, or not be found at all.
         own = found == part[:, None]
         own[~own.any(axis=1), -1] = True
         nearest[part] = found[~own].reshape(len(part), number)
@@ -103,24 +103,24 @@ def _find_nearest(points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArr
 
 
 def usual_distance(spacing: Spacing) -> float:
-    """Distance to the eighth nearest in units of sizes, which nine in ten Gaussians do not pass."""
+    """The 90th percentile of the distance to the eighth nearest, in units of sizes."""
     count = len(spacing.points)
     some = np.arange(0, count, -(-count // _SAMPLE))
     return float(np.quantile(far_from_others(spacing, some), _SHARE))
 
 
 def far_from_others(spacing: Spacing, which: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Distance ``(m,)`` of some Gaussians to their eighth nearest in units of sizes.
+    """Distance ``(m,)`` of some Gaussians to their eighth nearest, in units of sizes.
 
-    With fewer others, to the farthest of them; 0 if there are none.
+    With fewer neighbours, to the farthest of them; 0 if there are none.
     """
     number = spacing.nearest.shape[1]
     if not number:
         return np.zeros(len(which))
     found = spacing.in_sizes(which)
     length, beyond = spacing.length[which], spacing.distance[which, -1]
-    # Beyond the nearest by centre, only those of some size can be nearer in units of sizes; they
-    # are searched for by size, among the nearest as well.
+    # Beyond the nearest centres, only Gaussians above a certain size can be nearer in units of
+    # sizes. They are searched by size, together with the nearest.
     least = beyond / np.maximum(found.max(axis=1), np.finfo(float).tiny) - length
     found[spacing.width[spacing.nearest[which]] > least[:, None]] = np.inf
     for members, width in by_size(spacing.width, np.arange(len(spacing.points))):
@@ -140,7 +140,7 @@ def far_from_others(spacing: Spacing, which: NDArray[np.int64]) -> NDArray[np.fl
 def by_size(
     sizes: NDArray[np.float64], members: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.int64], float]]:
-    """Members of each of the sizes ``(M,)``, and the size, the largest first."""
+    """Members and size of each of the distinct sizes ``(M,)``, the largest first."""
     of_members = sizes[members]
     for size in np.unique(of_members)[::-1]:
         yield members[of_members == size], float(size)

@@ -1,1 +1,1 @@
-"""Coarser levels of detail of a file: merged Gaussians, their errors, the sections."""
+"""Coarser levels of detail of a file: merged Gaussians, block errors, sections."""

@@ -23,14 +23,14 @@ from gs_codec.levels.building import Level, build_levels
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
 
-#: Step sizes of levels, of those that they would have as scenes of their own.
+#: Factor on the step sizes that a level would have as a separate scene.
 COARSER = 2.0
 
 Parts = list[bytes | memoryview]
 
 
 def check_levels(config: Config, rate: object = None, max_memory: int | None = None) -> None:
-    """Refuse what is not done together with levels.
+    """Reject options that cannot be combined with levels.
 
     Raises
     ------
@@ -45,23 +45,23 @@ def check_levels(config: Config, rate: object = None, max_memory: int | None = N
 def add_levels(
     parts: Parts, report: EncodeReport, config: Config, progress: Progress | None = None
 ) -> tuple[Parts, EncodeReport]:
-    """A file with coarser levels, if the configuration asks for them.
+    """Add coarser levels to a file, if the configuration enables them.
 
     Parameters
     ----------
     parts : list of bytes
         Consecutive pieces of an `.egs` file of profile ``l``, ``m`` or ``s``. Levels are made from
-        what it decodes to, so that they suit any step sizes.
+        the decoded scene, so that they suit any step sizes.
     report : EncodeReport
     config : Config
-        That of the file.
+        The configuration of the file.
     progress : callable, optional
 
     Returns
     -------
     parts : list of bytes
     report : EncodeReport
-        With the bytes and the seconds of the levels.
+        Includes the bytes and the seconds of the levels.
     """
     if not config.lod:
         return parts, report
@@ -101,6 +101,6 @@ def _encoded(
 
 
 def config_of_levels(config: Config) -> Config:
-    """The configuration of all levels, from that of the finest as a scene of its own."""
+    """The configuration of all levels, calibrated on the finest level as a separate scene."""
     most = options_of(Config)["coarseness"].high
     return replace(config, coarseness=min(COARSER * config.coarseness, most))

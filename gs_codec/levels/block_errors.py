@@ -1,8 +1,9 @@
-"""The error of a block: how large pixels have to be for what was merged to be hardly seen.
+"""The error of a block: the pixel size at which merging becomes hardly visible.
 
-Runs of its Gaussians are merged and drawn from three sides, beside the run itself: with larger and
-larger pixels, with opacity compensation, until they are alike. What drawing without compensation
-changes beyond that does not fade with distance; it takes less of a picture, as the block does.
+Runs of its Gaussians are rendered from three sides before and after merging, with opacity
+compensation and increasing pixel size, until they look alike. Rendering without compensation adds a
+difference that does not fade with distance; but its share of a picture shrinks, like the block
+itself.
 """
 
 from __future__ import annotations
@@ -22,46 +23,46 @@ from gs_codec.merging.pairs import blobs_of
 from gs_codec.rendering.frame import make_frame
 from gs_codec.scene import Scene
 
-#: Maximum mean squared error of covered pixels of a block: 35 dB. Chosen on bonsai, flowers and the
+#: Maximum mean squared error of a block's covered pixels: 35 dB. Chosen on bonsai, flowers and the
 #: showroom (RESULTS.md, "Levels of detail").
 _ALIKE = 10.0**-3.5
 
-#: The same for scenes that are not antialiased: 32.5 dB. Their views differ more from the scene the
-#: larger pixels are.
+#: The same for scenes without antialiasing: 32.5 dB. Their renders differ more from the scene with
+#: larger pixels anyway.
 _MIXED = 10.0**-3.25
 
-#: Pixels that opacities are made for, and clusters up to `_TOGETHER`, as a share of the error of
-#: their block: what rasterisers widen splats by makes many small ones hide more than one of their
-#: mass.
+#: Pixel size for which opacities (and clusters, up to `_TOGETHER`) are computed, relative to the
+#: error of their block. Because rasterisers widen splats, many small splats hide more than one
+#: merged splat of the same mass.
 FOOTPRINT = 0.7
 
-#: Clusters are for pixels of at most this, in distances of neighbours: for larger ones, what is
-#: far apart would be one, and from near a fog before all else.
+#: Maximum pixel size for clusters, in distances of neighbours. With larger ones, distant Gaussians
+#: would merge and look like fog from nearby.
 _TOGETHER = 2.0
 
 #: Maximum number of runs of a group that are measured.
 _RUNS = 4
 
-#: Gaussians in a run.
+#: Number of Gaussians in a run.
 _RUN = 1024
 
-#: Side of the pictures, pixels.
+#: Side of the renders, in pixels.
 _SIDE = 128
 
-#: Smallest pixel that is tried, in octaves of the distance between neighbours.
+#: Smallest pixel size tried, in octaves of the distance between neighbours.
 _LEAST = -5
 
-#: Largest pixel that is tried.
+#: Largest pixel size tried, in octaves of the distance between neighbours.
 _MOST = 8
 
-#: Least error, as a share of the wanted one: its logarithm is finite.
+#: Lower bound of the error, relative to the target, so that its logarithm is finite.
 _NONE = 1e-9
 
-#: Errors are rounded up to whole numbers of these parts of an octave: so they do not depend on the
-#: last bits of what is drawn.
+#: Errors are rounded up to multiples of 1/4 octave, so that they do not depend on the last bits of
+#: renders.
 _PARTS = 4
 
-#: How far away pictures are drawn from, in sizes of a run: nearly parallel.
+#: Camera distance, in sizes of a run: nearly parallel projection.
 _FAR = 50.0
 
 _SIDES = tuple(np.roll(np.eye(3), axis, axis=0) for axis in range(3))
@@ -69,24 +70,24 @@ _SIDES = tuple(np.roll(np.eye(3), axis, axis=0) for axis in range(3))
 
 @dataclass(frozen=True)
 class Run:
-    """Some Gaussians side by side."""
+    """Some neighbouring Gaussians."""
 
     scene: Scene
 
     @cached_property
     def apart(self) -> float:
-        """How far apart they are; see `spacing`."""
+        """Distance between neighbours; see `spacing`."""
         return spacing(blobs_of(self.scene))
 
     def merged(self, footprint: float) -> Scene:
-        """A quarter of them, for pixels of this size; see `Clusters.merged`."""
+        """A quarter of them, merged for pixels of this size; see `Clusters.merged`."""
         number = -(-self.scene.count // FANOUT)
         together = min(footprint, _TOGETHER * self.apart) if footprint else 0.0
         into = merge_group(self.scene, number, together)
         return Clusters(self.scene, into, number).merged(footprint)
 
     def difference(self, other: Scene, pixel: float, antialiased: bool) -> NDArray[np.float64]:
-        """Sum of squared differences to what stands for them, and of covered pixels' channels."""
+        """Sums of squared differences from their replacement, and of covered pixels' channels."""
         sums = np.zeros(2)
         for camera in self._cameras(pixel):
             before, left = _picture(self.scene, camera, antialiased)
@@ -107,13 +108,13 @@ class Run:
 
 
 def _picture(scene: Scene, camera: Camera, antialiased: bool) -> tuple[NDArray, NDArray]:
-    """Colour ``(H, W, 3)`` up to 1, and transmittance of all pixels."""
+    """Colour ``(H, W, 3)``, clamped to 1, and transmittance of all pixels."""
     colour, (left, _, _) = make_frame(scene, camera, antialiased).draw_rows((0.0, 0.0, 0.0))
     return np.fmin(colour, 1), np.abs(left, dtype=np.float64)
 
 
 def error_of(group: Scene, antialiased: bool) -> float:
-    """Size in scene units of pixels so large that a quarter of a group looks like all of it."""
+    """Pixel size, in scene units, at which a quarter of a group looks like the whole group."""
     runs = _runs(group)
     apart = float(np.mean([run.apart for run in runs]))
     if not 0 < apart < np.inf:
@@ -124,13 +125,13 @@ def error_of(group: Scene, antialiased: bool) -> float:
         pixel = _where_alike(lambda size: _mean(runs, exact, size, True) / wanted, apart)
         if not antialiased:
             plain = [run.merged(FOOTPRINT * pixel) for run in runs]
-            # The block's share of a picture falls with the square of the distance.
+            # The block's share of a picture decreases with the square of the distance.
             pixel *= math.sqrt(max(1.0, _mean(runs, plain, pixel, False) / wanted))
     return float(np.float32(2.0 ** (math.ceil(_PARTS * math.log2(pixel)) / _PARTS)))
 
 
 def _runs(group: Scene) -> list[Run]:
-    """Some runs of a group, evenly spread; all of it if it is small."""
+    """Some runs of a group, evenly spaced; the whole group if it is small."""
     number = min(_RUNS, -(-group.count // _RUN))
     size = min(_RUN, group.count)
     starts = [(group.count - size) * (2 * k + 1) // (2 * number) for k in range(number)]
@@ -147,7 +148,7 @@ def _mean(runs: list[Run], others: list[Scene], pixel: float, antialiased: bool)
 
 
 def _where_alike(error: Callable[[float], float], apart: float) -> float:
-    """The size of pixels at which an error is 1, by octaves of `apart` and between them."""
+    """The pixel size at which an error is 1, interpolated between octaves of `apart`."""
     octave, found = 0, max(error(apart), _NONE)
     step = 1 if found > 1 else -1
     while _LEAST < octave < _MOST:

@@ -17,14 +17,14 @@ from gs_codec.scene import Scene, join_scenes
 
 @dataclass(frozen=True)
 class Level:
-    """A level: Gaussians, block after block, and the error of each block in scene units."""
+    """A level: Gaussians, block by block, and the error of each block in scene units."""
 
     scene: Scene
     errors: NDArray[np.float32]
 
 
 def build_levels(scene: Scene, block_size: int, progress: Progress | None = None) -> list[Level]:
-    """All levels above a scene's own, whose Gaussians are in stream order; none for one block."""
+    """All levels above the scene's own; its Gaussians are in stream order; none for one block."""
     levels: list[Level] = []
     current = Level(scene, np.zeros(-(-scene.count // block_size), np.float32))
     counts = []
@@ -42,7 +42,7 @@ def build_levels(scene: Scene, block_size: int, progress: Progress | None = None
 def coarser(
     level: Level, block_size: int, antialiased: bool, advance: Callable[[], None] | None = None
 ) -> Level:
-    """The next level, or the blocks of it that stand for those given."""
+    """The next coarser level, or the part of it that replaces the given blocks."""
     size = FANOUT * block_size
 
     def work(start: int) -> tuple[Scene, float]:
@@ -56,6 +56,6 @@ def coarser(
 
 
 def coarsen(group: Scene, antialiased: bool, least: float = 0.0) -> tuple[Scene, float]:
-    """A quarter of a group's Gaussians, and their error: no less than that of what they are."""
+    """A quarter of a group's Gaussians, and their error, which is at least `least`."""
     error = max(error_of(group, antialiased), least)
     return Run(group).merged(0.0 if antialiased else FOOTPRINT * error), error

@@ -1,7 +1,7 @@
-"""A quarter of some Gaussians, which look like all of them from afar.
+"""Reduce Gaussians to a quarter that looks the same from a distance.
 
-In rounds, neighbours along Morton curves are merged pair by pair, and what is hardly seen is
-dropped, whichever costs least. Only then are the attributes of each cluster computed, from all of
+In rounds, neighbours along Morton curves are merged in pairs, or hardly visible Gaussians are
+dropped, whichever costs less. Only then are the attributes of each cluster computed, from all of
 its Gaussians: their mean, weighted by mass, and their covariance.
 """
 
@@ -21,28 +21,28 @@ from gs_codec.scene import Scene
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.3
 
-#: Number of following Gaussians on a Morton curve among which a Gaussian finds its neighbours.
+#: Number of following Gaussians on a Morton curve that are searched for neighbours.
 _WINDOW = 24
 
-#: A Gaussian may merge with one of this many nearest neighbours.
+#: Number of nearest neighbours that a Gaussian may merge with.
 _NEAREST = 6
 
-#: Where the curve of each round begins, as a share of the extent: pairs that one curve separates
-#: are near on another.
+#: Start of the curve of each round, as a share of the extent: pairs separated by one curve are
+#: close on another.
 _STARTS = (0.0, 0.37, 0.21, 0.11, 0.29)
 
 _DEPTH = 21
 
-#: Variance that rasterisers add to the image of each Gaussian, squared pixels.
+#: Variance that rasterisers add to each splat, squared pixels.
 LOW_PASS = 0.3
 
 _TINY = 1e-300
 
 
 def merge_group(scene: Scene, number: int, footprint: float = 0.0) -> NDArray[np.int64]:
-    """Clusters of a scene's Gaussians, ``(N,)``, 0 to `number` - 1; -1 for those dropped.
+    """Cluster of each Gaussian of a scene, ``(N,)``, 0 to `number` - 1; -1 if dropped.
 
-    Clusters are numbered along the scene's order of their heaviest Gaussians.
+    Clusters are numbered in the scene's order of their heaviest Gaussians.
     """
     blobs, colours = widened(blobs_of(scene), footprint), colours_of(scene)
     into = np.arange(scene.count)
@@ -64,7 +64,7 @@ def merge_group(scene: Scene, number: int, footprint: float = 0.0) -> NDArray[np
 
 
 def widened(blobs: Blobs, footprint: float) -> Blobs:
-    """Gaussians with the low-pass of a rasteriser whose pixels are of this size."""
+    """Gaussians widened by the low-pass of a rasteriser with pixels of this size."""
     covariances = blobs.covariances + LOW_PASS * footprint**2 * np.array([1, 1, 1, 0, 0, 0])
     mass = np.maximum(blobs.opacity * areas_of(covariances), _TINY)
     return blobs._replace(covariances=covariances, mass=mass)
@@ -83,7 +83,7 @@ def _curve(means: NDArray[np.float64], start: float) -> NDArray[np.int64]:
 def _find_after(points, window, near):
     """Fill ``near (N, K + 1)``: each point, and the nearest of the `window` points after it.
 
-    Where there are fewer, the point itself.
+    If there are fewer, the point itself is repeated.
     """
     wanted = near.shape[1]
     distances = np.empty(wanted)
@@ -113,7 +113,7 @@ def _merged(
     first: NDArray[np.int64],
     second: NDArray[np.int64],
 ) -> tuple[Blobs, NDArray[np.float64], NDArray[np.int64]]:
-    """What is left after merging pairs, and dropping those with themselves; where each went."""
+    """The Gaussians that remain after merging pairs (equal pairs are dropped); where each went."""
     count = len(blobs.mass)
     moved = np.ones(count, np.int64)
     moved[second] = 0
@@ -134,7 +134,7 @@ def _merged(
 
 
 def _renumbered(into: NDArray[np.int64], scene: Scene, number: int) -> NDArray[np.int64]:
-    """Clusters numbered in the order of the first Gaussian of each."""
+    """Renumber clusters in the order of the first Gaussian of each."""
     members = np.flatnonzero(into >= 0)
     first = np.full(number, scene.count)
     np.minimum.at(first, into[members], members)
@@ -145,11 +145,11 @@ def _renumbered(into: NDArray[np.int64], scene: Scene, number: int) -> NDArray[n
 
 
 class Clusters:
-    """Clusters of a scene's Gaussians, and what stands for each."""
+    """Clusters of a scene's Gaussians, and the Gaussians that replace them."""
 
     def __init__(self, scene: Scene, into: NDArray[np.int64], number: int) -> None:
         self.members = np.flatnonzero(into >= 0)
-        # Members of a cluster side by side, so that sums are of runs.
+        # Sort members by cluster, so that sums are over runs.
         self.members = self.members[np.argsort(into[self.members], kind="stable")]
         self.starts = np.searchsorted(into[self.members], np.arange(number))
         self.of = into[self.members]
@@ -161,10 +161,11 @@ class Clusters:
         return np.add.reduceat(values, self.starts, axis=0)
 
     def merged(self, footprint: float = 0.0) -> Scene:
-        """The Gaussian that stands for each cluster.
+        """The Gaussian that replaces each cluster.
 
-        `footprint` is the size of a pixel in scene units: opacities are such that a rasteriser
-        that widens splats by its low-pass shows as much as of the members. 0 is one that does not.
+        `footprint` is the pixel size in scene units of a rasteriser that widens splats by its
+        low-pass. Opacities are chosen so that the cluster covers as much as its members; 0 means no
+        widening.
         """
         blobs, widened = self.blobs, LOW_PASS * footprint * footprint
         mass = np.maximum(blobs.opacity * areas_of(blobs.covariances, widened), _TINY)
@@ -199,7 +200,7 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
 def spacing(blobs: Blobs) -> float:
-    """How far apart Gaussians are: median distance of neighbours, by mass."""
+    """Spacing of Gaussians: median distance of neighbours, weighted by mass."""
     order = _curve(blobs.means, 0.0)
     means, mass = blobs.means[order], blobs.mass[order]
     near = np.empty((len(means), 2), np.int64)
@@ -211,7 +212,7 @@ def spacing(blobs: Blobs) -> float:
 def weighted_quantile(
     values: NDArray[np.float64], weights: NDArray[np.float64], share: float
 ) -> float:
-    """The least of ``values (N,)`` so that no less than a share of the weight is up to it."""
+    """The smallest of ``values (N,)`` with at least `share` of the weight at or below it."""
     order = np.argsort(values, kind="stable")
     sums = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(sums, share * sums[-1])])

@@ -1,4 +1,4 @@
-"""A scene and coarser levels of it as streamed SOG; see `formats.streamed_sog`."""
+"""A scene and its coarser levels as streamed SOG; see `formats.streamed_sog`."""
 
 from __future__ import annotations
 
@@ -32,39 +32,40 @@ LEAF = 1 << 14
 #: Maximum number of Gaussians in a file, unless a single leaf has more.
 FILE = 1 << 18
 
-#: The boxes of leaves hold ellipsoids of one standard deviation, as those of other writers do:
-#: distances to larger ones would be 0 in too many places. `block_extent` takes three.
+#: The boxes of leaves contain ellipsoids of one standard deviation, as in other writers: distances
+#: to larger boxes would be 0 in too many places. `block_extent` uses three.
 _SMALLER = np.float32(np.log(3))
 
 
 def stream_levels(
     scene: Scene, config: Config, leaf: int = LEAF, most: int = FILE, finest: bool = False
 ) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """The files of a scene as streamed SOG, and what they cannot hold, in words.
+    """The files of a scene as streamed SOG, and sentences on what they cannot represent.
 
-    Every leaf has all levels, made of its own Gaussians alone, so that viewers may choose a level
-    for each leaf and draw nothing twice.
+    Every leaf has all levels, made only from its own Gaussians, so that viewers can choose a level
+    for each leaf without drawing anything twice.
 
     Parameters
     ----------
     scene : Scene
     config : Config
-        Of profile ``l``, ``m`` or ``s``.
+        With profile ``l``, ``m`` or ``s``.
     leaf, most : int
-        Most Gaussians of a leaf, and of a file.
+        Maximum Gaussians of a leaf, and of a file.
     finest : bool
-        Whether the first level is written as finely as it can be, whatever the profile.
+        Whether to write the first level as finely as possible, whatever the profile.
 
     Returns
     -------
     files : dict of str to bytes
-        By their names, which may have a folder; `lod-meta.json` comes last.
+        Files by name, which may include a folder; `lod-meta.json` comes last.
     lost : tuple of str
 
     Raises
     ------
     InvalidInput
-        If there are no Gaussians, or values are not finite and `config` does not say to drop them.
+        If there are no Gaussians, or if values are not finite and ``config.nonfinite`` is not
+        ``drop``.
     """
     with using_threads(config.threads, scene.count):
         scene = turn_axes(clean_scene(scene, config)[0])
@@ -79,7 +80,7 @@ def stream_levels(
         chosen = config
         for level, parts in enumerate(zip(*leaves, strict=True)):
             whole = join_scenes(parts)
-            # Steps are chosen as for the levels of an .egs.
+            # Step sizes are chosen as for the levels of an .egs.
             if level < 2:
                 chosen = calibrated(whole, config)
                 chosen = config_of_levels(chosen) if level else chosen
@@ -102,9 +103,9 @@ def stream_levels(
 
 
 def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
-    """Leaves of equal size of a scene in Morton order; of each, all levels, the finest first.
+    """Split a scene in Morton order into leaves of equal size; each has all levels, finest first.
 
-    A level has a quarter of the Gaussians of the one before, until one leaf could hold them all.
+    A level has a quarter of the Gaussians of the one before, until all would fit into one leaf.
     """
     number, depth, count = -(-scene.count // most), 0, scene.count
     while count > most:
@@ -124,7 +125,7 @@ def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
 
 
 def _runs(counts: Sequence[int], most: int, first: int) -> list[Run]:
-    """Where the Gaussians of each leaf are, in consecutive files from number `first` on."""
+    """Location of the Gaussians of each leaf, in consecutive files numbered from `first`."""
     runs, offset = [], 0
     for count in counts:
         if offset and offset + count > most:
@@ -135,7 +136,7 @@ def _runs(counts: Sequence[int], most: int, first: int) -> list[Run]:
 
 
 def _extents(runs: Sequence[Run]) -> list[tuple[int, int]]:
-    """Where the Gaussians of each file begin and end among those of a level."""
+    """First and last index, within a level, of the Gaussians of each file."""
     begins = [run.offset == 0 for run in runs]
     ends = np.cumsum([run.count for run in runs]).tolist()
     starts = [end - run.count for end, run, begin in zip(ends, runs, begins, strict=True) if begin]

@@ -1,1 +1,1 @@
-"""Several Gaussians merged into one: covariances, pairs, rounds of merging."""
+"""Merge several Gaussians into one: covariances, pairs, rounds of merging."""

@@ -1,4 +1,4 @@
-"""Covariances of Gaussians, and Gaussians of covariances, of the same last bit on every machine."""
+"""Convert Gaussians to covariances and back, with bit-identical results on every machine."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from gs_codec.rendering.project import quaternion_turn
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import Scene
 
-#: Log-scales are cut to this, so that products of variances stay in the range of floats.
+#: Log-scales are clamped to this, so that products of variances do not overflow.
 _LARGEST = 80.0
 
-#: Least variance and opacity: logarithms are finite.
+#: Minimum variance and opacity, so that logarithms are finite.
 _TINY = 1e-300
 
 #: Maximum number of sweeps over all pairs of axes.
 _SWEEPS = 12
 
-#: Off-diagonal entries below this share of the geometric mean of their diagonal entries are 0.
+#: Off-diagonal entries below this, relative to the geometric mean of their diagonal entries, count
+#: as 0.
 _NOTHING = 1e-17
 
 
@@ -85,9 +86,9 @@ def _fill_axes(covariances, log_scale, rot):
 
 @inlined
 def _diagonalise(matrix, turn):
-    """Turn a symmetric ``matrix (3, 3)`` until it is diagonal, by Jacobi's method.
+    """Diagonalise a symmetric ``matrix (3, 3)`` by Jacobi's method.
 
-    Columns of ``turn (3, 3)`` are then its axes.
+    The columns of ``turn (3, 3)`` become its axes.
     """
     turn[:] = 0.0
     for axis in range(3):
@@ -121,9 +122,9 @@ def _diagonalise(matrix, turn):
 
 @inlined
 def _set_quaternion(x, y, quaternion):
-    """Fill ``quaternion (4,)``, wxyz, of the turn whose first columns are x and y."""
+    """Fill ``quaternion (4,)``, wxyz, of the rotation whose first two columns are x and y."""
     z = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
-    # Squares of components, times four; the largest is at least 1.
+    # Squares of the components, times four; the largest is at least 1.
     w_w, x_x = 1.0 + x[0] + y[1] + z[2], 1.0 + x[0] - y[1] - z[2]
     y_y, z_z = 1.0 - x[0] + y[1] - z[2], 1.0 - x[0] - y[1] + z[2]
     w_x, w_y, w_z = y[2] - z[1], z[0] - x[2], x[1] - y[0]

@@ -1,10 +1,10 @@
 """Merge pairs of Gaussians: one with the same mass, mean, covariance and mean colour.
 
-A Gaussian of opacity o covers o times its area in a view, not o times its volume, so that is its
-mass: opacity times the root mean square of its area over all directions.
+The mass of a Gaussian is its opacity times the root mean square of its projected area over all
+directions, because views show its area, not its volume.
 
-The error of a merge is that of three views along the axes: the integral of the squared difference
-between both Gaussians and the one that takes their place, in closed form.
+The error of a merge is measured in three views along the axes: the integral of the squared
+difference between the two Gaussians and the merged one, in closed form.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Opacity up to which the rasteriser draws; a merged Gaussian has at most this.
+#: Maximum opacity of a merged Gaussian, because the rasteriser draws no more.
 OPAQUE = 0.99
 
-#: Least mass and area: nothing is divided by 0.
+#: Minimum mass and area, to avoid division by 0.
 _TINY = 1e-300
 
 _CHUNK = 1 << 13
 
 
 class Blobs(NamedTuple):
-    """What decides how Gaussians merge, float64.
+    """The properties of Gaussians that determine merging, float64.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Blobs(NamedTuple):
 
 
 def blobs_of(scene: Scene) -> Blobs:
-    """Moments and masses of a scene's Gaussians, whose attributes are finite."""
+    """Moments and masses of a scene's Gaussians; attributes must be finite."""
     covariances, opacity = covariances_of(scene)
     mass = np.maximum(opacity * areas_of(covariances), _TINY)
     return Blobs(np.ascontiguousarray(scene.positions.T, np.float64), covariances, opacity, mass)
@@ -61,7 +61,7 @@ def blobs_of(scene: Scene) -> Blobs:
 def areas_of(covariances: NDArray[np.float64], widened: float = 0.0) -> NDArray[np.float64]:
     """Root mean square of the areas over all directions, of ``covariances (N, 6)``, over 2 pi.
 
-    `widened` is a variance that is added along all axes.
+    `widened` is a variance added along all axes.
     """
     xx, yy, zz, xy, yz, zx = covariances.T
     xx, yy, zz = xx + widened, yy + widened, zz + widened
@@ -72,15 +72,15 @@ def areas_of(covariances: NDArray[np.float64], widened: float = 0.0) -> NDArray[
 def merge_pairs(
     scene: Scene, blobs: Blobs, first: NDArray[np.int64], second: NDArray[np.int64]
 ) -> Scene:
-    """The Gaussians that take the place of pairs, in the pairs' order.
+    """Merge pairs of Gaussians; the result is in the pairs' order.
 
     Parameters
     ----------
     scene : Scene
     blobs : Blobs
-        Those of the scene.
+        `blobs_of` the scene.
     first, second : ndarray, shape (M,), int64
-        Indices of each pair's Gaussians. Extra properties are those of `first`.
+        Indices of each pair's Gaussians. Extra properties come from `first`.
     """
     covariances, (share, opacity) = merge_moments(blobs, first, second)
     log_scale, rot = axes_of(covariances)
@@ -112,7 +112,7 @@ def merge_moments(
 
 
 def lone_errors(blobs: Blobs, colours: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared error of three views without each Gaussian, ``(N,)``; see `merge_errors`."""
+    """Squared error in three views after removing each Gaussian, ``(N,)``; see `merge_errors`."""
     xx, yy, zz, xy, yz, zx = blobs.covariances.T
     minors = (xx * yy - xy * xy, yy * zz - yz * yz, zz * xx - zx * zx)
     areas = np.sum([np.sqrt(np.maximum(minor, 0.0)) for minor in minors], axis=0)
@@ -122,20 +122,20 @@ def lone_errors(blobs: Blobs, colours: NDArray[np.float64]) -> NDArray[np.float6
 def merge_errors(
     blobs: Blobs, colours: NDArray[np.float64], near: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Squared error of three views after merging each Gaussian with each of its neighbours.
+    """Squared error in three views after merging each Gaussian with each of its neighbours.
 
     Parameters
     ----------
     blobs : Blobs
     colours : ndarray, shape (N, C)
-        What a Gaussian adds to a pixel where its alpha is 1.
+        Contribution of a Gaussian to a pixel where its alpha is 1.
     near : ndarray, shape (N, K)
         Indices of neighbours.
 
     Returns
     -------
     ndarray, shape (N, K)
-        Infinite for a Gaussian with itself, and for pairs that an earlier row has, too.
+        Infinite for a Gaussian with itself, and for pairs that an earlier row also has.
     """
     errors = empty(near.shape, np.float64)
     alone = lone_errors(blobs, colours)
@@ -149,16 +149,16 @@ def merge_errors(
 
 @inlined
 def _minor(covariance, axis):
-    """Determinant of a covariance along an axis, and its entries."""
+    """Determinant of a covariance projected along an axis, and its entries."""
     a, b, c = covariance[axis], covariance[3 + axis], covariance[(axis + 1) % 3]
     return max(a * c - b * b, 0.0), a, b, c
 
 
 @inlined
 def _merge_two(means, covariances, mass, i, j, apart, merged):
-    """Fill ``apart (3,)``, from i to j, and the covariance of both, ``merged (6,)``.
+    """Fill ``apart (3,)``, the vector from i to j, and the merged covariance, ``merged (6,)``.
 
-    Returns the share of j in the mass, and the opacity of both.
+    Returns the share of j in the mass, and the merged opacity.
     """
     whole = mass[i] + mass[j]
     share = mass[j] / whole
@@ -177,7 +177,7 @@ def _merge_two(means, covariances, mass, i, j, apart, merged):
 
 @kernel
 def _merge_all(means, covariances, mass, first, second, merged, of_pair):
-    """Fill ``merged (M, 6)`` and ``of_pair (2, M)``: shares of `second`, and opacities."""
+    """Fill ``merged (M, 6)`` and ``of_pair (2, M)``: mass shares of `second`, and opacities."""
     apart = np.empty(3)
     for n in range(len(first)):
         share, opacity = _merge_two(means, covariances, mass, first[n], second[n], apart, merged[n])
@@ -186,7 +186,7 @@ def _merge_all(means, covariances, mass, first, second, merged, of_pair):
 
 @inlined
 def _product(first, second, apart, axis, share):
-    """Integral over pi of the product of two splats of height 1, `share` of `apart` away."""
+    """Integral over pi of the product of two splats of height 1, at distance `share * apart`."""
     area, a, b, c = _minor(first, axis)
     other_area, d, e, f = _minor(second, axis)
     a, b, c = a + d, b + e, c + f

@@ -1,4 +1,4 @@
-"""A round of reduction: which Gaussians to drop, and which pairs to merge, at the least error."""
+"""A round of reduction: choose the Gaussians to drop and the pairs to merge at the lowest error."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from gs_codec.merging.pairs import Blobs, lone_errors, merge_errors
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import SH_C0, Scene
 
-#: Weight of alpha beside the three colours.
+#: Weight of alpha relative to the three colours.
 _ALPHA = 0.3
 
-#: Least error that scores are divided by.
+#: Lower bound of errors that scores are divided by.
 _TINY = 1e-300
 
 
 def colours_of(scene: Scene) -> NDArray[np.float64]:
-    """Colours of a scene's Gaussians without SH-AC, ``(3, N)``, from 0 up."""
+    """Colours of a scene's Gaussians without SH-AC, ``(3, N)``, at least 0."""
     return np.maximum(0.5 + SH_C0 * scene.f_dc.astype(np.float64), 0.0)
 
 
 def contrast(
     colours: NDArray[np.float64], blobs: Blobs, near: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Colours ``(3, N)`` less the mean of the neighbours', and a constant for alpha, ``(N, 4)``."""
+    """Colours ``(3, N)`` minus the neighbours' mean, and a constant for alpha, ``(N, 4)``."""
     weights = blobs.mass[near]
     weights /= weights.sum(axis=1, keepdims=True)
     around = [(colour[near] * weights).sum(axis=1) for colour in colours]
@@ -38,9 +38,10 @@ def cheapest(
     near: NDArray[np.int64],
     quota: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The Gaussians to drop, each with itself, and the pairs to merge: together `quota`.
+    """Pairs to merge, and Gaussians to drop (paired with themselves): `quota` in total.
 
-    What a merge costs counts as much as what both cost without it: their scores.
+    The cost of a merge is compared with the scores of its two Gaussians, which are the costs of
+    dropping them.
     """
     count, errors = len(near), merge_errors(blobs, colours, near).ravel()
     at = np.flatnonzero(errors < np.inf)
@@ -48,7 +49,7 @@ def cheapest(
     with np.errstate(over="ignore", invalid="ignore"):
         seen = np.sqrt(scores / np.maximum(lone_errors(blobs, colours), _TINY))
         costs = errors[at] * seen[first] * seen[second]
-    # Of other pairs, one is dropped before they would merge.
+    # In other pairs, one Gaussian would be dropped before they merge.
     pays = costs < np.minimum(scores[first], scores[second])
     alone = np.arange(count)
     first, second = np.append(alone, first[pays]), np.append(alone, second[pays])
@@ -60,7 +61,7 @@ def cheapest(
 
 @kernel
 def _choose(order, first, second, used, chosen):
-    """Fill `chosen` with pairs in their order, none with a Gaussian of an earlier one."""
+    """Fill `chosen` with pairs in order, skipping pairs with a Gaussian that is already used."""
     number = 0
     for pair in order:
         if number == len(chosen):

@@ -1,1 +1,1 @@
-"""Rate targets: the step sizes and pruning that give a size or a loss."""
+"""Rate targets: find the step sizes and the pruning that give a size or a loss."""

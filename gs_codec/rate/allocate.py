@@ -25,22 +25,22 @@ from gs_codec.rate.trials import RateSearch, Seen, Trials
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 
-#: A file may be smaller than asked for by at most this share.
+#: A file may be smaller than the target by at most this share.
 _SIZE_TOLERANCE = 0.02
 
-#: A loss may be smaller than asked for by at most this, dB.
+#: A loss may be smaller than the target by at most this, in dB.
 _DROP_TOLERANCE = 0.02
 
-#: Approximate change of log2 of the size when the steps double.
+#: Approximate change of log2 of the size when step sizes double.
 _SIZE_SLOPE = -0.45
 
-#: Approximate change of log2 of the loss when the steps double.
+#: Approximate change of log2 of the loss when step sizes double.
 _DROP_SLOPE = 1.7
 
-#: About how many times smaller SH compaction makes a file, for the first guess.
+#: Approximate factor by which SH compaction shrinks a file, for the first guess.
 _COMPACTION_SAVES = 1.08
 
-#: About how many times larger the refit of colours then makes it.
+#: Approximate factor by which refitting colours then enlarges it.
 _REFIT_ADDS = 1.01
 
 #: Share of the Gaussians that a round of pruning removes.
@@ -60,11 +60,11 @@ def encode_to_target(
     progress: Progress | None = None,
     views: ViewSplit | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene at the coarseness that meets a target, which is relative to the original.
+    """Encode a scene at the coarseness that meets a target relative to the original.
 
     With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
     against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
-    that are chosen from the scene. `views` are the plan's, if they are known.
+    estimated from the scene. `views` are those of the plan, if already known.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def step_error_for(
     views: ViewSplit,
     progress: Progress | None = None,
 ) -> StepError:
-    """The error of the steps that would meet a target with a pruned scene; see `Balance`."""
+    """The error of the step sizes that would meet a target with a pruned scene; see `Balance`."""
     limit = target.limit(scene.count, ply_bytes)
     if limit is None:
         references = views.references
@@ -123,17 +123,17 @@ def step_error_for(
 
 
 class _OutOfReach(InvalidInput):
-    """No steps meet a target."""
+    """No step sizes meet a target."""
 
 
 class _TooLarge(_OutOfReach):
-    """All files are too large; with fewer Gaussians one may be small enough."""
+    """All files are too large, but one with fewer Gaussians may be small enough."""
 
 
 def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
-    """Meet a target with the number of Gaussians that gives the least loss, or the smallest file.
+    """Meet a target with the number of Gaussians that gives the lowest loss, or the smallest file.
 
-    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays.
+    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays off.
     """
     best: Trials | None = None
     refused: _OutOfReach | None = None
@@ -167,7 +167,7 @@ def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
 
 
 def _meet(trials: Trials, start: float) -> None:
-    """Meet the target with all Gaussians of a scene; the search begins at `start` octaves."""
+    """Meet the target with all Gaussians of a scene; the search starts at `start` octaves."""
     asked = trials.asked
     if asked.limit is not None:
         _meet_size(trials, asked.limit, start)
@@ -177,19 +177,20 @@ def _meet(trials: Trials, start: float) -> None:
 
 
 def _meet_size(trials: Trials, limit: int, start: float) -> None:
-    """Search for steps at which the file is just within the limit."""
+    """Search for step sizes at which the file is just within the limit."""
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
     if trials.guidance is None:
         found = search(trials.size, *interval, start, _SIZE_SLOPE)
     else:
-        # Current colours, then compacted ones, are quick and give most of the final size.
+        # Encoding current colours, then compacted ones, is quick and predicts most of the final
+        # size.
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
         plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
         search(trials.size, *plain, start, _SIZE_SLOPE)
         search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
         trials.settle(trials.octaves)
         if not before[0] <= trials.size(trials.octaves) <= before[1]:
-            # Compaction does not pay at these steps, so it is left out.
+            # Compaction does not pay off at these step sizes, so it is skipped.
             search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
         trials.predicted_bytes = round(len(trials.last[0]) * _REFIT_ADDS)
         start = trials.octaves
@@ -203,7 +204,7 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
 
 
 def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:
-    """That a size of so many bytes is out of reach, in the words of the target."""
+    """Message that a size in bytes is out of reach, in the units of the target."""
     if target.ratio is not None:
         wanted, unit = f"{target.ratio:g}", "times smaller"
         ends = [f"{target.ratio * limit / size:.4g}" for size in (most, least)]
@@ -217,12 +218,12 @@ def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:
 
 
 def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
-    """Search for steps at which the loss of views is just within the limit."""
+    """Search for step sizes at which the loss of views is just within the limit."""
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
     def drop(octaves: float) -> float:
         if trials.guidance is not None:
-            # Colours that were refitted for other rounded shapes are worse than none.
+            # Colours refitted for other quantised shapes are worse than unrefitted ones.
             trials.refit(octaves)
         trials.size(octaves)
         trials.loss = seen.loss(trials.decoded())
@@ -234,7 +235,7 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     interval = (limit - _DROP_TOLERANCE, limit)
     found = search(drop, *interval, start, _DROP_SLOPE)
     if found is None and trials.guidance is not None:
-        # Compaction may cost held-out views more than the limit, even at its weakest.
+        # Compaction may cost held-out views more than the limit, even at its lowest strength.
         trials.compacting = False
         found = search(drop, *interval, start, _DROP_SLOPE)
     if found is None:

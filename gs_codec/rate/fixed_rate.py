@@ -1,4 +1,4 @@
-"""Rate targets for formats that take as many bits for every Gaussian: met by their number."""
+"""Rate targets for formats with the same number of bits for every Gaussian: met by pruning."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from gs_codec.report import EncodeReport, Progress, RateReport
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
-#: Encodes a scene by a plan.
+#: Encodes a scene according to a plan.
 Encode = Callable[[Plan | None], tuple[bytes, EncodeReport]]
 
-#: Most times that pruning is repeated because held-out views lose more than those it goes by.
+#: Maximum number of times pruning is repeated because held-out views lose more than predicted.
 _ATTEMPTS = 4
 
-#: Bytes by which headers of two scenes may differ.
+#: Maximum difference between the headers of two scenes, in bytes.
 _HEADER = 256
 
 
@@ -35,12 +35,12 @@ def meet_target(
     plan: Plan | None,
     progress: Progress | None,
 ) -> tuple[bytes, EncodeReport]:
-    """Meet a target with as many Gaussians as it allows, those whose removal views see least.
+    """Meet a target by pruning: keep as many Gaussians as it allows, the most visible ones.
 
     Raises
     ------
     InvalidInput
-        If the plan prunes, too, or the target is unreachable.
+        If the plan also prunes, or the target is unreachable.
     """
     steps = Plan().steps if plan is None else plan.steps
     if target.allow_prune or (steps.by_leave_one_out and not steps.balanced):
@@ -60,7 +60,7 @@ def meet_target(
 
 
 def _most(scene: Scene, config: Config, limit: int) -> int:
-    """Most Gaussians that a file of at most `limit` bytes can have."""
+    """Maximum number of Gaussians in a file of at most `limit` bytes."""
     one, all_of_them = (
         len(encode_scene(scene.between(0, stop), config)[0]) for stop in (1, scene.count)
     )
@@ -81,7 +81,7 @@ def _meet_drop(
     plan: Plan,
     progress: Progress | None,
 ) -> tuple[bytes, EncodeReport]:
-    """Prune as far as a loss allows, beside what the format itself loses."""
+    """Prune as far as a loss allows, in addition to the loss of the format itself."""
     views, limit = choose_views(scene, plan, progress).held_out, float(target.psnr_drop or 0)
     before = views.errors(scene, progress)
 

@@ -1,4 +1,4 @@
-"""Search for the coarseness at which a measure lies in an interval."""
+"""Search for the coarseness at which a measurement is inside an interval."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ FINEST = -6.0
 #: Log2 of the largest coarseness that is tried.
 COARSEST = 6.0
 
-#: Point of the interval that the search aims at, 0 to 1.
+#: Target of the search within the interval, 0 to 1.
 _AIM = 0.7
 
-#: Largest change of log2 of the coarseness that `_expected` gives.
+#: Maximum change of log2 of the coarseness that `_expected` returns.
 _FARTHEST = 2.0
 
-#: Factor on the distance to the root of the secant, to overshoot it.
+#: Factor on the distance to the secant's root, to overshoot it.
 _BEYOND = 1.25
 
-#: Minimum distance, log2.
+#: Minimum step of the search, log2.
 _LEAST_STEP = 0.02
 
-#: Resolution of the search, log2; and further points, in units of it, that are tried where the
-#: measure is rough.
+#: Resolution of the search, log2; and the offsets, in units of it, of further points that are tried
+#: if the measurement is noisy.
 _NARROW = 1e-3
 _BESIDE = (3, -3, 6, -6, 9, -9, 12, -12)
 
-#: Smaller measures count as this.
+#: Lower bound of measurements.
 _LEAST = 1e-6
 
 #: Colours are refitted again if the coarseness changes by more than this, log2.
@@ -38,7 +38,7 @@ _MOST_RECOLOURINGS = 5
 
 
 class _Met(Exception):
-    """The measure is in its interval; the argument is the log2 of the coarseness."""
+    """The measurement is inside its interval; the argument is log2 of the coarseness."""
 
 
 def search(
@@ -49,18 +49,18 @@ def search(
     Parameters
     ----------
     measure : callable
-        Monotonic function of log2 of the coarseness, from `FINEST` to `COARSEST`.
+        A monotonic function of log2 of the coarseness, from `FINEST` to `COARSEST`.
     low, high : float
     start : float
-        Where to begin.
+        Log2 of the coarseness to start at.
     slope : float
-        About how much log2 of the measure changes with each doubling of the coarseness.
+        Approximate change of log2 of the measurement when the coarseness doubles.
 
     Returns
     -------
     float or None
-        Log2 of the coarseness that was measured last. If the measure jumps over the interval,
-        that of the highest value below it; None if the interval is never reached.
+        Log2 of the coarseness measured last. If the measurement jumps over the interval, that of
+        the highest value below it. None if the interval is never reached.
     """
     aim = math.log2(max((1 - _AIM) * low + _AIM * high, _LEAST))
     below: dict[float, float] = {}
@@ -89,7 +89,7 @@ def search(
 
 
 def _root(height: Callable[[float], float], before: float, now: float) -> float:
-    """A point within `_NARROW` of where `height` changes its sign (Brent 1973, chapter 4)."""
+    """A point within `_NARROW` of a sign change of `height` (Brent 1973, chapter 4)."""
     last, at_last = before, height(before)
     at_before, at_now = at_last, height(now)
     step = step_before = now - before
@@ -106,9 +106,9 @@ def _root(height: Callable[[float], float], before: float, now: float) -> float:
         tried = math.inf
         if abs(step_before) > least and abs(at_now) < abs(at_before):
             slope = (at_before - at_now) / (before - now)
-            if before == last:  # a line
+            if before == last:  # linear interpolation
                 tried = -at_now / slope
-            else:  # a parabola
+            else:  # inverse quadratic interpolation
                 chord = (at_last - at_now) / (last - now)
                 tried = -at_now * (at_last * chord - at_before * slope)
                 tried /= chord * slope * (at_last - at_before)
@@ -124,7 +124,7 @@ def _root(height: Callable[[float], float], before: float, now: float) -> float:
 def _bracket(
     height: Callable[[float], float], start: float, slope: float
 ) -> tuple[float, float] | None:
-    """Two points between which `height` changes its sign; None if it does not."""
+    """Two points between which `height` changes sign; None if it does not."""
     found = height(start)
     before, reach = start, -found / slope
     while True:
@@ -134,7 +134,7 @@ def _bracket(
         value = height(octaves)
         if value * found < 0:
             return before, octaves
-        # Go beyond where the secant is 0, but at most double the distance from the start.
+        # Overshoot the root of the secant, but at most double the distance from the start.
         line = (value - found) / (octaves - start)
         further = abs(_BEYOND * value / line) if line * slope > 0 else math.inf
         further = min(max(further, _LEAST_STEP), abs(reach))
@@ -148,7 +148,7 @@ def search_recoloured(
     start: float,
     slope: float,
 ) -> float | None:
-    """`search`, with colours refitted for about the steps that are found."""
+    """Like `search`, with colours refitted for approximately the final step sizes."""
     octaves = start
     for _ in range(_MOST_RECOLOURINGS):
         recolour(octaves)
@@ -165,7 +165,7 @@ def search_recoloured(
 
 
 def _expected(value: float, low: float, high: float, octaves: float, slope: float) -> float:
-    """Log2 of a coarseness that should take a measure from `value` to within its interval."""
+    """Log2 of the coarseness predicted to move a measurement from `value` into its interval."""
     aim = (1 - _AIM) * low + _AIM * high
     reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
     return min(max(octaves + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)

@@ -1,4 +1,4 @@
-"""Trial encodings of a scene, in the search for a rate."""
+"""Trial encodings of a scene during the search for a rate."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Seen:
 
 @dataclass
 class RateSearch:
-    """What is asked for, and the time and encodings that it has taken.
+    """A rate target, and the time and encodings spent on it so far.
 
-    Without `references` the encoder is camera-free; `limit` (bytes) is None if the target is a
-    loss, which needs `seen`.
+    Without `references`, the encoder is camera-free. `limit` (bytes) is None if the target is a
+    loss; a loss needs `seen`.
     """
 
     config: Config
@@ -52,7 +52,7 @@ class RateSearch:
 
 @dataclass
 class Trials:
-    """Trial encodings of a scene, with the colours that were refitted last.
+    """Trial encodings of a scene, with the most recently refitted colours.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Trials:
     asked : RateSearch
     guidance : Guidance or None
     coloured : Scene
-        The scene with the colours refitted last.
+        The scene with the most recently refitted colours.
     octaves : float
         Log2 of the coarseness of `last`.
     last : tuple
@@ -73,7 +73,7 @@ class Trials:
     predicted_bytes, predicted_drop : number or None
         As in `RateReport`.
     at_end : bool
-        Whether no steps come nearer to the target.
+        Whether the target is out of reach for any step sizes.
     """
 
     scene: Scene
@@ -111,11 +111,11 @@ class Trials:
         return len(self.last[0])
 
     def compact(self, octaves: float) -> None:
-        """Compact SH for steps of this coarseness, without deciding whether it pays."""
+        """Compact SH for steps of this coarseness, without deciding whether it pays off."""
         self._recolour(octaves, lambda guidance, *to: guidance.compact(*to, decide=False))
 
     def settle(self, octaves: float) -> None:
-        """As `compact`, but decide first whether compaction pays; the decision is kept."""
+        """Like `compact`, but first decide, once, whether compaction pays off."""
         self._recolour(octaves, lambda guidance, *to: guidance.compact(*to))
 
     def refit(self, octaves: float) -> None:
@@ -136,7 +136,7 @@ class Trials:
         self.asked.encodings += 1
 
     def rate_report(self, pruned: int) -> RateReport:
-        """How the target was met by the last encoding, with `pruned` Gaussians less."""
+        """Report how the last encoding met the target, with `pruned` Gaussians removed."""
         data = self.last[0]
         return RateReport(
             self.asked.target,

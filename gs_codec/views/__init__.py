@@ -1,1 +1,1 @@
-"""Views of a scene: its cameras found or estimated, photographs, pictures of views."""
+"""Views of a scene: find or estimate its cameras, read photographs, render to files."""

@@ -1,4 +1,4 @@
-"""Views of a scene drawn to image files, one for each camera."""
+"""Render views of a scene to image files, one per camera."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_views(
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Draw what each camera sees to a file in `folder`, named by `output_names`; see `render`.
+    """Render each camera's view to a file in `folder`, named by `output_names`; see `render`.
 
     Raises
     ------

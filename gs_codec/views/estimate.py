@@ -1,8 +1,8 @@
-"""Virtual cameras for a scene that comes without any.
+"""Estimate cameras for a scene without any.
 
-Views look from places where cameras may have been at random Gaussians, as these are densest where
-cameras looked, and at the finest. Those that show holes or close-ups go; of the others, those stay
-that together see most.
+Candidate views look from likely camera positions at random Gaussians (which are densest where
+cameras looked) and at the finest Gaussians. Views with holes or close-ups are rejected. From the
+rest, the set that sees the most is selected.
 """
 
 from __future__ import annotations
@@ -28,30 +28,31 @@ from gs_codec.views.evidence import Evidence, gather_evidence
 #: Default number of cameras.
 COUNT = 24
 
-#: Size of the images, pixels.
+#: Width of the images, in pixels.
 WIDTH = 420
 HEIGHT = 280
 
 #: Focal length, pixels: a horizontal field of view of 51 degrees.
 _FOCAL = 1.04 * WIDTH
 
-#: Number of places tried for an overview.
+#: Number of positions tried for an overview.
 _OVERVIEWS = 48
 
-#: Overviews are also tried from farther away: this many times the distance of each place.
+#: Overviews are also tried from farther away: factors on the distance of each position.
 _BACK = (1.0, 1.6, 2.5)
 
-#: About how many Gaussians are drawn to compare views.
+#: Approximate number of Gaussians rendered to compare views.
 _ROUGH = 10_000
 
 #: Number of the best overviews that are compared again with all Gaussians.
 _FINALISTS = 16
 
-#: Distance of an overview, in units of that at which 0.99 of the subject fits into the image.
+#: Distance of an overview, relative to that at which 99 % of the subject fits into the image.
 _MARGIN = 1.2
 
-#: Nothing surrounds a scene if the distance from which a camera sees 0.99 of it is less than this
-#: many times that for 0.9. Objects, people and plants have 1.2 to 1.3, objects in a room above 2.
+#: A scene has no surroundings if the distance from which a camera sees 99 % of it is less than this
+#: many times the distance for 90 %. Objects, people and plants have 1.2 to 1.3, objects in a room
+#: above 2.
 _COMPACT = 1.5
 
 #: Number of views tried for each one requested.
@@ -60,46 +61,46 @@ _TRIED = 3
 #: Minimum number of views tried.
 _LEAST_TRIED = 96
 
-#: Views are chosen among this many times the requested number: the best of those tried.
+#: Views are selected from the best of those tried: this many times the requested number.
 _GOOD = 2.7
 
 #: Share of the views that look at the subject; the others look at random Gaussians.
 _AT_SUBJECT = 0.5
 
-#: Places are drawn by rank: 1/e as often after this share of them.
+#: Positions are drawn by rank: the probability falls to 1/e after this share of them.
 _LIKELY = 0.5
 
-#: Size at which views are compared, pixels.
+#: Size of images for comparing views, in pixels.
 _THUMB = (96, 64)
 
-#: Views for guidance and refinement: this many times the requested number.
+#: Views for guidance and refinement: this many times the requested number, at the width below.
 _MANY = 4
 
 #: Width of these views, pixels.
 SMALL = WIDTH // 2
 
-#: They are up to this many times as wide, and fewer, in scenes of many small Gaussians.
+#: In scenes with many small Gaussians, views are up to this many times wider, and fewer.
 _LARGER = math.sqrt(2)
 
-#: Those are scenes of which a view has fewer pixels than this for each Gaussian that it shows.
+#: Such scenes have fewer pixels per visible Gaussian than this.
 _PIXELS = 3.0
 
 
 class Estimate(NamedTuple):
-    """Cameras that were chosen for a scene.
+    """Cameras estimated for a scene.
 
     Attributes
     ----------
     cameras : list of Camera
-        Those that together see most come first, after an overview.
+        An overview, then the cameras that together see most.
     up : ndarray, shape (3,)
-        Unit vector: what is up in the scene.
+        Unit vector of the up direction.
     up_certain : bool
-        As for `Evidence`: whether the up axis is certain.
+        Whether the up axis is certain, as in `Evidence`.
     telling : bool
-        As for `Evidence`: whether cameras are near those that the scene was trained with.
+        Whether cameras are near the training cameras, as in `Evidence`.
     shown : float
-        Share of the Gaussians that a view shows, on average.
+        Mean share of the Gaussians that are visible in a view.
     """
 
     cameras: list[Camera]
@@ -112,7 +113,7 @@ class Estimate(NamedTuple):
 def auto_cameras(
     scene: Scene, count: int = COUNT, progress: Progress | None = None
 ) -> list[Camera]:
-    """Choose cameras near those that a scene was trained with: first an overview, then others.
+    """Estimate cameras near a scene's training cameras: first an overview, then others.
 
     The same scene gives the same cameras, of `WIDTH` x `HEIGHT` pixels.
 
@@ -130,9 +131,9 @@ def estimate_views(
     up: NDArray | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
-    """The same cameras, and what is known of them.
+    """Like `auto_cameras`, with further results.
 
-    If `up` is given, also a unit vector, cameras are upright by that one instead.
+    If the unit vector `up` is given, cameras are upright with respect to it.
 
     Raises
     ------
@@ -157,10 +158,10 @@ def estimate_views(
 def guiding_cameras(
     scene: Scene, views: int, width: int | None = None, progress: Progress | None = None
 ) -> Estimate:
-    """Cameras to work by: two to four for each of the `views`, with no more pixels together.
+    """Cameras for guidance: two to four for each of `views`, with no more pixels in total.
 
-    What all places see counts for more than pixels that show nothing smaller. The width of the
-    images can be given.
+    Many small views see more of a scene than few large ones. `width` overrides the width of the
+    images.
 
     Raises
     ------
@@ -177,15 +178,15 @@ def guiding_cameras(
 
 
 def guiding_number(views: int, width: int) -> int:
-    """How many `guiding_cameras` there are of this width."""
+    """Number of `guiding_cameras` of this width."""
     return math.ceil(_MANY * views / min(max(width / SMALL, 1.0), _LARGER) ** 2)
 
 
 def _overview(seen: Evidence, rng: np.random.Generator, progress: Progress | None) -> list[Camera]:
-    """The level view with most of the subject in it, if any shows anything."""
+    """The level view with most of the subject in it; none if no view shows anything."""
     some = seen.places[rng.integers(len(seen.places), size=_OVERVIEWS)]
     middle = np.median(_subject(seen), axis=1)
-    # Behind the places that a scene tells may be walls.
+    # Behind positions that were estimated from the scene there may be walls.
     back = _BACK[:1] if seen.telling else _BACK
     views = [look_at(middle + k * (place - middle), middle, seen) for k in back for place in some]
     rough = _thinned(seen)
@@ -200,18 +201,18 @@ def _overview(seen: Evidence, rng: np.random.Generator, progress: Progress | Non
 
 
 def _whole(seen: Evidence, view: Camera) -> Camera:
-    """The view with all of a subject without surroundings in its middle, from farther back if so.
+    """Centre a subject that has no surroundings in the view, moving back until all of it fits.
 
-    What surrounds a subject may be cut off; all of it inside would make the subject small.
+    Surroundings of a subject may be cut off; showing all of them would make the subject small.
     """
     points = _subject(seen)
     target = np.median(points, axis=1)
-    # The middle of the subject in the image, at the depth of the target.
+    # Centre the subject in the image, at the depth of the target.
     for row in view.rotation[:2]:
         low, high = np.quantile(combine(row, points - target[:, None]), [0.005, 0.995])
         target = target + (low + high) / 2 * row
     x, y, z = (combine(row, points - target[:, None]) for row in view.rotation)
-    # From so far behind the target a point is at the image's edge.
+    # From this far behind the target, a point is at the edge of the image.
     back = np.maximum(np.abs(view.fx * x) / view.cx, np.abs(view.fy * y) / view.cy) - z
     most, whole = np.quantile(back, [0.9, 0.99])
     away = float(np.sum(view.rotation[2] * (target - view.position)))
@@ -231,7 +232,7 @@ def _rate_overviews(
         x, y, z = (combine(row, points - view.position[:, None]) for row in view.rotation)
         inside = np.maximum(np.abs(view.fx * x) / view.cx, np.abs(view.fy * y) / view.cy) < z
         own = weight[seen.subject]
-        # What fog or walls hide is not shown.
+        # Gaussians hidden by fog or walls do not count.
         shown = own / (own + np.median(weight[weight > 0])) if weight.any() else own
         level = 1 - abs(float(np.sum(view.rotation[2] * seen.up)))
         shares = inside.mean() ** 2, shown.mean(), level
@@ -246,7 +247,7 @@ def _subject(seen: Evidence) -> NDArray[np.float64]:
 
 
 def _thinned(seen: Evidence) -> Evidence:
-    """The evidence with about `_ROUGH` Gaussians, some of the subject; all, if it has few."""
+    """The evidence thinned to about `_ROUGH` Gaussians, including some of the subject."""
     step = seen.thumb.count // _ROUGH
     if step < 2:
         return seen
@@ -260,9 +261,9 @@ def _thinned(seen: Evidence) -> Evidence:
 def _others(
     seen: Evidence, count: int, rng: np.random.Generator, progress: Progress | None
 ) -> tuple[list[Camera], float]:
-    """Views of random Gaussians and the subject; of the better ones, those that together see most.
+    """Select, from good views of random Gaussians and the subject, those that together see most.
 
-    Also the share of the Gaussians that each shows, on average.
+    Also return the mean share of the Gaussians that are visible in a view.
     """
     if count < 1:
         return [], 0.0
@@ -291,10 +292,10 @@ def _others(
 
 
 def _see_most(weights: NDArray[np.float32], views: list[int], count: int) -> list[int]:
-    """Of views with ``weights (V, N)`` those that together see most: greedily, the best first.
+    """Select greedily the views with ``weights (V, N)`` that together see most, the best first.
 
-    What a view adds to the sum of roots of weights only falls as others are chosen, so that one
-    whose last value is no longer the largest need not be looked at again.
+    The gain of a view in the sum of square roots of weights only decreases as others are selected.
+    So a view need not be re-evaluated while its last known gain is not the largest.
     """
     chosen: list[int] = []
     total = np.zeros(weights.shape[1], np.float32)
@@ -311,7 +312,7 @@ def _see_most(weights: NDArray[np.float32], views: list[int], count: int) -> lis
 
 
 def look_at(position: NDArray, target: NDArray, seen: Evidence) -> Camera:
-    """A camera that looks at a target; at tiny scenes from farther away, with a longer lens."""
+    """A camera that looks at a target; for tiny scenes, from farther away with a longer lens."""
     zoom = max(1.0, 2 * NEAR / (0.3 * seen.size)) if seen.size < NEAR else 1.0
     position = target + zoom * (position - target)
     rotation = facing(target - position, seen.up)
@@ -320,7 +321,7 @@ def look_at(position: NDArray, target: NDArray, seen: Evidence) -> Camera:
 
 
 def _judge(seen: Evidence, view: Camera) -> tuple[float, NDArray[np.float32]]:
-    """Score of a view, higher is better, and each Gaussian's weight in it ``(N,)``."""
+    """Score of a view (higher is better), and each Gaussian's weight in it ``(N,)``."""
     rendering = render(seen.thumb, view.resized(*_THUMB), accumulate=True, device="cpu")
     assert rendering.accumulations is not None
     weight = rendering.accumulations.weight.astype(np.float32)
@@ -332,6 +333,6 @@ def _judge(seen: Evidence, view: Camera) -> tuple[float, NDArray[np.float32]]:
     share = weight[drawn] / (weight[drawn] + np.median(weight[drawn]))
     score = math.log(share.sum()) + 3 * math.log(rendering.alpha.mean())
     if not seen.telling:
-        # Places may be in cavities, where all is close.
+        # Positions may be in cavities, where everything is close.
         score += 2 * math.log(min(middle / seen.size, 1.0))
     return score + math.log(min(max(near / middle, 0.01), 0.3)), weight

@@ -1,8 +1,8 @@
-"""Where a scene's cameras were, and which way is up, by what training left in it.
+"""Estimate camera positions and the up direction from traces of training in a scene.
 
-Training changes the SH-AC of a Gaussian only in directions in which cameras saw it: they hold
-signal there, and next to nothing elsewhere. So places from which the Gaussians around show much of
-their SH-AC are near those of the cameras; and floors show theirs to one side, which is up.
+Training changes the SH-AC of a Gaussian only in the directions of its cameras: there they are
+strong, elsewhere almost 0. So positions from which the surrounding Gaussians show strong SH-AC are
+near cameras; and floors show strong SH-AC on one side, which is up.
 """
 
 from __future__ import annotations
@@ -24,76 +24,80 @@ from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: A scene is looked at by about this many of its Gaussians, enlarged to cover the same surfaces.
+#: Approximate number of Gaussians used for the estimate, enlarged to cover the same surfaces.
 _THUMB_GAUSSIANS = 50_000
 
-#: Gaussians below this logit (opacity 0.3) say little about where surfaces are.
+#: Gaussians below this opacity logit (opacity 0.3) say little about the position of surfaces.
 _SOLID = -0.85
 
 
 class _Tried(NamedTuple):
-    """Places that are tried, the Gaussians that each is tried on, and the share that stays."""
+    """Number of positions tried, Gaussians that each is tested on, and share that is kept."""
 
     places: int
     witnesses: int
     stay: float
 
 
-#: For estimated cameras. With fewer places, views are too much alike.
+#: For estimated cameras. With fewer positions, views are too similar.
 _THOROUGH = _Tried(6000, 2500, 0.1)
 
 #: For a quick estimate.
 _QUICK = _Tried(3000, 800, 0.05)
 
-#: Minimum distance of a place from a Gaussian, in units of the scene's size.
+#: Minimum distance of a position from a Gaussian, in units of the scene's size.
 _NEAREST = 0.3
 
-#: Maximum distance of a place from a Gaussian and from the scene's centre, in units of its reach.
+#: Maximum distance of a position from a Gaussian and from the scene's centre, in units of its
+#: reach.
 _FARTHEST = 3.0
 
-#: Added to the share of SH-AC that a direction shows before its logarithm is taken.
+#: Added to the share of SH-AC visible in a direction before its logarithm is taken.
 _FLOOR = 0.3
 
-#: Gaussians tell where cameras were if this is how far the mean logarithm of what they show in the
-#: places that stay is above that in all. A real room and captures in five styles are at 0.39 to
-#: 0.89; a real orbit whose estimated cameras mislead is at 0.31, a quantised garden at 0.22.
+#: Positions are estimated if the mean logarithm of visible SH-AC in the kept positions exceeds that
+#: in all positions by at least this. A real room and captures in five styles reach 0.39 to 0.89; a
+#: real orbit whose estimated cameras mislead reaches 0.31, a quantised garden 0.22.
 _TELLING = 0.35
 
-#: Number of directions of the upper half of a sphere.
+#: Number of directions in the upper hemisphere.
 _DIRECTIONS = 1000
 
-#: Normals count for a direction if the cosine between them is at least this.
+#: Normals count for a direction if the cosine of the angle between them is at least this.
 _ALIKE = 0.99
 
-#: Number of directions of normals that are compared.
+#: Number of frequent normal directions that are compared.
 _MODES = 4
 
 #: Up in most captures.
 _USUAL_UP = np.array([0.0, -1.0, 0.0])
 
-#: Most that one-sidedness counts for an axis, in powers of e: cameras see walls from one side too.
+#: Maximum weight of one-sidedness for an axis, in powers of e: cameras also see walls from one
+#: side.
 _ONE_SIDED = 1.0
 
-#: Preference for axes near -y in scenes that tell nothing, in powers of e of more flat Gaussians.
+#: Preference for axes near -y in scenes without estimated positions, in powers of e of more flat
+#: Gaussians.
 _PREFERENCE = 0.8
 
-#: Axes are as likely up if their scores differ by less, in powers of e. In those 24 of 28 scenes in
-#: which the best is right, they differ by 0.42 or more.
+#: Axes whose scores differ by less count as equally likely, in powers of e. In the 24 of 28 scenes
+#: where the best is right, scores differ by 0.42 or more.
 _TIE = 0.25
 
-#: Cameras face along up, as above a floor or in front of a wall, if the median cosine of the angle
-#: to up of where they may have been is larger. Above floors and before walls it is 0.67 to 0.79,
-#: around things and in rooms at most 0.5, which is also that of a half sphere.
+#: Cameras face along the up axis, as above a floor or in front of a wall, if the median cosine of
+#: the angle between up and the camera positions is larger. Above floors and in front of walls it is
+#: 0.67 to 0.79, around objects and in rooms at most 0.5, which is also that of a hemisphere.
 _FACING = 0.6
 
-#: These have floors if the most frequent normal has this many times the flat Gaussians of the
-#: median one. Rooms, tables and fields have 5 to 27 times; plants, people and gardens 2 to 4.
+#: Scenes without estimated positions have a floor if the most frequent normal has this many times
+#: the flat Gaussians of the median one. Rooms, tables and fields have 5 to 27 times; plants, people
+#: and gardens 2 to 4.
 _FLAT = 4.5
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a scene tells about its cameras.
+    """Evidence in a scene about its cameras.
 
     Attributes
     ----------
@@ -102,16 +106,16 @@ class Evidence:
     size : float
         Median distance of Gaussians from the scene's centre.
     subject : ndarray, shape (N,), bool
-        The smallest Gaussians of `thumb`; all, if nothing tells where cameras were.
+        The smallest Gaussians of `thumb`; all, if camera positions cannot be estimated.
     places : ndarray, shape (P, 3)
-        Where cameras may have been, the likeliest first.
+        Likely camera positions, the likeliest first.
     up : ndarray, shape (3,)
         Unit vector.
     up_certain : bool
-        Whether this is certain: not if two axes are as likely, or if cameras may have faced a
-        wall as well as a floor.
+        Whether `up` is certain: not if two axes are equally likely, or if cameras may have faced
+        either a wall or a floor.
     telling : bool
-        Whether places differ in what they show. Else they are anywhere around.
+        Whether the positions could be estimated; otherwise they are spread around the scene.
     """
 
     thumb: Scene
@@ -126,9 +130,9 @@ class Evidence:
 def gather_evidence(
     scene: Scene, quick: bool = False, progress: Progress | None = None
 ) -> Evidence | None:
-    """Gather what a scene tells about its cameras; None if it has no finite Gaussians.
+    """Gather the evidence in a scene about its cameras; None if it has no finite Gaussians.
 
-    The same scene gives the same places. A `quick` look tries fewer, and takes -y for up.
+    The same scene gives the same positions. `quick` tries fewer, and assumes that -y is up.
     """
     thumb = _thinned(scene)
     if not thumb.count:
@@ -136,7 +140,7 @@ def gather_evidence(
     points, sizes = thumb.positions.T.astype(np.float64), _log_sizes(thumb)
     centre = np.median(points, axis=0)
     distance = np.linalg.norm(points - centre, axis=1)
-    # A single Gaussian is looked at from a distance of its own size, but one that floats resolve.
+    # View a single Gaussian from a distance of its own size, but not below float resolution.
     least = max(float(np.spacing(np.float32(np.abs(centre).max()))), 1e-6)
     size = max(float(np.median(distance)), float(np.exp(np.median(sizes))), least)
     reach = max(float(np.quantile(distance, 0.75)), size)
@@ -154,7 +158,7 @@ def gather_evidence(
 
 
 def _thinned(scene: Scene) -> Scene:
-    """See `Evidence.thumb`."""
+    """Thin out a scene; see `Evidence.thumb`."""
     usable = finite_gaussians(scene) & scene.rot.any(axis=0)
     solid = usable & (scene.opacity[0] > _SOLID)
     index = np.flatnonzero(solid if solid.any() else usable)
@@ -169,7 +173,7 @@ def _log_sizes(scene: Scene) -> NDArray[np.float64]:
 
 
 def _shown(scene: Scene) -> NDArray[np.float32]:
-    """SH-AC ``(3, K, N)`` of which a direction shows a square of 1 in the mean, of all but weak."""
+    """SH-AC ``(3, K, N)`` normalised to a mean square of 1 over directions; weak ones less."""
     sh = scene.f_rest.reshape(3, -1, scene.count)
     mean = np.sum(sh.astype(np.float64) ** 2, axis=(0, 1)) / (4 * np.pi)
     least = np.quantile(mean, 0.2)
@@ -185,7 +189,7 @@ def _places(
     tried: _Tried,
     progress: Progress | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Random places ``(P, 3)``, and for each the mean logarithm of what Gaussians show there."""
+    """Random positions ``(P, 3)``, and the mean logarithm of the SH-AC visible from each."""
     rng = np.random.default_rng(0)
     inner = points[np.linalg.norm(points - centre, axis=1) <= 1.5 * reach]
     sides = rng.standard_normal((tried.places, 3))
@@ -207,7 +211,7 @@ def _places(
 
 @kernel
 def _weigh(points, shown, places, soft, shows, part):
-    """Fill the mean logarithm of what points ``(n, 3)`` show; those near by count most."""
+    """Fill the mean logarithm of SH-AC visible on points ``(n, 3)``; near ones count most."""
     basis = np.empty(15)
     size = shown.shape[1]
     for place in part:
@@ -251,12 +255,12 @@ def _vertical(
     places: NDArray[np.float64],
     telling: bool,
 ) -> tuple[NDArray[np.float64], bool]:
-    """Up direction: a normal of many flat Gaussians, along which places differ least.
+    """Up direction: a frequent normal of flat Gaussians, along which positions differ least.
 
-    Those Gaussians show their SH-AC to one side, and places have more of the subject on one side:
-    they tell which way along it is up, and which is down. In scenes that tell nothing it is -y,
-    as in most captures, or, if they have floors, a normal near -y, or else on the side of +z.
-    Among equally likely normals, one near -y is taken as -y. Also whether the axis is certain.
+    The sign follows from the side on which those Gaussians show SH-AC, and from the side of the
+    subject relative to the positions. Without estimated positions, up is -y, as in most captures;
+    if there is a floor, it is a normal near -y, or else on the side of +z. Among equally likely
+    normals, one near -y is replaced by -y. Also returns whether the axis is certain.
     """
     normals, flatness = _normals(scene)
     some = slice(None, None, max(1, scene.count // 5000))
@@ -299,7 +303,7 @@ def _vertical(
 
 
 def _normals(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Normals ``(N, 3)`` of Gaussians, and how flat each is, in powers of e."""
+    """Normals ``(N, 3)`` of Gaussians, and their flatness, in powers of e."""
     normals = np.empty((scene.count, 3))
     _fill_axes(np.ascontiguousarray(scene.rot), np.argmin(scene.log_scale, axis=0), normals)
     scales = np.sort(scene.log_scale.astype(np.float64), axis=0)
@@ -316,7 +320,7 @@ def _fill_axes(rot, which, axes):
 
 
 class _Mode(NamedTuple):
-    """A direction of many normals: how likely it is up or down, whether near y, and as up."""
+    """A direction of many normals: its score as up or down, whether it is near y, and as up."""
 
     score: float
     upside: bool
@@ -326,7 +330,7 @@ class _Mode(NamedTuple):
 def _mean_normal(
     normals: NDArray[np.float64], weights: NDArray[np.float64], axis: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Mean of normals near an axis, turned to its side; the axis, if there is none."""
+    """Mean of normals near an axis, flipped to its side; the axis itself if there are none."""
     towards = normals * np.sign(combine(axis, normals.T))[:, None]
     mean = np.sum(towards * weights[:, None], axis=0)
     length = float(np.linalg.norm(mean))
@@ -334,18 +338,18 @@ def _mean_normal(
 
 
 def _is_faced(offsets: NDArray[np.float64], axis: NDArray[np.float64]) -> bool:
-    """Whether most places, by their offsets from a subject, are straight before it along `axis`."""
+    """Whether most positions, given as offsets from a subject, are straight in front of it."""
     away = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
     return bool(np.median(combine(axis, offsets.T) / away) > _FACING)
 
 
 def _side(shown: NDArray[np.float32], axis: NDArray[np.float64]) -> float:
-    """Log of how much more Gaussians show of their SH-AC from along `axis` than from behind."""
+    """Log of the ratio of SH-AC visible from along `axis` to those from behind."""
     directions = sphere(64)
     bases = sh_bases(directions, shown.shape[1])
     some = shown[:, :, :: max(1, shown.shape[2] // 2000)]
     powers = np.sum(np.einsum("dk,ckn->cdn", bases, some) ** 2, axis=(0, 2))
-    # A basis is that of the direction from the camera.
+    # The SH basis uses directions from the camera.
     ahead = combine(axis, directions.T)
     above, below = powers[ahead < -0.5].sum(), powers[ahead > 0.5].sum()
     return float(np.log(above / below)) if above > 0 and below > 0 else 0.0
@@ -354,7 +358,7 @@ def _side(shown: NDArray[np.float32], axis: NDArray[np.float64]) -> float:
 def _above(
     points: NDArray[np.float32], places: NDArray[np.float64], axis: NDArray[np.float64]
 ) -> float:
-    """Log of how many more points are below places, along `axis`, than above them, on average."""
+    """Log of the mean ratio of points below positions, along `axis`, to points above them."""
     heights = np.sort(combine(axis, points.astype(np.float64)))
     below = np.searchsorted(heights, combine(axis, places.T)).mean() + 1
     return float(np.log(below / (len(heights) + 2 - below)))

@@ -1,4 +1,4 @@
-"""The cameras that a command asks for: from a file or folder, estimated, or given."""
+"""The cameras for a command: from a file or folder, estimated, or given."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def find_cameras(
     auto: int = COUNT,
     progress: Progress | None = None,
 ) -> list[Camera]:
-    """Cameras of a file or folder (see `read_cameras`), ``auto`` ones, or those given.
+    """Cameras from a file or folder (see `read_cameras`), ``auto`` (estimated), or given ones.
 
     Parameters
     ----------
     source : path, "auto", or sequence of Camera or mapping
         A mapping is an entry of the trainer's ``cameras.json``.
     scene : Scene
-        The scene for which ``auto`` chooses cameras.
+        The scene for which ``auto`` estimates cameras.
     split : {"held-out", "test", "train", "all"}
         Which cameras to use; ``held-out`` means ``test`` if any camera is marked ``test``, else
         ``all``.
@@ -43,12 +43,12 @@ def find_cameras(
     auto : int
         Number of ``auto`` cameras.
     progress : callable, optional
-        Told while ``auto`` cameras are chosen.
+        Called while ``auto`` cameras are estimated.
 
     Raises
     ------
     InvalidInput
-        If there are none.
+        If there are no cameras.
     """
     if split not in SPLITS:
         raise InvalidInput(f"split '{split}': expected one of {', '.join(SPLITS)}")

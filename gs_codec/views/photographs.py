@@ -1,4 +1,4 @@
-"""Photographs, and the cameras that fit them."""
+"""Read photographs, and fit cameras to them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from gs_codec.runtime.lazy import pip_install
 def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.float32]]:
     """Read a camera's photograph, undistorted, and resize the camera to it.
 
-    The photograph of a camera with a lens may be smaller than the lens says. It is taken for
-    undistorted already if its size is that of the camera which `Lens.pinhole` gives, or that
-    divided by a whole number, and no such size of the lens.
+    The photograph of a camera with a lens may be smaller than the lens states. It counts as already
+    undistorted if its size is that of the `Lens.pinhole` camera, or that divided by a whole number,
+    and is not such a size of the lens.
 
     Parameters
     ----------
@@ -30,16 +30,16 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
     Returns
     -------
     Camera
-        Of the size of the image.
+        The camera, with the size of the image.
     ndarray, shape (H, W, 3), float32
         0-1.
 
     Raises
     ------
     InvalidInput
-        If the photograph is broken, or does not have the camera's shape.
+        If the photograph is damaged, or its shape differs from the camera's.
     MissingTool
-        If it has to be undistorted, and OpenCV is not installed.
+        If it must be undistorted, and OpenCV is not installed.
     """
     image = read_image(path)
     size = image.shape[1], image.shape[0]
@@ -60,7 +60,7 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
 
 
 def _divides(size: tuple[int, int], whole: tuple[int, int]) -> bool:
-    """Whether a size is the whole one, or that divided by a whole number and rounded."""
+    """Whether `size` is `whole`, or `whole` divided by an integer and rounded."""
     by = max(1, round(whole[0] / size[0]))
     return all(abs(full / by - side) < 1 for full, side in zip(whole, size, strict=True))
 
@@ -78,7 +78,7 @@ def _check_shape(
 def _undistorted(
     path: Path, image: NDArray[np.float32], lens: Lens, camera: Camera
 ) -> NDArray[np.float32]:
-    """What the camera sees of a photograph of the lens."""
+    """Resample a photograph of the lens to the camera's view."""
     try:
         import cv2
     except ImportError as error:
@@ -92,7 +92,7 @@ def _undistorted(
 
 
 def _maps(cv2: Any, lens: Lens, camera: Camera, scale: tuple[float, float]) -> list[NDArray]:
-    """Columns and rows of a photograph that each pixel of the camera sees, in OpenCV's sense."""
+    """Photograph columns and rows for each pixel of the camera, in OpenCV's convention."""
     x, y = scale
     source = _matrix(x * lens.fx, y * lens.fy, x * lens.cx, y * lens.cy)
     target = _matrix(camera.fx, camera.fy, camera.cx, camera.cy)
@@ -104,7 +104,7 @@ def _maps(cv2: Any, lens: Lens, camera: Camera, scale: tuple[float, float]) -> l
 def _distorted_pixels(
     lens: Lens, camera: Camera, scale: tuple[float, float]
 ) -> NDArray[np.float32]:
-    """The same for a lens that OpenCV does not have."""
+    """The same for a lens that OpenCV does not support."""
     maps = np.empty((2, camera.height, camera.width), np.float32)
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     for row in range(camera.height):
@@ -114,5 +114,5 @@ def _distorted_pixels(
 
 
 def _matrix(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
-    """OpenCV's camera matrix: the centre of the first pixel is 0 there."""
+    """OpenCV's camera matrix, in which the centre of the first pixel is at 0."""
     return np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])

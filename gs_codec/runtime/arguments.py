@@ -61,9 +61,12 @@ class _Names(dict):
 @cache
 def _hints_of(public: Any) -> dict[str, _Hint]:
     """Annotations of a function's parameters or of a class's fields, as written and as types."""
-    names = _Names(vars(sys.modules[public.__module__]))
-    written = {name: str(text) for name, text in public.__annotations__.items()}
-    return {name: (text, eval(text, {}, names)) for name, text in written.items()}
+    hints = {}
+    for owner in reversed(getattr(public, "__mro__", (public,))):  # inherited fields, too
+        names = _Names(vars(sys.modules[owner.__module__]))
+        for name, text in getattr(owner, "__annotations__", {}).items():
+            hints[name] = (str(text), eval(str(text), {}, names))
+    return hints
 
 
 def _fits(value: Any, kind: Any) -> bool:

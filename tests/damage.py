@@ -10,11 +10,11 @@ from functools import cache
 
 import numpy as np
 from crc32c import crc32c
-from scenes import random_scene, with_far
+from scenes import SmallBlocks, random_scene, with_far
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
-from gs_codec.config import LOSSLESS, PROFILE_CHOICES, Config
+from gs_codec.config import LOSSLESS, PROFILE_CHOICES
 from gs_codec.egs.egs_file import Section, SectionId, in_file_order, read_file, write_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
@@ -46,9 +46,8 @@ def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -
     if profile == FAR:
         profile, scene = "m", with_far(scene, 1 + count // 5)
     scene = replace(scene, extra=carried, comments=("a comment",), has_normals=True)
-    config = Config(profile, extra="keep")
-    # Smaller blocks than an encoder may be asked for: more of them in less to damage.
-    object.__setattr__(config, "block_size", block_size)
+    # More blocks in less to damage.
+    config = SmallBlocks(profile, extra="keep", block_size=block_size)
     return encode_scene(scene, config)[0]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from gs_codec.codecs.adaptive.lattice import LARGEST, to_fixed
 from gs_codec.codecs.adaptive.rotation import likeness
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import Config
+from gs_codec.config import Config, option
 from gs_codec.guidance.guide import Guidance, steps_adding
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.runtime.threads import using_threads
@@ -24,6 +24,13 @@ from gs_codec.views import estimate as auto_cameras
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
 REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")
+
+
+@dataclass(frozen=True)
+class SmallBlocks(Config):
+    """Options with blocks of any size; others hold 1024 Gaussians or more."""
+
+    block_size: int = option(16, "", kind=int, low=1, high=1 << 16)
 
 
 def random_scene(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:

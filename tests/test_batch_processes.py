@@ -7,8 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +14,7 @@ from typing import Any
 import batch_work
 import pytest
 from batch_work import lines
+from processes import LIMIT, PATIENT, finish, wait_for
 from scenes import random_scene
 
 from gs_codec.batch import run
@@ -28,9 +27,6 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 
 TESTS = Path(__file__).parent
-
-#: Seconds that nothing here should ever take; what is waited for comes long before.
-LIMIT = 600
 
 ASCII = b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n"
 
@@ -101,21 +97,6 @@ class Place:
 @pytest.fixture
 def place(tmp_path) -> Place:
     return Place(tmp_path)
-
-
-def wait_for(condition: Callable[[], Any], process: subprocess.Popen) -> None:
-    """Wait until something is the case, which it has to be before a process ends."""
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert process.poll() is None, process.communicate(timeout=LIMIT)
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
-def finish(process: subprocess.Popen) -> tuple[int, str, str]:
-    """Wait for a process and all that it started, which hold its pipes."""
-    out, err = process.communicate(timeout=LIMIT)
-    return process.returncode, out, err
 
 
 def check_whole(place: Place, wanted: dict[str, bytes]) -> None:
@@ -230,15 +211,6 @@ def test_full_disk_is_an_error_of_the_scene_that_has_no_room(scenes, tmp_path):
 
 
 # On a cluster
-
-#: Nothing is to be given up on a machine that is busy.
-PATIENT = {
-    "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "300s",
-    "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "300s",
-    "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "10",
-    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "30 minutes",
-    "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "300s",
-}
 
 WAIT = f"""
 import sys

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, encode_by, made_up_guide, random_scene
+from scenes import SmallBlocks, edge_scenes, encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.adaptive.costs import block_costs, gaussian_classes
@@ -86,8 +86,7 @@ def test_symbols_of_sh_are_of_the_gaussian_whose_levels_they_are():
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_streams_of_gaussians_add_up_to_those_of_the_file(profile):
-    config = Config(profile)
-    object.__setattr__(config, "block_size", 100)  # smaller blocks than may be asked for
+    config = SmallBlocks(profile, block_size=100)
     data = encode_scene(random_scene(150, 2, seed=7), config)[0]
     file, bits = read_file(data, lambda s, _: s in DESCRIPTIONS), gaussian_bits(read_file(data))
     every = [describe_gaussian(file, index) for index in range(150)]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lattices import Shaped, assert_on_lattices
 from scenes import encode_by, made_up_guide, random_scene
-from test_adaptive_codec import Shaped, assert_on_lattices
 
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.adaptive.arrange import arrange_scene

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import random
 import sys
-from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from in_tasks import Here, Lost, in_tasks, saved, whole
 from scenes import antialiased, edge_scenes, random_scene, thorough
 
 from gs_codec import decode_distributed, encode_distributed
@@ -23,7 +23,7 @@ from gs_codec.distributed.encoding import encode_with
 from gs_codec.distributed.folder import Folder, work_folder
 from gs_codec.distributed.sorting import find_cuts
 from gs_codec.distributed.sources import open_sources
-from gs_codec.distributed.tasks import Crew, Numbered, size_within
+from gs_codec.distributed.tasks import Crew, size_within
 from gs_codec.encoding import loss as check
 from gs_codec.encoding import retry as checked
 from gs_codec.errors import CorruptStream, InvalidInput
@@ -31,13 +31,10 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.files.scenes import inspect_file
-from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance import calibrate, windows
 from gs_codec.guidance.calibrate import wanted_error
 from gs_codec.scene import Scene
-from gs_codec.workers.interface import Done, Work, Workers
 from gs_codec.workers.pool import Pool
-from gs_codec.workers.serial import Serial
 from samples.generate import generate
 
 BLOCK = 1024
@@ -47,51 +44,6 @@ BLOCK = 1024
 def still_life() -> Scene:
     """A scene that windows show."""
     return generate(6000, 1, 1)
-
-
-class Lost(Exception):
-    """A worker, or what it is to do."""
-
-
-class Here(Serial):
-    """Does tasks in this process, in any order; fails before a task, by its number of all."""
-
-    def __init__(self, seed: int = 0, fails_at: int = -1) -> None:
-        super().__init__("")
-        self.random, self.left, self.done = random.Random(seed), fails_at, list[str]()
-
-    def run(self, work: Work, tasks: Sequence[Numbered]) -> Iterator[Done]:
-        """See `Workers`."""
-        yield from super().run(work, map(self.begun, self.random.sample(tasks, len(tasks))))
-
-    def begun(self, task: Numbered) -> Numbered:
-        """A task to do, unless it is the one that fails."""
-        if not self.left:
-            raise Lost
-        self.left -= 1
-        self.done.append(task.name)
-        return task
-
-
-def in_tasks(
-    paths: list[Path], target: Path, config: Config, size: int, here: Workers | None = None
-) -> tuple[bytes, dict]:
-    """The file, and the report without times."""
-    sources = open_sources(paths, config.chosen_extra())
-    report = encode_with(Crew(here or Here()), sources, target, config, size)
-    assert not target.with_name(f"{target.name}.parts").exists()
-    return target.read_bytes(), {**asdict(report), "seconds": None}
-
-
-def whole(path: Path, target: Path, config: Config) -> tuple[bytes, dict]:
-    """The same of `encode_file`."""
-    report = encode_file(path, target, config, overwrite=True)
-    return target.read_bytes(), {**asdict(report), "seconds": None}
-
-
-def saved(path: Path, scene: Scene) -> Path:
-    write_ply(path, scene)
-    return path
 
 
 @pytest.mark.one_in(8)

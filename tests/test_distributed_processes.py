@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from processes import PATIENT, finish, wait_for
 from scenes import random_scene
-from test_batch_processes import PATIENT, finish, wait_for
 
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file

@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 import reference_decoder
 from damage import REFUSALS, with_section
+from in_tasks import in_tasks, saved, whole
+from javascript import NODE, digest, run
+from level_files import AWAY, NEAR, encoded, in_level
 from orbits import cameras, quality
 from scenes import (
     SHARED,
@@ -22,9 +25,6 @@ from scenes import (
     shared_scene_path,
     with_far,
 )
-from test_distributed import in_tasks, saved, whole
-from test_levels import AWAY, NEAR, encoded, in_level
-from test_web_decoder import NODE, digest, run
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.codecs import decode_part, decode_scene, encode_scene, slabs

@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import sys
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -351,18 +351,18 @@ end_header
 POINT = np.array([1, 2, 3], "<f4").tobytes() + b"\4\5\6"
 
 
+@dataclass(frozen=True)
 class Writer(Tmc3):
     """A program that writes what it is told."""
 
-    content = b""
+    content: bytes = b""
 
     def run(self, arguments, inputs, output, most):
         return self.content
 
 
 def decode_ply(content: bytes):
-    writer = Writer("tmc3", VERSION)
-    object.__setattr__(writer, "content", content)
+    writer = Writer("tmc3", VERSION, content=content)
     return decode_points(writer, b"", 1, (2, 2, 2), (3, 3, 3))
 
 

@@ -5,16 +5,33 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import reference_decoder
 from damage import REFUSALS, flipped, with_checksums, with_section
-from scenes import antialiased, assert_same_floats, edge_scenes, random_scene, with_threads
+from level_files import (
+    AWAY,
+    BLOCK,
+    FAR,
+    NEAR,
+    NO_LEVELS,
+    camera,
+    encoded,
+    errors_changed,
+    in_level,
+    sample,
+)
+from scenes import (
+    SmallBlocks,
+    antialiased,
+    assert_same_floats,
+    edge_scenes,
+    random_scene,
+    with_threads,
+)
 
-from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.codecs import decode_part, decode_scene, encode_parts
 from gs_codec.codecs.inspection import inspect_bytes
@@ -30,7 +47,6 @@ from gs_codec.files.decoding import decode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.levels.adding import add_levels
 from gs_codec.levels.building import build_levels
 from gs_codec.levels.quarter import Clusters, merge_group
 from gs_codec.merging.pairs import blobs_of
@@ -38,35 +54,8 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 
-#: Gaussians of a block, fewer than may be asked for.
-BLOCK = 8
-
 #: Numbers of Gaussians: none, less than a block, full blocks and groups, and one more.
 COUNTS = (0, 1, 7, 8, 9, 32, 33, 128, 129, 136, 513)
-
-
-def encoded(scene: Scene, profile: str = "m", block: int | None = BLOCK, lod: bool = True) -> bytes:
-    """A file with levels, of small blocks."""
-    config = Config(profile, lod=lod)
-    if block is not None:
-        object.__setattr__(config, "block_size", block)
-    return b"".join(add_levels(*encode_parts(scene, config), config)[0])
-
-
-@cache
-def sample(count: int = 300, degree: int = 1, profile: str = "m") -> bytes:
-    """A file of three levels."""
-    return encoded(random_scene(count, degree, seed=330), profile)
-
-
-def camera(place: tuple[float, ...], focal: float = 100.0, name: str = "seen") -> Camera:
-    """One of 64 x 48 pixels that looks at the middle of the scenes."""
-    position = np.array(place, np.float64)
-    turn = facing(-position, np.array([0.0, -1.0, 0.2]))
-    return Camera(name, 64, 48, focal, focal, 32.0, 24.0, turn, position)
-
-
-FAR, NEAR, AWAY = camera((9.0, 1.0, -4.0)), camera((1.5, 0.2, -1.0)), camera((0.1, 0.0, -300.0))
 
 
 @pytest.mark.one_in(4)
@@ -327,22 +316,6 @@ def test_guided_prepared_and_converted_files_have_levels(tmp_path):
 # Damage
 
 
-def in_level(data: bytes, change, level: int = 1) -> bytes:
-    """The file with the bytes of a level changed, and the checksum of its section right."""
-    return with_section(data, SectionId.LEVEL, change, level)
-
-
-def errors_changed(value: float):
-    """A change of the first error of a level."""
-
-    def change(level: bytes) -> bytes:
-        return with_section(
-            level, SectionId.ERRORS, lambda content: struct.pack("<f", value) + content[4:]
-        )
-
-    return change
-
-
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
 def test_errors_out_of_range_are_refused(value):
     damaged = in_level(sample(), errors_changed(value))
@@ -363,21 +336,6 @@ def test_errors_below_those_of_the_level_before_are_refused(tmp_path):
         verify_file(tmp_path / "a.egs")
     with pytest.raises(ValueError, match="errors"):
         reference_decoder.decode(damaged)
-
-
-#: What is no level of the sample, made of one that is.
-NO_LEVELS = (
-    lambda level: level[:-4],
-    lambda level: level + bytes(4),
-    lambda level: level[:50],
-    lambda level: b"",
-    lambda level: with_section(level, SectionId.ERRORS, lambda _: None),
-    lambda level: with_section(level, SectionId.ERRORS, lambda content: content[4:]),
-    lambda level: with_section(level, SectionId.COMMENTS, lambda _: b"a line"),
-    lambda level: with_section(level, SectionId.LEVEL, lambda _: level, 1),
-    lambda level: sample(299),
-    lambda level: encoded(random_scene(300, 1, seed=330), lod=False),
-)
 
 
 @pytest.mark.one_in(3)
@@ -407,8 +365,7 @@ def test_sections_of_levels_elsewhere_are_refused():
     errors = with_section(sample(), SectionId.ERRORS, lambda _: bytes(4))
     with pytest.raises(CorruptStream, match="section 'errors'"):
         decode_scene(errors)
-    scene, config = random_scene(30, 1), Config("paper-m")
-    object.__setattr__(config, "block_size", BLOCK)
+    scene, config = random_scene(30, 1), SmallBlocks("paper-m", block_size=BLOCK)
     paper = b"".join(encode_parts(scene, config)[0])
     with pytest.raises(CorruptStream, match="section 'level'"):
         decode_scene(with_section(paper, SectionId.LEVEL, lambda _: b"", 1))

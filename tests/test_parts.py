@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from damage import HEADER, with_checksums
 from scenes import any_bits, assert_same_floats, random_scene
-from test_adaptive_codec import BLOCK
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.part import Part
@@ -18,6 +17,8 @@ from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.egs.egs_file import SCENE_SECTIONS, SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS
+
+BLOCK = 1024
 
 
 @cache

@@ -10,7 +10,7 @@ from bounds import error_over_bound
 from hypothesis import given
 from hypothesis import strategies as st
 from reference_decoder import decode as reference_decode
-from scenes import random_scene
+from scenes import SmallBlocks, random_scene
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
@@ -42,10 +42,9 @@ def scenes(draw: st.DrawFn, values: st.SearchStrategy = FLOATS, most: int = 40) 
 
 
 def config_of(profile: str, blocks: bool = True, threads: int = 1, **more: bool) -> Config:
-    """A configuration whose blocks are smaller than may be asked for."""
-    config = Config(profile, extra="keep", threads=threads, **more)
-    object.__setattr__(config, "block_size", 7 if blocks else 1 << 16)
-    return config
+    """Options with small blocks, or one."""
+    size = 7 if blocks else 1 << 16
+    return SmallBlocks(profile, extra="keep", threads=threads, block_size=size, **more)
 
 
 def assert_equal(first: Scene, second: Scene) -> None:

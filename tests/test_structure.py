@@ -40,6 +40,15 @@ def imported(source: str, known: set[str]) -> Iterator[str]:
                 yield name
 
 
+def test_no_test_imports_another():
+    """What several tests use is in a module of helpers, or a fixture."""
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        taken = re.findall(
+            r"^ *(?:from|import) (?:tests\.)?(test_\w+)", path.read_text(), re.MULTILINE
+        )
+        assert not taken, path.name
+
+
 @pytest.fixture(scope="module")
 def imports() -> dict[str, set[str]]:
     """What each module imports, itself apart."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import assert_same_floats, random_scene
+from windows import crossings
 
 import gs_codec
 from gs_codec.edit import Action
@@ -43,16 +44,6 @@ def scene(file) -> Opened:
 
 
 # What is selected
-
-
-def crossings(x: float, y: float, corners: list) -> int:
-    """How often the ray to the right of a point crosses a polygon."""
-    found = 0
-    for k, (x0, y0) in enumerate(corners):
-        x1, y1 = corners[(k + 1) % len(corners)]
-        if (y0 > y) != (y1 > y):
-            found += x < x0 + (y - y0) / (y1 - y0) * (x1 - x0)
-    return found
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 40])

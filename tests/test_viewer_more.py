@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_viewer_edits import crossings
-from windows import check_drags, drive, make_folder, needs_display
+from windows import check_drags, crossings, drive, make_folder, needs_display
 
 import gs_codec
 from gs_codec.edit import Action

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
 import re
-import shutil
 import struct
 import subprocess
 import zlib
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import reference_tools
 from damage import FAR, changed, flipped, sample, with_checksums, with_section
+from format_cases import CASES, LATTICE_CASES, encoded, lattice_config
+from javascript import BLOCK, COUNT, GOLDEN, NODE, blocks, digest, run, upto
 from scenes import (
     edge_scenes,
     encode_by,
@@ -26,48 +23,17 @@ from scenes import (
     shared_scene_path,
     with_far,
 )
-from test_format import CASES, LATTICE_CASES, encoded, lattice_config
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import GsCodecError
 from gs_codec.formats.ply.file import read_ply
-from gs_codec.scene import GROUPS, Scene, other_comments
+from gs_codec.scene import other_comments
 
-NODE = shutil.which("node")
 pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node")
 
 HERE = Path(__file__).parent
-GOLDEN = sorted((HERE / "golden").glob("*.egs"))
-
-#: Gaussians of a file of five blocks, and of each of them.
-COUNT, BLOCK = 4700, 940
-
-
-def run(*jobs: dict) -> list[dict]:
-    """What came of decoding files, one after another, in one process of Node."""
-    texts = [
-        {**job, "bytes": base64.b64encode(job["bytes"]).decode()} if "bytes" in job else job
-        for job in jobs
-    ]
-    result = subprocess.run(
-        [str(NODE), HERE / "web" / "decode.mjs"],
-        input=json.dumps(texts),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-    )
-    found = [json.loads(line) for line in result.stdout.splitlines()]
-    assert len(found) == len(jobs), result.stderr
-    return found
-
-
-def digest(scene: Scene) -> str:
-    """SHA-256 of the floats of a scene, group by group."""
-    planes = [np.ascontiguousarray(getattr(scene, group), "<f4") for group in GROUPS]
-    return hashlib.sha256(b"".join(plane.tobytes() for plane in planes)).hexdigest()
 
 
 def assert_same(found: dict, data: bytes) -> None:
@@ -79,23 +45,6 @@ def assert_same(found: dict, data: bytes) -> None:
     assert found["coordinates"] == scene.coordinates
     assert found["antialiased"] == scene.antialiased
     assert found["comments"] == list(other_comments(scene.comments))
-
-
-def upto(scene: Scene, degree: int) -> Scene:
-    """A scene without what is above an SH degree."""
-    kept = (degree + 1) ** 2 - 1
-    planes = {group: getattr(scene, group) for group in GROUPS}
-    coefficients = len(scene.f_rest) // 3
-    rows = [c * coefficients + i for c in range(3) for i in range(kept)]
-    return Scene(**{**planes, "f_rest": scene.f_rest[rows]})
-
-
-@cache
-def blocks(profile: str = "m") -> bytes:
-    """A file of several blocks and classes."""
-    config = Config(profile, threads=1, block_size=1024)
-    guide = made_up_guide(seed=3) if profile in ADAPTIVE_PROFILES else None
-    return encode_by(random_scene(COUNT, 3, seed=3), config, guide)
 
 
 def test_golden_files():

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import test_web_page as web_page
+from browser import Job, decibels, drawn, in_browser, open_pages, seen
+from browser import serving as serving_without_ranges
 from damage import flipped
-from test_web_levels import city
-from test_web_page import Job, decibels, drawn, in_browser, open_pages, seen
+from level_files import city
 
 from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.camera_files import write_cameras
@@ -443,7 +443,7 @@ def test_without_ranges_and_in_one_file_it_is_the_same(site, tmp_path):
     sources = [site.folder / "city.egs", plain]
     share(sources, tmp_path / "two", site.folder / "cameras.json")
     one = Job((tmp_path / "one.html").as_uri(), [])
-    with web_page.serving(tmp_path / "two") as url:
+    with serving_without_ranges(tmp_path / "two") as url:
         two = Job(url, [("key", "3")])
         for job, name in ((one, "one"), (two, "wipe")):
             job.steps.append(("key", "n"))

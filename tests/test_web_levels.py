@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from damage import flipped, with_section
+from javascript import NODE, blocks, digest, run, upto
+from level_files import NO_LEVELS, city, encoded, errors_changed, in_level, sample
 from scenes import random_scene
-from test_levels import NO_LEVELS, encoded, errors_changed, in_level, sample
-from test_web_decoder import NODE, blocks, digest, run, upto
 
 from gs_codec.cameras.camera import Camera, facing
 from gs_codec.codecs import decode_part, decode_scene
@@ -19,8 +18,6 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.levels import levels_of, open_level
-from gs_codec.scene import GROUPS, Scene
-from samples.generate import generate
 
 pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node")
 
@@ -45,20 +42,6 @@ def random_views(count: int, seed: int, size: float) -> list[Camera]:
         turn = facing(direction, rng.normal(size=3))
         found.append(Camera(f"{k}", width, height, fx, fy, cx, cy, turn, position))
     return found
-
-
-@cache
-def city(side: int = 3) -> bytes:
-    """A file of `side` x `side` generated scenes beside each other, in small blocks."""
-    one = generate(3000, 1, 12)
-    span = np.ptp(one.positions, axis=1)
-    tiles = []
-    for x in range(side):
-        for z in range(side):
-            moved = one.positions + np.array([[x * span[0]], [0], [z * span[2]]], np.float32)
-            tiles.append(replace(one, positions=moved.astype(np.float32)))
-    planes = {g: np.concatenate([getattr(tile, g) for tile in tiles], axis=1) for g in GROUPS}
-    return encoded(Scene(**planes), "m", 512)
 
 
 @cache

@@ -82,3 +82,13 @@ def check_drags(drags: list[list]) -> None:
     assert moved > 0.5
     assert np.abs(there - there[0, 0]).max() < 0.01 * moved
     assert np.abs(back - before).max() < 0.01 * moved
+
+
+def crossings(x: float, y: float, corners: list) -> int:
+    """How often the ray to the right of a point crosses a polygon."""
+    found = 0
+    for k, (x0, y0) in enumerate(corners):
+        x1, y1 = corners[(k + 1) % len(corners)]
+        if (y0 > y) != (y1 > y):
+            found += x < x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+    return found

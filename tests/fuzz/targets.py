@@ -20,7 +20,7 @@ import browser
 import foreign
 import numpy as np
 from damage import ENTRY, HEADER, SECTIONS, with_checksums
-from scenes import encode_by, made_up_guide, random_scene, with_far
+from scenes import SmallBlocks, encode_by, made_up_guide, random_scene, with_far
 
 from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.cameras.camera import Camera
@@ -154,8 +154,7 @@ def _streams() -> list[bytes]:
 
 def _levels() -> bytes:
     """A stream with a coarser level, in blocks of fewer Gaussians than may be asked for."""
-    config = Config("m", lod=True)
-    object.__setattr__(config, "block_size", 16)
+    config = SmallBlocks("m", lod=True)
     parts = encode_parts(random_scene(_COUNT, 1, seed=4), config)
     return b"".join(add_levels(*parts, config)[0])
 
@@ -166,8 +165,7 @@ def _browser_streams() -> list[bytes]:
         encode_scene(random_scene(_COUNT, 2, seed=7), Config(profile))[0] for profile in profiles
     ]
     streams.append(encode_scene(with_far(random_scene(_COUNT, 1), 3), Config("m"))[0])
-    levels = Config("m", lod=True)
-    object.__setattr__(levels, "block_size", 16)  # smaller than an encoder may be asked for
+    levels = SmallBlocks("m", lod=True)
     parts = encode_parts(random_scene(_COUNT, 1, seed=8), levels)
     streams.append(b"".join(add_levels(*parts, levels)[0]))
     return [bytes([first]) + stream for stream in streams for first in (0, 1)] + [

@@ -18,7 +18,7 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from scenes import encode_by, made_up_guide, random_scene, with_far  # noqa: E402
+from scenes import SmallBlocks, encode_by, made_up_guide, random_scene, with_far  # noqa: E402
 
 from gs_codec.codecs import decode_part, decode_scene, encode_parts  # noqa: E402
 from gs_codec.codecs.part import Part  # noqa: E402
@@ -98,8 +98,7 @@ def golden_levels() -> dict[str, Callable[[], bytes]]:
     """Files with three levels of detail; how Gaussians merge may differ between machines."""
 
     def encode(scene: Scene) -> bytes:
-        config = Config("m", lod=True)
-        object.__setattr__(config, "block_size", 16)
+        config = SmallBlocks("m", lod=True)
         return b"".join(add_levels(*encode_parts(scene, config), config)[0])
 
     return {

@@ -1,0 +1,35 @@
+"""Waiting for other processes."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable
+from typing import Any
+
+#: Seconds that nothing here should ever take; what is waited for comes long before.
+LIMIT = 600
+
+#: Nothing is to be given up on a machine that is busy.
+PATIENT = {
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "300s",
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "300s",
+    "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "10",
+    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "30 minutes",
+    "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "300s",
+}
+
+
+def wait_for(condition: Callable[[], Any], process: subprocess.Popen) -> None:
+    """Wait until something is the case, which it has to be before a process ends."""
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert process.poll() is None, process.communicate(timeout=LIMIT)
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def finish(process: subprocess.Popen) -> tuple[int, str, str]:
+    """Wait for a process and all that it started, which hold its pipes."""
+    out, err = process.communicate(timeout=LIMIT)
+    return process.returncode, out, err

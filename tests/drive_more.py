@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,7 +106,7 @@ def octree(driver: Driver) -> dict:
         depths.append(viewer.choice.octree.depth)
     driver.xdotool("mouseup", 1)
     last = driver.scenes(driver.rest())
-    viewer.set_octree(colouring="bits")
+    viewer.set_octree(replace(viewer.choice.octree, colouring="bits"))
     driver.rest()
     captions = [label.text for label in viewer.stage.captions]
     legends = [legend.title for legend in viewer.stage.legends]
@@ -131,14 +132,13 @@ def appearances(driver: Driver, before: np.ndarray) -> dict:
         "least opacity": {"least_opacity": 1.0},
     }
     for name, changes in cases.items():
-        viewer.set_appearance(**changes)
+        viewer.set_appearance(Appearance(**changes))
         after = driver.scenes(driver.rest())
         found[name] = int((np.abs(after - driver.scenes(before)) > 12).sum())
         if name == "background":
             apart = np.abs(after - np.rint(255 * np.array(teal))).max(axis=2)
             found["teal"] = int((apart <= 1).sum())
-        plain = Appearance()
-        viewer.set_appearance(**{key: getattr(plain, key) for key in changes})
+        viewer.set_appearance(Appearance())
     driver.rest()
     viewer.stage.drawn = {first: np.zeros(first.count, bool)}
     viewer.refresh()

@@ -93,3 +93,18 @@ def test_imports_go_down_the_map(imports):
             elif module.startswith("gs_codec.") and place[unit_of(module)] > place[unit_of(name)]:
                 wrong[module].append(name)
     assert not wrong
+
+
+def test_imports_of_the_viewer_go_down(imports):
+    packages = "viewer.scenes", "viewer.pictures", "viewer.window"
+    for place, package in enumerate(packages):
+        for module, names in imports.items():
+            if module.startswith(package):
+                assert not any(name.startswith(packages[place + 1 :]) for name in names), module
+
+
+def test_the_viewer_has_types():
+    # An attribute of type Any hides a cycle.
+    for name, path in modules().items():
+        if name.startswith("viewer"):
+            assert not re.search(r"import .*\bAny\b", path.read_text()), name

@@ -8,17 +8,12 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from gs_codec.runtime.lazy import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from typing import Any
-
 _HOMES = {"draw": "viewer.plugin", "attach": "viewer.plugin"}
 
 __all__ = list(_HOMES)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module 'viewer' has no attribute '{name}'")
     return getattr(import_module(_HOMES[name]), name)

@@ -255,7 +255,7 @@ def command(
         if missing:
             print_status(f"gs-viewer: without a photograph: {missing}")
         return
-    for source in filter(None, (request.a, request.b)):
+    for source in filter(None, (a, b)):
         source.stat()  # a scene that is not there is told rather than a display
     from viewer.window.display import find_device
 

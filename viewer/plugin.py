@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.cameras.image_files import find_image, seek_images
@@ -17,11 +18,11 @@ from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 from gs_codec.views.photographs import read_photograph
 from viewer.pictures.centres import centres, pruned_centres
-from viewer.pictures.layers import Points
+from viewer.pictures.layers import Legend, Points
 from viewer.pictures.notes import draw_notes
 from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
-from viewer.scenes.opened import Opened, open_scene, read_pruned
+from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned
 from viewer.scenes.pose import of_camera
 from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.view_request import Request, find_views, parse_layers
@@ -29,8 +30,9 @@ from viewer.scenes.viewpoints import find_viewpoints, nearest_camera
 from viewer.window.display import find_device
 
 if TYPE_CHECKING:
-    from open3d.pybind.t.geometry import PointCloud
+    from open3d.pybind.t.geometry import Geometry, PointCloud
     from open3d.pybind.visualization import O3DVisualizer
+    from open3d.visualization.rendering import MaterialRecord
 
 #: The group of the geometries that actions show.
 _GROUP = "gs_codec"
@@ -39,7 +41,7 @@ _GROUP = "gs_codec"
 @checked
 def draw(
     *scenes: PointCloud | str | Path,
-    cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, Any]] | None = None,
+    cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, object]] | None = None,
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
     colour: str = "colour",
@@ -323,7 +325,13 @@ class Actions:
         view.set_post_processing(on)
         view.set_antialiasing(on)
 
-    def _add(self, name: str, geometry: Any, material: Any, visible: bool = True) -> None:
+    def _add(
+        self,
+        name: str,
+        geometry: Geometry,
+        material: MaterialRecord,
+        visible: bool = True,
+    ) -> None:
         self._visualizer.add_geometry(name, geometry, material, _GROUP, 0.0, visible)
         self._shown.append(name)
 
@@ -334,9 +342,16 @@ class Actions:
         self._shown.clear()
         self._notes.close()
 
-    def _note(self, caption: str, **notes: Any) -> None:
+    def _note(
+        self,
+        caption: str,
+        legends: Sequence[Legend] = (),
+        pruned: Pruned | None = None,
+        photograph: NDArray[np.float32] | None = None,
+    ) -> None:
         frame = self._visualizer.os_frame
-        self._notes.show(draw_notes(caption, **notes, most=frame.height // 3), frame)
+        picture = draw_notes(caption, legends, pruned, photograph, frame.height // 3)
+        self._notes.show(picture, frame)
 
     def _closing(self) -> bool:
         self._notes.close()

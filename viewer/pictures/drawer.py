@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +68,7 @@ class Drawer:
 
         return self._known((pose, width, height, every), look, draw)
 
-    def render(self, camera: dict[str, Any], look: Look = _PLAIN) -> Rendering:
+    def render(self, camera: dict[str, object], look: Look = _PLAIN) -> Rendering:
         """What the exact renderer gives for an entry of ``cameras.json``; nothing of it is kept."""
         # What is measured and what is shown may take turns.
         scene = self._scene.gaussians if look.is_same(_PLAIN) else self._drawn(look)
@@ -138,7 +137,9 @@ def depth_at(
     return float(seen.depth[0, 0])
 
 
-def quality(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> Any:
+def quality(
+    views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose
+) -> gs_codec.Quality | None:
     """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
     width, height = pose.measured
     if min(width, height) < _LEAST_SIDE:

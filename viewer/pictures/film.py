@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import gs_codec
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.wording import counted
+from viewer.pictures.drawer import Drawer
 from viewer.pictures.reels import check_reel, is_folder, open_reel
 from viewer.pictures.screenshot import compose, shown_of
 from viewer.scenes.flight import flythrough
@@ -91,7 +92,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     poses, told = _find_path(request, film, scenes[0])
     shown = shown_of(request, scenes)
     advance = step_counter(progress, "frames", len(poses))
-    views: dict[Opened, Any] = {}
+    views: dict[Opened, Drawer] = {}
     with open_reel(film.path, request.size, film.fps or FPS) as add:
         for pose in poses:
             add(compose(pose, shown, request.mode, 0.5, request.size, views=views))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -329,7 +328,11 @@ def write_reasons(canvas: Image.Image, pruned: Pruned, below: int = 1) -> None:
 
 
 def _write(
-    pen: ImageDraw.ImageDraw, corner: tuple[int, int], text: str, font: Any, anchor: str = "la"
+    pen: ImageDraw.ImageDraw,
+    corner: tuple[int, int],
+    text: str,
+    font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
+    anchor: str = "la",
 ) -> None:
     edge = (0, 0, 0)
     pen.text(corner, text, (255, 255, 255), font, anchor, stroke_width=2, stroke_fill=edge)

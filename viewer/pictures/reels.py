@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 from PIL import Image
 
@@ -155,7 +155,7 @@ def _film(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True
             )
             try:
-                with _told(path, program, log):
+                with _reported(path, program, log):
                     yield lambda frame: _feed(program, frame)
                     program.stdin.close()  # type: ignore[union-attr]
                     if program.wait():
@@ -175,7 +175,7 @@ def _feed(program: subprocess.Popen, frame: Image.Image) -> None:
 
 
 @contextmanager
-def _told(path: Path, program: subprocess.Popen, log: Any) -> Iterator[None]:
+def _reported(path: Path, program: subprocess.Popen, log: IO[bytes]) -> Iterator[None]:
     """Make a pipe that the program closed an error with the reason that it gave."""
     try:
         yield

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ import gs_codec
 from gs_codec.cameras.image_files import find_image
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.views.photographs import read_photograph
-from viewer.pictures.drawer import measure
+from viewer.pictures.drawer import Drawer, measure
 from viewer.pictures.layers import Legend
 from viewer.pictures.picture import (
     Shown,
@@ -80,7 +79,7 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
     viewpoint = viewpoints[first_view(request, views)]
     shown = shown_of(request, scenes)
     photograph, missing = None, ""
-    if request.images is not None:
+    if request.images is not None and viewpoint.camera is not None:
         try:
             path = find_image(request.images, viewpoint.name)
         except gs_codec.GsCodecError as error:
@@ -98,7 +97,7 @@ def compose(
     size: tuple[int, int],
     photograph: NDArray[np.float32] | None = None,
     front: int = 1,
-    views: dict[Opened, Any] | None = None,
+    views: dict[Opened, Drawer] | None = None,
 ) -> Image.Image:
     """One or two scenes, labelled, with the photograph beside them.
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+import gs_codec
 from gs_codec.runtime.wording import size_text
 from viewer.scenes.opened import Opened
 
@@ -43,7 +42,7 @@ def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
     return rows
 
 
-def quality_text(quality: Any) -> str:
+def quality_text(quality: gs_codec.Quality) -> str:
     """PSNR and SSIM of two images, as `gs_codec.compare_images` gives them."""
     if np.isinf(quality.psnr):
         return "the same"

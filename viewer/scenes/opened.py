@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ class Opened:
     name: str
     cloud: PointCloud
     file_bytes: int | None = None
-    info: Any = None
+    info: gs_codec.Info | None = None
     system: str = CONVENTION
     path: Path = Path()
     comments: tuple[str, ...] = ()
@@ -215,14 +215,16 @@ class Opened:
     @property
     def block_numbers(self) -> NDArray[np.int64] | None:
         """Number of the block of each Gaussian ``(N,)``; None if `unknown` says why."""
-        return None if self.unknown("block") else self.rows // self.info.block_size
+        info = None if self.unknown("block") else self.info
+        return None if info is None else self.rows // info.block_size
 
     def unknown(self, colouring: str) -> str:
         """Why a quantity of `COLOURINGS` is not known of this scene alone; empty if it is."""
         if colouring in ("bits", "block", "class") and self.bits_unknown:
             return self.bits_unknown
-        if colouring == "class" and self.info.profile not in ADAPTIVE_PROFILES:
-            return f"of profile {self.info.profile}"
+        profile = self.info.profile if self.info is not None else ""
+        if colouring == "class" and profile not in ADAPTIVE_PROFILES:
+            return f"of profile {profile}"
         return "of SH degree 0" if colouring == "sh" and not self.sh_degree else ""
 
     @property

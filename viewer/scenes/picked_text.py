@@ -94,7 +94,8 @@ def _steps(picked: Picked) -> list[tuple[str, str]]:
     assert picked.coded is not None
     if not picked.coded.steps:
         return [("all", "exact")]
-    other = picked.scene.info.profile not in ADAPTIVE_PROFILES
+    info = picked.scene.info
+    other = info is None or info.profile not in ADAPTIVE_PROFILES
     rows = []
     for stream, steps in picked.coded.steps.items():
         domain = _DOMAINS.get(stream, ("SH",) * 2)[other]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.cameras.camera import facing
+from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.up import UPS
 from viewer.scenes.opened import thinned
 
@@ -72,7 +71,7 @@ class Pose:
         centre = width / 2 + self.shift[0] * size, height / 2 + self.shift[1] * size
         return self.focal[0] * size, self.focal[1] * size, *centre
 
-    def camera(self, width: int, height: int) -> dict[str, Any]:
+    def camera(self, width: int, height: int) -> dict[str, object]:
         """An entry of ``cameras.json`` for a picture of this size."""
         lens = dict(zip(("fx", "fy", "cx", "cy"), self.lens(width, height), strict=True))
         return {
@@ -109,7 +108,7 @@ class Pose:
         return np.stack([u, v], axis=1), depth
 
 
-def of_camera(camera: Any) -> Pose:
+def of_camera(camera: Camera) -> Pose:
     """The pose of one of gs_codec's cameras."""
     size, high = (camera.width, camera.height), camera.height
     focal = camera.fx / high, camera.fy / high

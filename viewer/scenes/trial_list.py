@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import gs_codec
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
@@ -25,9 +24,6 @@ from viewer.scenes.opened import Opened, Progress, open_scene
 #: What profiles `l`, `m` and `s` can be asked for: step sizes as multiples of the profile's, bytes,
 #: bits per Gaussian, or the loss of views in dB.
 WISHES = ("steps", "size", "bits", "loss")
-
-#: Fields of a rate target by wish.
-_TARGETS = {"size": "size", "bits": "bits", "loss": "psnr_drop"}
 
 
 @dataclass(frozen=True)
@@ -65,20 +61,23 @@ class Asked:
     def config(self) -> gs_codec.Config:
         """The encoder's configuration; properties beyond the layout are not shown, nor encoded."""
         coarseness = self.value if self.wish == "steps" else 1.0
-        nonfinite: Any = "error" if self.profile == LOSSLESS else "drop"
         return gs_codec.Config(
-            self.profile, nonfinite=nonfinite, extra="drop", coarseness=coarseness
+            self.profile,
+            nonfinite="error" if self.profile == LOSSLESS else "drop",
+            extra="drop",
+            coarseness=coarseness,
         )
 
     @property
     def rate(self) -> gs_codec.RateTarget | None:
         """The encoder's target."""
-        if self.wish == "steps":
-            return None
-        value: Any = int(self.value) if self.wish == "size" else self.value
-        return gs_codec.RateTarget(**{_TARGETS[self.wish]: value})
+        if self.wish == "size":
+            return gs_codec.RateTarget(size=int(self.value))
+        if self.wish == "bits":
+            return gs_codec.RateTarget(bits=self.value)
+        return gs_codec.RateTarget(psnr_drop=self.value) if self.wish == "loss" else None
 
-    def plan(self, cameras: Sequence[Any]) -> gs_codec.Plan | None:
+    def plan(self, cameras: Sequence[gs_codec.Camera]) -> gs_codec.Plan | None:
         """The encoder's views: `cameras`, or estimated ones if there are none."""
         if not self.guided and self.wish != "loss":
             return None
@@ -153,16 +152,16 @@ class Tries:
         self,
         source: Opened,
         folder: Path,
-        cameras: Sequence[Any] = (),
+        cameras: Sequence[gs_codec.Camera] = (),
         max_bytes: int | None = None,
     ) -> None:
         self.source, self.cameras, self.max_bytes = source, cameras, max_bytes
         self.all: list[Try] = []
         self.folder = Path(tempfile.mkdtemp(dir=folder))
         self._begun = 0
-        self._held_out: tuple[Any, list[Any]] = None, []
+        self._held_out: tuple[Sequence[gs_codec.Camera] | None, list[gs_codec.Camera]] = None, []
 
-    def look_from(self, cameras: Sequence[Any]) -> None:
+    def look_from(self, cameras: Sequence[gs_codec.Camera]) -> None:
         """Use other cameras; what others measured is forgotten."""
         if list(cameras) != list(self.cameras):
             self.cameras = cameras

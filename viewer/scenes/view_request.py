@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import gs_codec
 from gs_codec.cameras.image_files import seek_images
@@ -24,6 +25,9 @@ from viewer.scenes.choice import (
 )
 from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.scenes.viewpoints import Views, choose_views, given_views
+
+if TYPE_CHECKING:
+    from open3d.pybind.t.geometry import PointCloud
 
 log = logging.getLogger(__name__)
 
@@ -58,9 +62,9 @@ class Request:
         One of `SCALES`, for the colours of centres; None is that of the quantity.
     """
 
-    a: Any = None
-    b: Any = None
-    cameras: Any = None
+    a: PointCloud | str | Path | None = None
+    b: PointCloud | str | Path | None = None
+    cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, object]] | None = None
     images: Path | None = None
     pruned: Path | None = None
     layers: tuple[str, ...] = ("splats",)
@@ -165,7 +169,7 @@ def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
+def _check_among(name: str, wanted: Iterable[str], known: tuple[str, ...]) -> None:
     for each in wanted:
         if each not in known:
             raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
@@ -181,7 +185,7 @@ def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
     gs_codec.GsCodecError
         If they cannot be read, two have one photograph, or the requested view does not exist.
     """
-    if request.chosen:
+    if request.cameras is None or request.chosen:
         views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
         views = given_views(find_cameras(request.cameras, scene.gaussians))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,7 @@ class Views:
         Whether `up` is certain.
     """
 
-    cameras: Sequence[Any] = field(default_factory=list)
+    cameras: Sequence[gs_codec.Camera] = field(default_factory=list)
     up: NDArray[np.float64] | None = None
     chosen: bool = False
     up_certain: bool = True
@@ -68,10 +67,10 @@ class Viewpoint:
 
     name: str
     pose: Pose
-    camera: Any = None
+    camera: gs_codec.Camera | None = None
 
 
-def given_views(cameras: Sequence[Any]) -> Views:
+def given_views(cameras: Sequence[gs_codec.Camera]) -> Views:
     """Cameras that were given; at least one."""
     return Views(cameras, up_of([camera.rotation for camera in cameras]))
 
@@ -121,7 +120,9 @@ def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
     ]
 
 
-def nearest_camera(cameras: Sequence[Any], position: NDArray, forward: NDArray) -> Any:
+def nearest_camera(
+    cameras: Sequence[gs_codec.Camera], position: NDArray, forward: NDArray
+) -> gs_codec.Camera:
     """The camera that sees most nearly what is seen from a position in a direction.
 
     Parameters

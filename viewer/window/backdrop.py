@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from itertools import count
-from typing import Any
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
-from open3d.visualization import gui
+from open3d.visualization import gui, rendering
 
 #: Numbers of the pictures that became textures.
 _NUMBERS = count()
@@ -64,7 +63,7 @@ def _make_distinct(image: o3d.geometry.Image) -> None:
         first[k] = first[k] >> _BITS << _BITS | number >> _BITS * k & (1 << _BITS) - 1
 
 
-def _uses(renderer: Any) -> int:
+def _uses(renderer: rendering.Renderer) -> int:
     """How many uses Open3D counts for one of a texture."""
     image = picture_of(np.zeros((1, 1, 3), np.float32))
     _make_distinct(image)

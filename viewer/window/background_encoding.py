@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from weakref import WeakKeyDictionary
 
 from gs_codec.metrics.attributes import Comparison
 from viewer.scenes.opened import Opened, Progress, Pruned
 from viewer.scenes.trial_list import Asked, Tries, Try
+from viewer.window.host import Host
+from viewer.window.loading import Loading
+from viewer.window.visits import Visits
 from viewer.window.worker import Cancelled, Stale
 
 #: Progress is shown at most this often, seconds: drawing the window takes time, too.
@@ -25,7 +27,11 @@ class Encoding:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
+    visits : Visits
+    loading : Loading
+    changed : callable
+        Called when `doing` is another.
 
     Attributes
     ----------
@@ -39,8 +45,11 @@ class Encoding:
         Whether a scene is being encoded.
     """
 
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+    def __init__(
+        self, viewer: Host, visits: Visits, loading: Loading, changed: Callable[[], None]
+    ) -> None:
+        self._viewer, self._visits, self._loading = viewer, visits, loading
+        self._changed = changed
         self.worker = viewer.worker.another()
         self.tries: Tries | None = None
         self.doing: tuple[str, float] | None = None
@@ -80,7 +89,7 @@ class Encoding:
     def _begin(self) -> Tries:
         """The tries of the scene that is shown; if it is another than before, none yet."""
         viewer = self._viewer
-        scene, views = viewer.stage.scenes[0], viewer.visits.views
+        scene, views = viewer.stage.scenes[0], self._visits.views
         cameras = () if views.chosen else views.cameras
         if self.tries is None or scene not in self._opened:
             if self._files is None:
@@ -127,7 +136,7 @@ class Encoding:
 
     def _do(self, text: str = "", share: float = 0.0) -> None:
         self.doing = (text, share) if text else None
-        self._viewer.panel.rate.refresh()
+        self._changed()
 
     def _progress(self, stale: Stale, what: str) -> Progress:
         """Progress of a job, which ends if it is no longer wanted."""
@@ -179,10 +188,9 @@ class Encoding:
 
     def _put(self, scenes: list[Opened]) -> None:
         """Show scenes from the present pose, and what was pruned if A is the source."""
-        viewer = self._viewer
         is_source = self.tries is not None and scenes[0] is self.tries.source
         pruned = self._pruned if is_source else None
-        viewer.loading.show(scenes, viewer.visits.views, pruned, stay=True)
+        self._loading.show(scenes, self._visits.views, pruned, stay=True)
 
     def save(self, number: int, path: str) -> None:
         """Write the file of a try, by its number."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
@@ -32,7 +31,7 @@ class Canvas:
         self,
         window: gui.Window,
         draw: Callable[[int, int], NDArray],
-        mouse: Callable[[Any], None],
+        mouse: Callable[[gui.MouseEvent], None],
     ) -> None:
         self._draw, self._report = draw, mouse
         self.widget = gui.SceneWidget()
@@ -60,6 +59,6 @@ class Canvas:
         if min(self._size) > 0:
             self._backdrop.show(self._draw(*self._size))
 
-    def _mouse(self, event: Any) -> Any:
+    def _mouse(self, event: gui.MouseEvent) -> gui.Widget.EventCallbackResult:
         self._report(event)
         return gui.Widget.EventCallbackResult.CONSUMED

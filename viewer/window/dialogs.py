@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from open3d.visualization import gui
 
@@ -65,7 +64,7 @@ class Modal:
         self.dialog, self._work, self._fading = None, None, _FRAMES
         self._window.close_dialog()
 
-    def key(self, event: Any) -> bool:
+    def key(self, event: gui.KeyEvent) -> bool:
         """Handle a key event; tell whether the dialog took it."""
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:

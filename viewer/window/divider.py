@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from open3d.visualization import gui
@@ -34,7 +33,7 @@ def make_divider(window: gui.Window, slide: Callable[[int], None]) -> Canvas:
         Called with the column of the window to which the line was dragged.
     """
 
-    def mouse(event: Any) -> None:
+    def mouse(event: gui.MouseEvent) -> None:
         if event.type == gui.MouseEvent.Type.DRAG:
             slide(event.x)
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
+from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from gs_codec.edit import statistics
+from gs_codec.edit import AttributeStatistics, statistics
 from viewer.pictures.charts import Chart, ContactSheet, HistogramChart, Message, QualityChart
 from viewer.scenes.choice import DOCKS
 from viewer.scenes.opened import Opened
 from viewer.window.canvas import Canvas
+from viewer.window.host import Host
 from viewer.window.pane import HIDDEN
 from viewer.window.view_survey import Survey
+from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
 #: Share of the window's height.
@@ -29,7 +31,8 @@ class Dock:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
+    visits : Visits
     selected : callable
         Called with the quantity and a range of its values that was dragged in a histogram.
 
@@ -40,10 +43,12 @@ class Dock:
     canvas : Canvas
     """
 
-    def __init__(self, viewer: Any, selected: Callable[[str, float, float], None]) -> None:
-        self._viewer, self._selected = viewer, selected
-        self.survey = Survey(viewer, self._surveyed)
-        self._statistics: dict[Opened, dict[str, Any]] = {}
+    def __init__(
+        self, viewer: Host, visits: Visits, selected: Callable[[str, float, float], None]
+    ) -> None:
+        self._viewer, self._visits, self._selected = viewer, visits, selected
+        self.survey = Survey(viewer, visits, self._surveyed)
+        self._statistics: dict[Opened, dict[str, AttributeStatistics]] = {}
         self._first = 0.0
         self._held: float | None = None
         self.chart: Chart = Message("")
@@ -65,7 +70,7 @@ class Dock:
         """Update it to the choice and to the scenes."""
         viewer = self._viewer
         shown, scenes = viewer.choice.dock, viewer.stage.scenes
-        views = [each.name for each in viewer.visits.viewpoints]
+        views = [each.name for each in self._visits.viewpoints]
         self.survey.ask("decibels", shown == "PSNR of views" and len(scenes) > 1)
         self.survey.ask("pictures", shown == "views" and bool(scenes))
         if not scenes:
@@ -73,7 +78,7 @@ class Dock:
         elif shown == "PSNR of views":
             self.chart = self._qualities(views)
         elif shown == "views":
-            here = None if viewer.visits.moved else viewer.visits.number
+            here = None if self._visits.moved else self._visits.number
             self.chart = ContactSheet(views, self.survey.pictures, here, self._first)
         elif shown != "nothing":
             self.chart = self._histogram(shown.removeprefix("histogram: "))
@@ -88,11 +93,11 @@ class Dock:
         viewer = self._viewer
         if len(viewer.stage.scenes) < 2:
             return Message("PSNR of views needs two scenes: open another version as B.")
-        first = viewer.visits.views.first
+        first = self._visits.views.first
         if len(views) <= first:
             return Message("No views: open cameras, or wait until they are chosen.")
         measured = {k - first: value for k, value in self.survey.decibels.items()}
-        here = None if viewer.visits.moved else viewer.visits.number - first
+        here = None if self._visits.moved else self._visits.number - first
         return QualityChart(views[first:], measured, here)
 
     def _histogram(self, name: str) -> Chart:
@@ -111,22 +116,22 @@ class Dock:
         return HistogramChart(found, before.chosen if kept else None)  # type: ignore[attr-defined]
 
     def _describe(self, scene: Opened) -> None:
-        def find(stale: Stale) -> dict[str, Any]:
+        def find(stale: Stale) -> dict[str, AttributeStatistics]:
             return {each.name: each for each in statistics(scene.cloud).attributes}
 
-        def done(found: dict[str, Any]) -> None:
+        def done(found: dict[str, AttributeStatistics]) -> None:
             self._statistics[scene] = found
             self.refresh()
 
         if "statistics" not in self._viewer.worker.kinds:
             self._viewer.worker.submit("statistics", find, done, self._viewer.fail)
 
-    def _draw(self, width: int, height: int) -> Any:
+    def _draw(self, width: int, height: int) -> NDArray:
         return self.chart.draw(width, height)
 
     # The mouse
 
-    def _mouse(self, event: Any) -> None:
+    def _mouse(self, event: gui.MouseEvent) -> None:
         kind, frame = gui.MouseEvent.Type, self.canvas.widget.frame
         x, chart = event.x - frame.x, self.chart
         if isinstance(chart, HistogramChart):
@@ -141,11 +146,11 @@ class Dock:
                 view = chart.view_at(x, frame.height)
             elif isinstance(chart, QualityChart):
                 view = chart.view_at(x, frame.width)
-                view = None if view is None else view + self._viewer.visits.views.first
+                view = None if view is None else view + self._visits.views.first
             if view is not None:
-                self._viewer.visits.go_to(view)
+                self._visits.go_to(view)
 
-    def _range(self, chart: HistogramChart, event: Any, x: float) -> None:
+    def _range(self, chart: HistogramChart, event: gui.MouseEvent, x: float) -> None:
         """Mark the range that is dragged; select it at its end."""
         kind, width = gui.MouseEvent.Type, self.canvas.widget.frame.width
         if event.type == kind.BUTTON_DOWN:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 from open3d.visualization import gui
 
 from viewer.pictures.layers import SELECTED
 from viewer.scenes.edits import Edits
+from viewer.window.controls import Controls
 from viewer.window.editor import TOOLS
 from viewer.window.widgets import Widgets, choose
 
@@ -26,7 +27,7 @@ class EditTab:
         Corners of the box to crop to.
     """
 
-    def __init__(self, viewer: Any, widgets: Widgets) -> None:
+    def __init__(self, viewer: Controls, widgets: Widgets) -> None:
         self._viewer, self._widgets = viewer, widgets
         self._editor = viewer.editor
         self.buttons: dict[str, gui.Button] = {}
@@ -52,7 +53,7 @@ class EditTab:
     def _add_steps(self) -> None:
         """Steps with the selection."""
 
-        def does(step: Any) -> Any:
+        def does(step: Callable[[Edits], None]) -> Callable[[], None]:
             return lambda: self._editor.do(step)
 
         self.count = gui.Label("")
@@ -87,7 +88,7 @@ class EditTab:
             ("Crop", self._crop, "Delete what is outside the box."),
         )
 
-    def _row(self, *made: tuple[str, Any, str]) -> None:
+    def _row(self, *made: tuple[str, Callable[[], None], str]) -> None:
         """A row of buttons: text, action, tip."""
         for text, action, tip in made:
             self.buttons[text] = self._widgets.button(text, action, tip)
@@ -102,7 +103,7 @@ class EditTab:
             self.low.vector_value, self.high.vector_value = box
 
     def _crop(self) -> None:
-        self._editor.crop(self.low.vector_value, self.high.vector_value)
+        self._editor.crop(self.low.vector_value.tolist(), self.high.vector_value.tolist())
 
     def refresh(self) -> None:
         """Update controls and numbers."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,11 @@ from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
 from viewer.scenes.typed_paths import SAVED_SCENES
 from viewer.window import dialogs
+from viewer.window.dock import Dock
+from viewer.window.host import Host
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
+from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
 #: What a drag in a pane does: the first moves the camera, the others draw a region.
@@ -32,7 +34,9 @@ class Editor:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
+    visits : Visits
+    dock : Dock
 
     Attributes
     ----------
@@ -46,8 +50,8 @@ class Editor:
         What selects and saves; pictures are drawn meanwhile.
     """
 
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+    def __init__(self, viewer: Host, visits: Visits, dock: Dock) -> None:
+        self._viewer, self._visits, self._dock = viewer, visits, dock
         self.tool = "navigate"
         self.number = 0
         self.all: list[Edits] = []
@@ -93,7 +97,7 @@ class Editor:
         self._viewer.stage.mouse.tool = None if self.tool == TOOLS[0] else self
         self._viewer.panel.refresh()
 
-    def begin(self, pane: Pane, at: Place, event: Any) -> None:
+    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
         """Begin to draw a region in a pane; see `Tool`."""
         self._drop()
         added = event.is_modifier_down(gui.KeyModifier.SHIFT)
@@ -104,7 +108,7 @@ class Editor:
     def move(self, at: Place) -> None:
         """Draw on, as far as the pane goes."""
         stage, pane, region = self._viewer.stage, self._pane, self._region
-        if pane is None or region is None:
+        if pane is None or region is None or stage.pose is None:
             return
         frame = pane.widget.frame
         left, top = stage.place(pane, frame.x, frame.y)
@@ -118,7 +122,7 @@ class Editor:
         """Select what is in the region; a click alone selects nothing."""
         stage, pane, region = self._viewer.stage, self._pane, self._region
         self._drop()
-        if pane is None or region is None or pane not in stage.visible:
+        if pane is None or region is None or stage.pose is None or pane not in stage.visible:
             return
         self.number = stage.panes.index(pane)
         edits = self.all[self.number]
@@ -128,8 +132,8 @@ class Editor:
 
     def _drop(self) -> None:
         """Drop the region that is being drawn, if any."""
-        if self._pane is not None:
-            stage = self._viewer.stage
+        stage = self._viewer.stage
+        if self._pane is not None and stage.pose is not None:
             self._pane.show_lines("region", [], stage.pose, *stage.picture_size)
         self._pane = self._region = None
 
@@ -155,7 +159,7 @@ class Editor:
                 stage.replace(number, edits.scene)
         stage.draw_only({e.scene: e.drawn for e in self.all if e.drawn is not None})
         self._mark()
-        self._viewer.dock.unmark()
+        self._dock.unmark()
         self._viewer.refresh_panel()
 
     def _mark(self) -> None:
@@ -165,7 +169,7 @@ class Editor:
     def select_range(self, name: str, low: float, high: float) -> None:
         """Select by a range of a quantity, both ends included; see `in_range`."""
         self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high)))
-        self._viewer.dock.mark(name, low, high)
+        self._dock.mark(name, low, high)
 
     def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
         """Delete what is outside a box."""
@@ -186,7 +190,7 @@ class Editor:
         edits, viewer = self.edits, self._viewer
         if edits is None:
             return
-        scene, views = edits.scene, viewer.visits.views
+        scene, views = edits.scene, self._visits.views
         pruned = viewer.stage.pruned if self.number == 0 else None
         cameras = None if views.chosen else views.cameras or None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsInt
+from typing import NamedTuple, SupportsInt
 
 from open3d.visualization import gui
 
@@ -19,6 +19,7 @@ from viewer.scenes.typed_paths import (
     typed_path,
 )
 from viewer.window.dialogs import Modal, folded, shortened
+from viewer.window.stage import Stage
 from viewer.window.x11 import BACKSPACE, Keyboard
 
 #: Width of the dialog, in font sizes.
@@ -296,11 +297,12 @@ class Files:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    modal : Modal
+    stage : Stage
     """
 
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+    def __init__(self, modal: Modal, stage: Stage) -> None:
+        self._modal, self._stage = modal, stage
         self._last: Path | None = None
 
     def _folder(self, scene: Path) -> Path:
@@ -327,7 +329,7 @@ class Files:
     @property
     def _shown(self) -> Path:
         """The file of the first scene."""
-        scenes = self._viewer.stage.scenes
+        scenes = self._stage.scenes
         return scenes[0].path if scenes else Path()
 
     def _ask(self, asked: Asked, then: Callable[[str], None]) -> None:
@@ -335,4 +337,4 @@ class Files:
             self._last = Path(path).parent
             then(path)
 
-        FileDialog(self._viewer.modal, asked, chosen)
+        FileDialog(self._modal, asked, chosen)

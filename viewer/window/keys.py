@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from operator import methodcaller
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from open3d.visualization import gui
 
 from viewer.scenes.choice import LAYERS
 from viewer.scenes.edits import Edits
+from viewer.window.controls import Controls
 
 #: Distance by which a key moves the wipe, relative to the width.
 _WIPE = 0.02
@@ -34,17 +35,18 @@ _CONTROL = int(gui.KeyName.LEFT_CONTROL), int(gui.KeyName.RIGHT_CONTROL)
 class Key(NamedTuple):
     """A key, and what it does in a viewer; without code, what the mouse or several keys do.
 
-    Help lists those that have a name.
+    Help lists those that have a name. With shift, a key does `shifted`, if it has that.
     """
 
     name: str
     what: str
     code: int | None = None
-    action: Callable[[Any], object] | None = None
+    action: Callable[[Controls], object] | None = None
     control: bool = False
+    shifted: Callable[[Controls], object] | None = None
 
 
-def _wipe(way: int) -> Callable[[Any], object]:
+def _wipe(way: int) -> Callable[[Controls], object]:
     """An action that moves the wipe."""
     return lambda viewer: viewer.set_wipe(viewer.choice.wipe + way * _WIPE)
 
@@ -53,14 +55,6 @@ def _edit(letter: str, what: str, step: Callable[[Edits], None]) -> Key:
     """A key that, with ctrl, does a step with the scene that is edited."""
     code = ord(letter.lower())
     return Key(f"ctrl + {letter}", what, code, lambda viewer: viewer.editor.do(step), control=True)
-
-
-def _undo(viewer: Any) -> None:
-    viewer.editor.do(Edits.redo if viewer.keys.shifted else Edits.undo)
-
-
-def _save(viewer: Any) -> None:
-    (viewer.editor.ask_save if viewer.keys.shifted else viewer.ask_save)()
 
 
 KEYS = (
@@ -97,17 +91,31 @@ KEYS = (
     _edit("I", "select what is not selected", Edits.invert),
     _edit("H", "hide what is selected", Edits.hide),
     Key("Delete", "delete it", int(gui.KeyName.DELETE), lambda v: v.editor.do(Edits.delete)),
-    Key("ctrl + Z", "undo; with shift, redo", ord("z"), _undo, control=True),
+    Key(
+        "ctrl + Z",
+        "undo; with shift, redo",
+        ord("z"),
+        lambda v: v.editor.do(Edits.undo),
+        True,
+        lambda v: v.editor.do(Edits.redo),
+    ),
     _edit("Y", "redo", Edits.redo),
     Key("O", "open a scene", ord("o"), lambda v: v.loading.ask_open()),
-    Key("ctrl + S", "save a picture; with shift, the scene", ord("s"), _save, control=True),
+    Key(
+        "ctrl + S",
+        "save a picture; with shift, the scene",
+        ord("s"),
+        lambda v: v.ask_save(),
+        True,
+        lambda v: v.editor.ask_save(),
+    ),
     Key("Backspace", "stop loading", int(gui.KeyName.BACKSPACE), lambda v: v.loading.stop()),
     Key("H", "this help", ord("h"), lambda v: v.help()),
     Key("Esc", "in a dialog, close it (Enter is OK); else pick nothing; else quit"),
     Key("ctrl + Q", "quit", ord("q"), lambda v: v.window.close(), control=True),
 )
 
-_ACTIONS = {(key.code, key.control): key.action for key in KEYS if key.action is not None}
+_KEYS = {(key.code, key.control): key for key in KEYS}
 
 
 def help_text() -> str:
@@ -120,14 +128,14 @@ class Keys:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Controls
     """
 
-    def __init__(self, viewer: Any) -> None:
+    def __init__(self, viewer: Controls) -> None:
         self._viewer = viewer
         self._held: set[int] = set()
 
-    def event(self, event: Any) -> bool:
+    def event(self, event: gui.KeyEvent) -> bool:
         """Handle a key event; tell whether it was for anything."""
         down, key = event.type == gui.KeyEvent.Type.DOWN, int(event.key)
         (self._held.add if down else self._held.discard)(key)
@@ -138,7 +146,8 @@ class Keys:
 
     def press(self, key: int, control: bool = False) -> bool:
         """Do the action of a key; tell whether it has one."""
-        action = _ACTIONS.get((key, control))
+        known = _KEYS.get((key, control))
+        action = known and ((self.shifted and known.shifted) or known.action)
         if action is not None:
             action(self._viewer)
         return action is not None or key in _THRUSTS

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import gs_codec
 from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned, turned
@@ -14,6 +14,9 @@ from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.view_request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
 from viewer.window import dialogs
+from viewer.window.editor import Editor
+from viewer.window.host import Host
+from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
 
@@ -22,17 +25,19 @@ class Loading:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
+    visits : Visits
+    editor : Editor
     """
 
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+    def __init__(self, viewer: Host, visits: Visits, editor: Editor) -> None:
+        self._viewer, self._visits, self._editor = viewer, visits, editor
 
     def begin(self) -> None:
         """Load what was requested."""
         viewer, request = self._viewer, self._viewer.request
 
-        def read(stale: Stale) -> Any:
+        def read(stale: Stale) -> tuple[list[Opened], Views, Pruned | None]:
             scenes = request.scenes(viewer.worker.progress(stale, viewer.panel.show_progress))
             self._preview(stale, scenes)
             return scenes, self._first_views(stale, scenes), find_pruned(request, scenes[0])
@@ -51,7 +56,7 @@ class Loading:
 
         def show(_: float) -> None:
             viewer.stage.put(scenes, None)
-            viewer.visits.put(Views(), 0)
+            self._visits.put(Views(), 0)
             viewer.stage.painter.until = stale
 
         viewer.worker.progress(stale, show)("preview", 1, 1)
@@ -80,9 +85,9 @@ class Loading:
             dialogs.ask_pane(viewer.modal, Path(path).name, names, partial(self.open, path))
             return
         pane = len(before) if pane is None else min(pane, len(before))
-        if viewer.editor.ask_unsaved([pane], partial(self.open, path, pane)):
+        if self._editor.ask_unsaved([pane], partial(self.open, path, pane)):
             return
-        views, chosen = viewer.visits.views, viewer.request.chosen
+        views, chosen = self._visits.views, viewer.request.chosen
 
         def read(stale: Stale) -> tuple[Opened, Views]:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
@@ -103,7 +108,7 @@ class Loading:
     def stop(self) -> None:
         """Stop loading or selecting; the scenes shown stay."""
         self._viewer.worker.cancel("load")
-        self._viewer.editor.stop()
+        self._editor.stop()
         self._viewer.panel.say("")
 
     def show(
@@ -115,8 +120,8 @@ class Loading:
         """
         viewer = self._viewer
         viewer.panel.say("")
-        dropped = [k for k, edits in enumerate(viewer.editor.all) if edits.scene not in scenes]
-        if viewer.editor.ask_unsaved(dropped, partial(self.show, scenes, views, pruned, stay)):
+        dropped = [k for k, edits in enumerate(self._editor.all) if edits.scene not in scenes]
+        if self._editor.ask_unsaved(dropped, partial(self.show, scenes, views, pruned, stay)):
             return
         stage, previewed = viewer.stage, viewer.stage.painter.waits
         stage.painter.until = None
@@ -125,9 +130,9 @@ class Loading:
             stage.put_pruned(pruned)
         else:
             stage.put(scenes, pruned)
-        viewer.editor.put(scenes)
+        self._editor.put(scenes)
         if not same:  # else keep the present pose
-            viewer.visits.put(views, first_view(viewer.request, views))
+            self._visits.put(views, first_view(viewer.request, views))
         viewer.refresh()
 
     def turn(self) -> None:
@@ -135,13 +140,13 @@ class Loading:
         viewer = self._viewer
         if len(viewer.stage.scenes) < 2:
             return
-        edits = viewer.editor.all[1]
+        edits = self._editor.all[1]
         whole = edits.whole
 
         def done(scene: Opened) -> None:
             edits.turn(scene)
             scenes = [viewer.stage.scenes[0], edits.scene]
-            self.show(scenes, viewer.visits.views, viewer.stage.pruned)
+            self.show(scenes, self._visits.views, viewer.stage.pruned)
 
         viewer.worker.submit("load", lambda stale: turned(whole), done, viewer.fail)
 
@@ -154,7 +159,7 @@ class Loading:
         def done(views: Views) -> None:
             viewer.panel.say("")
             viewer.request = request
-            viewer.visits.put(views, first_view(request, views))
+            self._visits.put(views, first_view(request, views))
 
         viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
         viewer.worker.submit("load", lambda stale: find_views(request, scene), done, viewer.fail)
@@ -166,7 +171,7 @@ class Loading:
             viewer.fail(gs_codec.GsCodecError("photographs: need cameras of a file"))
             return
         viewer.request = replace(viewer.request, images=Path(folder))
-        viewer.visits.go_to(max(viewer.visits.number, viewer.visits.views.first))
+        self._visits.go_to(max(self._visits.number, self._visits.views.first))
 
     def open_report(self, path: str) -> None:
         """Show what a report says was pruned from the first scene; its file or folder."""
@@ -176,7 +181,7 @@ class Loading:
 
         def done(pruned: Pruned) -> None:
             viewer.choice.layers.add("pruned")
-            self.show(list(viewer.stage.scenes), viewer.visits.views, pruned)
+            self.show(list(viewer.stage.scenes), self._visits.views, pruned)
 
         viewer.worker.submit("load", lambda stale: read_pruned(folder, scene), done, viewer.fail)
 
@@ -201,7 +206,7 @@ class Loading:
         """Ask for the report of what was pruned from the first scene, and show it."""
         self._ask("Report of what was pruned from A", REPORTS, self.open_report)
 
-    def _ask(self, title: str, kind: Kind, then: Any) -> None:
+    def _ask(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
         if not self._viewer.stage.scenes:
             self._viewer.fail(gs_codec.GsCodecError(f"{title.lower()}: open a scene first"))
             return

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 from open3d.visualization import gui
 
 from viewer.scenes.choice import Appearance
+from viewer.window.controls import Controls
 from viewer.window.navigation import field_of_view
 from viewer.window.widgets import Widgets
 
@@ -26,25 +27,35 @@ class LookControls:
     background : gui.ColorEdit
     """
 
-    def __init__(self, viewer: Any, widgets: Widgets, parent: gui.Widget) -> None:
+    def __init__(self, viewer: Controls, widgets: Widgets, parent: gui.Widget) -> None:
         self._viewer = viewer
-        look, grid = viewer.set_appearance, widgets.grid(parent)
+        grid, put = widgets.grid(parent), viewer.set_appearance
+
+        def look() -> Appearance:
+            return viewer.choice.appearance
+
         self.angle = widgets.slider(grid, "field of view", _ANGLES, viewer.set_field_of_view)
         self.degree = widgets.slider(
-            grid, "SH degree", (0, 3), lambda degree: look(sh_degree=int(degree)), whole=True
+            grid,
+            "SH degree",
+            (0, 3),
+            lambda degree: put(replace(look(), sh_degree=int(degree))),
+            whole=True,
         )
-        self.scale = widgets.slider(grid, "splats' scale", _SCALES, lambda x: look(scale=x))
+        self.scale = widgets.slider(
+            grid, "splats' scale", _SCALES, lambda x: put(replace(look(), scale=x))
+        )
         self.opacity = widgets.slider(
-            grid, "least opacity", (0.0, 1.0), lambda x: look(least_opacity=x)
+            grid, "least opacity", (0.0, 1.0), lambda x: put(replace(look(), least_opacity=x))
         )
         self.background = gui.ColorEdit()
         self.background.set_on_value_changed(
-            lambda colour: look(background=(colour.red, colour.green, colour.blue))
+            lambda c: put(replace(look(), background=(c.red, c.green, c.blue)))
         )
         grid.add_child(gui.Label("background"))
         grid.add_child(self.background)
         tip = "All degrees, scale 1, on black: what is measured."
-        self.plain = widgets.button("As it is", lambda: look(**vars(Appearance())), tip)
+        self.plain = widgets.button("As it is", lambda: put(Appearance()), tip)
         widgets.row(parent, self.plain)
 
     def refresh(self) -> None:

@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from open3d.visualization import gui, rendering
 
 import gs_codec
 from gs_codec.runtime.arrays import release_large_when_freed
-from viewer.pictures.screenshot import compose, save_picture
-from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
-from viewer.scenes.typed_paths import PICTURES
+from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
 from viewer.window import dialogs
 from viewer.window.background_encoding import Encoding
+from viewer.window.controls import Controls
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
 from viewer.window.file_dialog import Files
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
 from viewer.window.mouse import Place
-from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.notice import Notice
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
@@ -33,16 +29,13 @@ from viewer.window.saved import Saved
 from viewer.window.stage import Stage
 from viewer.window.visits import Visits
 from viewer.window.widgets import monospace
-from viewer.window.worker import Stale, Worker
+from viewer.window.worker import Worker
 
 #: Longest step of a flight, seconds, after frames that took long.
 _STEP = 0.2
 
-#: Fields of view that differ by less are the same, degrees.
-_SAME_ANGLE = 0.01
 
-
-class Viewer:
+class Viewer(Controls):
     """A window that shows one scene, or two.
 
     Parameters
@@ -84,7 +77,7 @@ class Viewer:
         release_large_when_freed()
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
-        self.modal, self.files = dialogs.Modal(self.window), Files(self)
+        self.modal = dialogs.Modal(self.window)
         self.worker = Worker(self.post)
         self.stage = Stage(
             self.window,
@@ -96,10 +89,14 @@ class Viewer:
             self._clicked,
             self._focused,
         )
-        self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
-        self.picking, self.editor, self.encoding = Picking(self), Editor(self), Encoding(self)
-        self.dock = Dock(self, self.editor.select_range)
-        self.panel, self.keys, self.notice = Panel(self, font), Keys(self), Notice(self)
+        self.files = Files(self.modal, self.stage)
+        self.visits, self.saved, self.picking = Visits(self), Saved(self), Picking(self)
+        self.dock = Dock(self, self.visits, self._select_range)
+        self.editor = Editor(self, self.visits, self.dock)
+        self.loading = Loading(self, self.visits, self.editor)
+        self.encoding = Encoding(self, self.visits, self.loading, self._encoding_changed)
+        self.panel: Panel = Panel(self, font)
+        self.keys, self.notice = Keys(self), Notice(self)
         self._ticked = time.monotonic()
         self._unseen = rendering.Open3DScene(self.window.renderer)
         self.window.set_on_layout(self._lay_out)
@@ -136,106 +133,11 @@ class Viewer:
         self.message = None
         self.modal.close_dialog()
 
-    # What is shown
+    def _select_range(self, name: str, low: float, high: float) -> None:
+        self.editor.select_range(name, low, high)
 
-    def refresh(self) -> None:
-        """Update panes, dock and panel to the choice."""
-        self.stage.refresh()
-        self.refresh_panel()
-
-    def refresh_panel(self) -> None:
-        """Update dock and panel, the panes being as they should be."""
-        self.dock.refresh()
-        self.panel.refresh()
-
-    def toggle(self, layer: str) -> None:
-        """Switch a layer on or off."""
-        self.choice.layers ^= {layer}
-        self.refresh()
-
-    def set_colouring(self, colouring: str) -> None:
-        """Colour centres by another quantity."""
-        self.choice.colouring = colouring
-        self.refresh()
-
-    def next_colouring(self) -> None:
-        """Colour centres by the next of `COLOURINGS`."""
-        index = (COLOURINGS.index(self.choice.colouring) + 1) % len(COLOURINGS)
-        self.set_colouring(COLOURINGS[index])
-
-    def set_logarithmic(self, logarithmic: bool) -> None:
-        """Set whether the scale of the present colours of centres is logarithmic."""
-        self.choice.scales[self.choice.colouring] = SCALES[logarithmic]
-        self.refresh()
-
-    def set_octree(self, **changes: Any) -> None:
-        """Change the depth or the colouring of the octree's cells."""
-        self.choice.octree = replace(self.choice.octree, **changes)
-        self.stage.show_octree()
-
-    def set_exact(self, exact: bool) -> None:
-        """Set whether splats are drawn by gs_codec's rasteriser on a graphics card, too."""
-        self.choice.exact = exact
-        self.refresh()
-
-    def set_appearance(self, **changes: Any) -> None:
-        """Change how splats are drawn: fields of `Appearance`."""
-        appearance = replace(self.choice.appearance, **changes)
-        # A slider also reports what it is set to.
-        if appearance != self.choice.appearance:
-            self.choice.appearance = appearance
-            self.stage.restyle()
-            self.panel.refresh()
-
-    def set_mode(self, mode: str) -> None:
-        """Set how two scenes are shown."""
-        self.choice.mode = mode
-        self.refresh()
-
-    def next_mode(self) -> None:
-        """Show two scenes in the next of `MODES`."""
-        self.set_mode(MODES[(MODES.index(self.choice.mode) + 1) % len(MODES)])
-
-    def set_wipe(self, wipe: float) -> None:
-        """Move the wipe."""
-        self.stage.wipe_to(wipe)
-
-    def flip(self) -> None:
-        """Show the other of two scenes, in one view."""
-        choice = self.choice
-        choice.mode, choice.front = "flip", 1 - choice.front if choice.mode == "flip" else 0
-        self.refresh()
-
-    def set_dock(self, dock: str) -> None:
-        """Show another of `DOCKS` below the panes."""
-        self.choice.dock = dock
-        self.window.set_needs_layout()
-        self.stage.arrange()
-        self.refresh_panel()
-
-    def next_dock(self) -> None:
-        """Show the next of `DOCKS` below the panes."""
-        self.set_dock(self.dock.next())
-
-    # Where one looks from
-
-    def set_flying(self, flying: bool) -> None:
-        """Make drags look around, or turn about the point ahead."""
-        self.choice.flying = flying
-        self.panel.refresh()
-
-    def set_field_of_view(self, degrees: float) -> None:
-        """Set the vertical field of view of the frame."""
-        pose = self.stage.pose
-        # A slider also reports what it is set to.
-        if pose is not None and abs(degrees - field_of_view(pose)) > _SAME_ANGLE:
-            self.stage.steer(with_field_of_view(pose, degrees))
-
-    def frame_all(self) -> None:
-        """Go back, or nearer, until all of the scene is seen."""
-        if self.stage.pose is not None:
-            scene = self.stage.scenes[0]
-            self.stage.look_from(*framing(self.stage.pose, scene.positions, scene.opacities))
+    def _encoding_changed(self) -> None:
+        self.panel.rate.refresh()
 
     def _clicked(self, pane: Pane, at: Place) -> None:
         self.picking.click(pane, at)
@@ -262,7 +164,7 @@ class Viewer:
         drawing = self.saved.flying or not self.stage.resting
         return working or drawing or self.notice.compiles
 
-    def _lay_out(self, context: Any) -> None:
+    def _lay_out(self, context: gui.LayoutContext) -> None:
         rect = self.window.content_rect
         wide = min(int(EMS * self.window.theme.font_size), rect.width // 2)
         beside = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
@@ -285,26 +187,6 @@ class Viewer:
     def help(self) -> None:
         """List the keys."""
         self.tell("Keys", help_text())
-
-    def ask_save(self) -> None:
-        """Ask where to write a picture, and write it."""
-        self.files.ask_save("Save a picture", PICTURES, self.save)
-
-    def save(self, path: str) -> None:
-        """Write a picture of what is shown, drawn in software."""
-        stage, mode, wipe = self.stage, self.choice.mode, self.choice.wipe
-        if stage.pose is None:
-            return
-        pose, shown, size, front = stage.pose, stage.shown, stage.size, self.choice.front
-
-        def draw(stale: Stale) -> None:
-            picture = compose(pose, shown, mode, wipe, size, front=front)
-            save_picture(picture, Path(path))
-
-        def done(_: None) -> None:
-            self.panel.say(f"{Path(path).name} is written")
-
-        self.worker.submit("save", draw, done, self.fail)
 
     def _close(self) -> bool:
         if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):

@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 from open3d.visualization import gui
 
-from viewer.window.navigation import DragKind
+from viewer.scenes.choice import Choice
+from viewer.scenes.pose import Pose
+from viewer.window.navigation import DragKind, Navigator
+from viewer.window.painter import Painter
 from viewer.window.pane import Pane
 
 #: Maximum movement of the mouse in a click, pixels.
@@ -25,7 +28,7 @@ Place = tuple[float, float]
 class Tool(Protocol):
     """What takes drags with the left button while it is chosen; places are pixels of a picture."""
 
-    def begin(self, pane: Pane, at: Place, event: Any) -> None:
+    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
         """Begin a drag; `event` has the keys that are held."""
 
     def move(self, at: Place) -> None:
@@ -35,6 +38,25 @@ class Tool(Protocol):
         """End it."""
 
 
+class Steered(Protocol):
+    """The stage whose panes the mouse is on; see `viewer.window.stage.Stage`."""
+
+    pose: Pose | None
+    choice: Choice
+    navigator: Navigator
+    painter: Painter
+
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """Width and height of the picture of each pane, pixels."""
+
+    def place(self, pane: Pane, x: int, y: int) -> Place:
+        """The pixel of a pane's picture at a pixel of the window."""
+
+    def steer(self, pose: Pose) -> None:
+        """Look from a pose that moves on."""
+
+
 class Mouse:
     """Events of the mouse on panes.
 
@@ -42,7 +64,7 @@ class Mouse:
 
     Parameters
     ----------
-    stage : viewer.window.stage.Stage
+    stage : Steered
     clicked, focused : callable
         Called with a pane and a `Place` after a click and a double click.
 
@@ -53,7 +75,7 @@ class Mouse:
 
     def __init__(
         self,
-        stage: Any,
+        stage: Steered,
         clicked: Callable[[Pane, Place], None],
         focused: Callable[[Pane, Place], None],
     ) -> None:
@@ -67,21 +89,22 @@ class Mouse:
         """Take the events of a pane."""
         pane.widget.set_on_mouse(partial(self._event, pane))
 
-    def _event(self, pane: Pane, event: Any) -> Any:
+    def _event(self, pane: Pane, event: gui.MouseEvent) -> gui.Widget.EventCallbackResult:
         stage, kind = self._stage, gui.MouseEvent.Type
-        if stage.pose is not None:
+        pose = stage.pose
+        if pose is not None:
             if event.type == kind.BUTTON_DOWN:
-                self._press(pane, event)
+                self._press(pane, event, pose)
             elif event.type == kind.DRAG:
                 self._drag(pane, event)
             elif event.type == kind.BUTTON_UP:
                 self._release(pane, event)
             elif event.type == kind.WHEEL:
                 self._pressed = None
-                stage.steer(stage.navigator.nearer(stage.pose, event.wheel_dy))
+                stage.steer(stage.navigator.nearer(pose, event.wheel_dy))
         return gui.SceneWidget.EventCallbackResult.CONSUMED
 
-    def _press(self, pane: Pane, event: Any) -> None:
+    def _press(self, pane: Pane, event: gui.MouseEvent, pose: Pose) -> None:
         left = event.is_button_down(gui.MouseButton.LEFT)
         self._pressed = (event.x, event.y) if left else None
         self._drawing = left and self.tool is not None
@@ -91,9 +114,9 @@ class Mouse:
         kind: DragKind = "look" if self._stage.choice.flying else "turn"
         if not left or event.is_modifier_down(gui.KeyModifier.CTRL):
             kind = "shift"
-        self._stage.navigator.hold(self._stage.pose, event.x, event.y, kind)
+        self._stage.navigator.hold(pose, event.x, event.y, kind)
 
-    def _drag(self, pane: Pane, event: Any) -> None:
+    def _drag(self, pane: Pane, event: gui.MouseEvent) -> None:
         if self._pressed is not None:
             apart = abs(event.x - self._pressed[0]), abs(event.y - self._pressed[1])
             if max(apart) > _STILL:
@@ -105,7 +128,7 @@ class Mouse:
             if moved is not None:
                 self._stage.steer(moved)
 
-    def _release(self, pane: Pane, event: Any) -> None:
+    def _release(self, pane: Pane, event: gui.MouseEvent) -> None:
         self._stage.navigator.release()
         self._stage.painter.rest()
         if self.tool is not None and self._drawing:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
+from viewer.window.host import Host
 
 #: Minimum time of compiling that the line reports, seconds.
 _SHORT = 0.5
@@ -24,10 +24,10 @@ class Notice:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
     """
 
-    def __init__(self, viewer: Any) -> None:
+    def __init__(self, viewer: Host) -> None:
         self._viewer = viewer
         self.label = gui.Label("")
         self.label.visible = False
@@ -59,7 +59,7 @@ class Notice:
         panel, shows = self._viewer.panel, bool(self._viewer.stage.scenes)
         return "" if shows else panel.doing or _EMPTY
 
-    def lay_out(self, space: gui.Rect, context: Any) -> None:
+    def lay_out(self, space: gui.Rect, context: gui.LayoutContext) -> None:
         """Put it into the space of the panes."""
         size = self.label.calc_preferred_size(context, gui.Widget.Constraints())
         wide, high = min(size.width, space.width), min(size.height, space.height)

@@ -4,20 +4,52 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from open3d.visualization import gui
 
-from viewer.pictures.drawer import measure
+from viewer.pictures.drawer import Drawer, measure
 from viewer.pictures.picture import Shown, picture
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.window.pace import Pace, Step
+from viewer.window.pane import Pane
 from viewer.window.worker import Stale, Worker
 
 #: Columns of a pane: start and stop in the window, picture width, and first picture column.
 Columns = tuple[int, int, int, int]
+
+
+class Painted(Protocol):
+    """The stage whose panes show the pictures; see `viewer.window.stage.Stage`."""
+
+    window: gui.Window
+    worker: Worker
+    scenes: list[Opened]
+    views: dict[Opened, Drawer]
+    pose: Pose | None
+    size: tuple[int, int]
+
+    @property
+    def shown(self) -> Shown:
+        """What to draw."""
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether splats are drawn by gs_codec's rasteriser."""
+
+    @property
+    def visible(self) -> list[Pane]:
+        """The visible panes, from left to right."""
+
+    @property
+    def columns(self) -> list[Columns]:
+        """Of each visible pane."""
+
+    def see(self, pose: Pose) -> None:
+        """Let the panes look from a pose."""
 
 
 class Painter:
@@ -28,7 +60,7 @@ class Painter:
 
     Parameters
     ----------
-    stage : viewer.window.stage.Stage
+    stage : Painted
     changed : callable
         Called when a picture or measurement is ready.
     failed : callable
@@ -41,10 +73,10 @@ class Painter:
     """
 
     def __init__(
-        self, stage: Any, changed: Callable[[], None], failed: Callable[[Exception], None]
+        self, stage: Painted, changed: Callable[[], None], failed: Callable[[Exception], None]
     ) -> None:
         self._stage, self._changed, self._failed = stage, changed, failed
-        self._worker: Worker = stage.worker.another()
+        self._worker = stage.worker.another()
         self._pace = Pace()
         self._measured: tuple[Pose | None, str] = (None, "")
         self._painted = False
@@ -86,7 +118,7 @@ class Painter:
         pose, text = self._measured
         return text if pose is self._stage.pose else ""
 
-    def tick(self) -> bool:
+    def tick(self, pose: Pose) -> bool:
         """Begin the next picture, if it is time; tell whether one was begun."""
         step = None if self.waits else self._pace.next(time.monotonic())
         if step is None:
@@ -94,22 +126,20 @@ class Painter:
         stage, shown = self._stage, self._stage.shown
         wanted = [stage.by_hand or shown.shows_error(pane.scene) for pane in stage.visible]
         if any(wanted):
-            self._draw(step, shown, wanted)
+            self._draw(step, shown, wanted, pose)
         else:
             self._pace.drop()
-            self._show(stage.pose, stage.visible, [None] * len(wanted))
+            self._show(pose, stage.visible, [None] * len(wanted))
             if step.full:
                 self._changed()
         if step.full:
-            self._measure()
+            self._measure(pose)
         return True
 
-    def _draw(self, step: Step, shown: Shown, wanted: list[bool]) -> None:
+    def _draw(self, step: Step, shown: Shown, wanted: list[bool], pose: Pose) -> None:
         """Draw the pictures of the visible panes, of those that want one."""
         stage, views = self._stage, self._stage.views
-        visible, pose, columns, (_, height) = (
-            list(stage.visible), stage.pose, stage.columns, stage.size,
-        )  # fmt: skip
+        visible, columns, (_, height) = list(stage.visible), stage.columns, stage.size
         width, high = max(columns[0][2] // step.shrink, 1), max(height // step.shrink, 1)
 
         def draw(stale: Stale) -> tuple[list[NDArray | None], float] | None:
@@ -141,7 +171,7 @@ class Painter:
 
         self._worker.submit("picture", draw, done, failed)
 
-    def _show(self, pose: Pose, panes: list, pictures: list[NDArray | None]) -> None:
+    def _show(self, pose: Pose, panes: list[Pane], pictures: list[NDArray | None]) -> None:
         """Put pictures on panes, which look from where they were drawn."""
         self._painted = any(image is not None for image in pictures)
         self._stage.see(pose)
@@ -149,10 +179,10 @@ class Painter:
             pane.show_picture(image)
         self._stage.window.post_redraw()
 
-    def _measure(self) -> None:
+    def _measure(self, pose: Pose) -> None:
         """Start measuring B in the frame of the present view, unless that is done."""
         stage, views = self._stage, self._stage.views
-        scenes, pose = list(stage.scenes), stage.pose
+        scenes = list(stage.scenes)
         if len(scenes) < 2 or self._measured[0] is pose:
             return
 

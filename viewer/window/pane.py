@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.coding.far import find_far
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
@@ -65,6 +65,10 @@ _MOST_TILES = 1 << 16
 
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
+
+
+#: What Open3D draws.
+Geometry = o3d.geometry.Geometry3D | o3d.t.geometry.Geometry
 
 
 class Pane:
@@ -128,7 +132,7 @@ class Pane:
             left, top, right, bottom = framed
             inside = (left, top), (right, top), (right, bottom), (left, bottom)
             corners = np.add(inside, [(_IN, _IN), (-_IN, _IN), (-_IN, -_IN), (_IN, -_IN)])
-            self._replace("outline", line_mesh([corners], 2 * _IN, lens), _solid(LINE_COLOUR))
+            self._replace("outline", (line_mesh([corners], 2 * _IN, lens), _solid(LINE_COLOUR)))
         self._bring_near("outline", pose, _OUTLINED)
 
     def show_lines(
@@ -140,10 +144,10 @@ class Pane:
         """
         for depth, (thickness, colour) in zip(_LINED, LINES, strict=True):
             each = f"{name} at {depth}"
-            self._replace(each, None, None)
+            self._replace(each, None)
             if lines:
                 mesh = line_mesh(lines, thickness, pose.lens(width, height))
-                self._replace(each, mesh, _solid(colour))
+                self._replace(each, (mesh, _solid(colour)))
                 self._bring_near(each, pose, depth)
 
     def _bring_near(self, name: str, pose: Pose, depth: float) -> None:
@@ -162,7 +166,7 @@ class Pane:
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
         if self.widget.scene.has_geometry("draft"):
-            self._replace("draft", None, None)
+            self._replace("draft", None)
         if picture is None and self._picture is None:
             return
         self._picture = picture
@@ -178,11 +182,11 @@ class Pane:
     def show_points(self, name: str, points: Points | None) -> None:
         """Show points under a name, replacing those with the same name."""
         if points is None or not len(points.positions):
-            self._replace(name, None, None)
+            self._replace(name, None)
             return
         cloud, material = point_geometry(points)
         material.point_size = _SIZES.get(name, POINT_SIZE)
-        self._replace(name, cloud, material)
+        self._replace(name, (cloud, material))
 
     def show_cells(self, cells: Cubes | Points | None) -> None:
         """Show cells of the octree, or hide them."""
@@ -190,28 +194,28 @@ class Pane:
             drawn = (
                 cube_geometry(cells) if cells.filled else box_geometry(cells.boxes, cells.colours)
             )
-            self._replace("octree", *drawn)
+            self._replace("octree", drawn)
         else:
             self.show_points("octree", cells)
 
     def show_boxes(self, boxes: NDArray | None) -> None:
         """Show the edges of boxes ``(n, 2, 3)``."""
         if boxes is None or not len(boxes):
-            self._replace("boxes", None, None)
+            self._replace("boxes", None)
             return
         colours = np.array([block_colour(k) for k in range(len(boxes))])
-        self._replace("boxes", *box_geometry(boxes, colours))
+        self._replace("boxes", box_geometry(boxes, colours))
 
     def show_splats(self, look: Look | None) -> None:
         """Draw the splats with Open3D's own shader, or stop doing so."""
         known, self._splats = self._splats, look
         drawn = self.widget.scene.has_geometry("splats")
         if look is None:
-            self._replace("splats", None, None)
+            self._replace("splats", None)
         elif known is None or not known.is_same(look):
             cloud = splat_cloud(self.scene, look)
             material = splat_material(self.scene, look.appearance)
-            self._replace("splats", cloud if len(cloud.point.positions) else None, material)
+            self._replace("splats", (cloud, material) if len(cloud.point.positions) else None)
         if drawn and not self.widget.scene.has_geometry("splats"):
             self._stuck = _STUCK
 
@@ -226,11 +230,16 @@ class Pane:
             self.widget.frame = frame
         return True
 
-    def _replace(self, name: str, geometry: Any, material: Any) -> None:
+    def _replace(
+        self,
+        name: str,
+        drawn: tuple[Geometry, rendering.MaterialRecord] | None,
+    ) -> None:
         scene = self.widget.scene
         if scene.has_geometry(name):
             scene.remove_geometry(name)
-        if geometry is not None:
+        if drawn is not None:
+            geometry, material = drawn
             scene.add_geometry(name, geometry, material)
 
 
@@ -288,7 +297,7 @@ def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
     return material
 
 
-def camera_lines(cameras: Sequence[Any]) -> o3d.geometry.LineSet:
+def camera_lines(cameras: Sequence[Camera]) -> o3d.geometry.LineSet:
     """The frames of gs_codec's cameras, each with lines from where it is."""
     places = np.array([camera.position for camera in cameras])
     reach = float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import zip_longest
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from open3d.visualization import gui
@@ -11,6 +11,7 @@ from open3d.visualization import gui
 from viewer.pictures.centres import KINDS
 from viewer.pictures.layers import Legend
 from viewer.window.backdrop import picture_of
+from viewer.window.controls import Controls
 from viewer.window.dialogs import folded
 from viewer.window.edit_tab import EditTab
 from viewer.window.pick_tab import PickTab
@@ -47,7 +48,7 @@ class Panel:
     scene, view, rate, pick, edit : SceneTab, ViewTab, RateTab, PickTab, EditTab
     """
 
-    def __init__(self, viewer: Any, font: int) -> None:
+    def __init__(self, viewer: Controls, font: int) -> None:
         self._viewer = viewer
         em = viewer.window.theme.font_size
         widgets = Widgets(em)
@@ -80,7 +81,7 @@ class Panel:
         for part in (self._head, self.tabs, self._legend.widget):
             viewer.window.add_child(part)
 
-    def lay_out(self, rect: gui.Rect, context: Any) -> None:
+    def lay_out(self, rect: gui.Rect, context: gui.LayoutContext) -> None:
         """Put it into a part of the window."""
         bottom = rect.get_bottom()
         for part, at_bottom in ((self._legend.widget, True), (self._head, False)):

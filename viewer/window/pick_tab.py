@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from open3d.visualization import gui
 
 from viewer.scenes.picked_text import picked_sections
+from viewer.window.controls import Controls
 from viewer.window.widgets import Widgets
 
 #: Width of a row, characters.
@@ -24,10 +23,14 @@ class PickTab:
     text : gui.Label
     """
 
-    def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
+    def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
         self._viewer = viewer
         self.widget = widgets.column()
-        self._clear = widgets.button("Clear", viewer.picking.clear, "pick nothing (Esc)")
+
+        def clear() -> None:
+            viewer.picking.clear()
+
+        self._clear = widgets.button("Clear", clear, "pick nothing (Esc)")
         widgets.row(self.widget, self._clear)
         self.text = gui.Label(_NOTHING)
         self.text.font_id = font

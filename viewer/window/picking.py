@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from viewer.scenes.picked import Hit, Picked, Picker
 from viewer.scenes.pose import Pose
+from viewer.window.host import Host
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.worker import Stale
@@ -16,7 +15,7 @@ class Picking:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
 
     Attributes
     ----------
@@ -25,7 +24,7 @@ class Picking:
         What is known of it, once that has been found.
     """
 
-    def __init__(self, viewer: Any) -> None:
+    def __init__(self, viewer: Host) -> None:
         self._viewer = viewer
         self._picker = Picker(())
         self._pose: Pose | None = None
@@ -37,6 +36,8 @@ class Picking:
         """Pick what a pixel of a pane's picture shows; where nothing is, pick nothing."""
         stage, picker = self._viewer.stage, self._current()
         which, pose, size = stage.panes.index(pane), stage.pose, stage.picture_size
+        if pose is None:
+            return
         layers, look = frozenset(self._viewer.choice.layers), stage.shown.look(pane.scene)
 
         def find(stale: Stale) -> Hit | None:
@@ -81,7 +82,8 @@ class Picking:
 
     def _describe(self) -> None:
         picker, hit, pose = self._picker, self.hit, self._viewer.stage.pose
-        assert hit is not None
+        if hit is None or pose is None:
+            return
 
         def find(stale: Stale) -> Picked:
             return picker.describe(hit, pose)

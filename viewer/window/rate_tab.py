@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 from open3d.visualization import gui
 
@@ -14,6 +14,7 @@ from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
 from viewer.scenes.trial_list import WISHES, Asked, Try, has_steps
 from viewer.scenes.typed_paths import TRIES
+from viewer.window.controls import Controls
 from viewer.window.dialogs import folded, shortened
 from viewer.window.widgets import Widgets
 
@@ -74,7 +75,7 @@ class RateTab:
         Of the list: the source, and each try, the newest first.
     """
 
-    def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
+    def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
         self._viewer = viewer
         self.widget, self._upper, self._below = widgets.tab()
         self._scales: dict[str, _Scale] = {}

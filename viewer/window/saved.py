@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 from gs_codec.runtime.wording import counted
 from viewer.scenes.flight import flythrough, read_poses, write_poses
 from viewer.scenes.pose import Pose
 from viewer.scenes.typed_paths import POSES
+from viewer.window.host import Host
 from viewer.window.worker import Stale
 
 #: Time of a flight from one pose to the next, seconds.
@@ -24,14 +24,14 @@ class Saved:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
 
     Attributes
     ----------
     poses : list of Pose
     """
 
-    def __init__(self, viewer: Any) -> None:
+    def __init__(self, viewer: Host) -> None:
         self._viewer = viewer
         self.poses: list[Pose] = []
         self._flight: list[Pose] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 from open3d.visualization import gui
 
@@ -10,6 +10,7 @@ from gs_codec.formats.coordinates import CONVENTION
 from viewer.pictures.layers import reason_colour
 from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, SCALED
 from viewer.scenes.numbers import between, facts
+from viewer.window.controls import Controls
 from viewer.window.widgets import Widgets
 
 _MODE_NAMES = ("side by side", "wipe", "one, F flips")
@@ -33,7 +34,7 @@ class SceneTab:
         Shown where a graphics card draws.
     """
 
-    def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
+    def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
         self._viewer = viewer
         self.widget, self._upper, below = widgets.tab()
         self._add_files(widgets)
@@ -101,21 +102,23 @@ class SceneTab:
 
     def _add_octree(self, widgets: Widgets) -> None:
         """Controls of the octree, which show with it."""
-        set_octree = self._viewer.set_octree
+        viewer = self._viewer
         self._octree = gui.Vert(0.25 * widgets.em)
         self._upper.add_child(self._octree)
         self.cells = widgets.choice(
             self._octree,
             "octree by",
             CELL_COLOURINGS,
-            lambda k: set_octree(colouring=CELL_COLOURINGS[k]),
+            lambda k: viewer.set_octree(
+                replace(viewer.choice.octree, colouring=CELL_COLOURINGS[k])
+            ),
         )
         ends = DEPTHS[0], DEPTHS[-1]
         self.depth = widgets.slider(
             self._octree,
             "octree's depth",
             ends,
-            lambda value: set_octree(depth=int(value)),
+            lambda value: viewer.set_octree(replace(viewer.choice.octree, depth=int(value))),
             whole=True,
         )
 

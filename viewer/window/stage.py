@@ -437,7 +437,7 @@ class Stage:
             self._laid_out = False
             self._look()
         stuck = [pane.tick() for pane in self.panes]
-        return self.painter.tick() or looked or any(stuck)
+        return self.painter.tick(self.pose) or looked or any(stuck)
 
 
 def _same_colours(before: Shown, after: Shown) -> bool:

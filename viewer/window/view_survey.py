@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
+import numpy as np
 from numpy.typing import NDArray
 
 from viewer.pictures.drawer import quality, splats
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
-from viewer.window.worker import Stale
+from viewer.window.host import Host
+from viewer.window.visits import Visits
+from viewer.window.worker import Result, Stale
 
 #: Height of the pictures of views, pixels.
 _HIGH = 150
@@ -23,7 +26,8 @@ class Survey:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
+    visits : Visits
     changed : callable
         Called when there is one more.
 
@@ -34,18 +38,18 @@ class Survey:
     pictures : dict of int to ndarray, shape (h, w, 3), float32, 0-1
     """
 
-    def __init__(self, viewer: Any, changed: Callable[[], None]) -> None:
-        self._viewer, self._changed = viewer, changed
+    def __init__(self, viewer: Host, visits: Visits, changed: Callable[[], None]) -> None:
+        self._viewer, self._visits, self._changed = viewer, visits, changed
         self._of: tuple[Opened, ...] = ()
         self._poses: list[Pose] = []
-        self._asked: set[str] = set()
+        self._wanted: set[str] = set()
         self.decibels: dict[int, float] = {}
         self.pictures: dict[int, NDArray] = {}
 
     def ask(self, what: str, wanted: bool) -> None:
         """Begin with ``decibels`` or ``pictures``, or leave off; what is found stays."""
         self._forget()
-        (self._asked.add if wanted else self._asked.discard)(what)
+        (self._wanted.add if wanted else self._wanted.discard)(what)
         if not wanted:
             self._viewer.worker.cancel(f"survey {what}")
         elif f"survey {what}" not in self._viewer.worker.kinds:
@@ -54,7 +58,7 @@ class Survey:
     def _forget(self) -> None:
         """Forget what was found of other scenes, or from other viewpoints."""
         scenes = tuple(self._viewer.stage.scenes)
-        poses = [each.pose for each in self._viewer.visits.viewpoints]
+        poses = [each.pose for each in self._visits.viewpoints]
         if scenes != self._of or poses != self._poses:
             if scenes[:1] != self._of[:1] or poses != self._poses:
                 self.pictures = {}
@@ -64,26 +68,35 @@ class Survey:
 
     def _next(self, what: str) -> None:
         """Do the next view, if one is left."""
-        found: dict[int, Any] = getattr(self, what)
         scenes, poses = self._of, self._poses
-        first = self._viewer.visits.views.first if what == "decibels" else 0
-        left = [k for k in range(first, len(poses)) if k not in found]
+        first = self._visits.views.first if what == "decibels" else 0
+        left = [k for k in range(first, len(poses)) if k not in getattr(self, what)]
         if not left or not scenes or (what == "decibels" and len(scenes) < 2):
             return
-        number = left[0]
-        views = self._viewer.stage.views
+        number, pose, views = left[0], poses[left[0]], self._viewer.stage.views
 
-        def done(value: Any) -> None:
-            found[number] = value
-            self._changed()
-            if what in self._asked:
-                self._next(what)
+        def draw(stale: Stale) -> NDArray[np.float32]:
+            wide, high = pose.frame
+            return splats(views, scenes[0], pose, round(_HIGH * wide / high), _HIGH)
 
-        def job(stale: Stale) -> Any:
-            if what == "pictures":
-                wide, high = poses[number].frame
-                return splats(views, scenes[0], poses[number], round(_HIGH * wide / high), _HIGH)
-            measured = quality(views, scenes, poses[number])
+        def measure(stale: Stale) -> float:
+            measured = quality(views, scenes, pose)
             return float("nan") if measured is None else measured.psnr
+
+        if what == "pictures":
+            self._find(what, draw, partial(self.pictures.__setitem__, number))
+        else:
+            self._find(what, measure, partial(self.decibels.__setitem__, number))
+
+    def _find(
+        self, what: str, job: Callable[[Stale], Result], put: Callable[[Result], None]
+    ) -> None:
+        """Find something about a view, and go on with the next."""
+
+        def done(value: Result) -> None:
+            put(value)
+            self._changed()
+            if what in self._wanted:
+                self._next(what)
 
         self._viewer.worker.submit(f"survey {what}", job, done, self._viewer.fail)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from open3d.visualization import gui
 
 from viewer.pictures.charts import decibels
 from viewer.scenes.choice import DOCKS
+from viewer.window.controls import Controls
 from viewer.window.dialogs import folded, shortened
 from viewer.window.look_controls import LookControls
 from viewer.window.widgets import Widgets, choose
@@ -29,7 +28,7 @@ class ViewTab:
         What is done with the poses that are kept.
     """
 
-    def __init__(self, viewer: Any, widgets: Widgets) -> None:
+    def __init__(self, viewer: Controls, widgets: Widgets) -> None:
         self._viewer = viewer
         self.widget, upper, self._below = widgets.tab()
         visits = viewer.visits

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from open3d.visualization import gui
 
@@ -14,6 +12,7 @@ from gs_codec.runtime.wording import counted
 from gs_codec.views.photographs import read_photograph
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
 from viewer.window.backdrop import picture_of
+from viewer.window.host import Host
 from viewer.window.pane import HIDDEN
 from viewer.window.worker import Stale
 
@@ -26,7 +25,7 @@ class Visits:
 
     Parameters
     ----------
-    viewer : viewer.window.main_window.Viewer
+    viewer : Host
 
     Attributes
     ----------
@@ -40,7 +39,7 @@ class Visits:
     photograph : gui.ImageWidget
     """
 
-    def __init__(self, viewer: Any) -> None:
+    def __init__(self, viewer: Host) -> None:
         self._viewer = viewer
         self.views = Views()
         self.viewpoints: list[Viewpoint] = []
@@ -163,11 +162,11 @@ class Visits:
         """Show the photograph of the viewpoint visited last, if it has one."""
         viewer = self._viewer
         self.photographed = False
-        if viewer.request.images is not None and self.number:
+        camera = self.viewpoints[self.number].camera
+        if viewer.request.images is not None and self.number and camera is not None:
             try:
-                shown = self.viewpoints[self.number]
-                path = find_image(viewer.request.images, shown.name)
-                _, image = read_photograph(shown.camera, path)
+                path = find_image(viewer.request.images, camera.name)
+                _, image = read_photograph(camera, path)
             except gs_codec.GsCodecError as error:
                 viewer.panel.say(str(error))
             else:

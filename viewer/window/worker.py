@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import TypeVar
 
 from viewer.scenes.opened import Progress
 
 #: Tells a job whether its result is still wanted: True if not.
 Stale = Callable[[], bool]
 
-Job = Callable[[Stale], Any]
+#: Takes a function without arguments and makes the window's thread call it.
+Post = Callable[[Callable[[], None]], None]
+
+Result = TypeVar("Result")
 
 
 class Cancelled(Exception):
@@ -27,12 +31,10 @@ class Worker:
         Takes a function without arguments and makes the window's thread call it.
     """
 
-    def __init__(self, post: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(self, post: Post) -> None:
         self._post = post
         self._wanted: dict[str, int] = {}
-        self._waiting: dict[
-            str, tuple[Job, Callable[[Any], None], Callable[[Exception], None]]
-        ] = {}
+        self._waiting: dict[str, Callable[[Stale, Post], None]] = {}
         self._running: str | None = None
         self._changed = threading.Condition()
         self._ended = False
@@ -47,8 +49,8 @@ class Worker:
     def submit(
         self,
         kind: str,
-        job: Job,
-        done: Callable[[Any], None],
+        job: Callable[[Stale], Result],
+        done: Callable[[Result], None],
         failed: Callable[[Exception], None],
     ) -> None:
         """Run a job; it replaces unfinished jobs of its kind.
@@ -57,7 +59,7 @@ class Worker:
         """
         with self._changed:
             self._wanted[kind] = self._wanted.get(kind, 0) + 1
-            self._waiting[kind] = (job, done, failed)
+            self._waiting[kind] = partial(_work, job, done, failed)
             self._changed.notify()
 
     def cancel(self, kind: str) -> None:
@@ -105,30 +107,31 @@ class Worker:
                 if self._ended:
                     return
                 kind = next(iter(self._waiting))
-                job, done, failed = self._waiting.pop(kind)
-                number = self._wanted[kind]
+                work, number = self._waiting.pop(kind), self._wanted[kind]
                 self._running = kind
-            self._work(kind, number, job, done, failed)
+            stale = partial(self._is_stale, kind, number)
+            work(stale, partial(self._give, stale))
 
-    def _work(
-        self,
-        kind: str,
-        number: int,
-        job: Job,
-        done: Callable[[Any], None],
-        failed: Callable[[Exception], None],
-    ) -> None:
-        def stale() -> bool:
-            return self._ended or self._wanted[kind] != number
+    def _is_stale(self, kind: str, number: int) -> bool:
+        return self._ended or self._wanted[kind] != number
 
-        def give(call: Callable[[Any], None], value: Any) -> None:
-            # The window may be gone when a job ends after it.
-            if not self._ended:
-                self._post(lambda: None if stale() else call(value))
+    def _give(self, stale: Stale, call: Callable[[], None]) -> None:
+        """Pass on what a job found."""
+        # The window may be gone when a job ends after it.
+        if not self._ended:
+            self._post(lambda: None if stale() else call())
 
-        try:
-            result = job(stale)
-        except Exception as error:
-            give(failed, error)
-        else:
-            give(done, result)
+
+def _work(
+    job: Callable[[Stale], Result],
+    done: Callable[[Result], None],
+    failed: Callable[[Exception], None],
+    stale: Stale,
+    give: Post,
+) -> None:
+    try:
+        result = job(stale)
+    except Exception as error:
+        give(partial(failed, error))
+    else:
+        give(partial(done, result))

@@ -8,7 +8,7 @@ import functools
 import os
 import sys
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 #: Numbers of X.h and keysymdef.h.
 _KEY_PRESS = 2
@@ -73,8 +73,10 @@ class Keyboard:
     """
 
     def __init__(self) -> None:
-        self._x11 = _library()
-        self._display = self._x11.XOpenDisplay(None) if self._x11 else None
+        x11 = _library()
+        self._display = None if x11 is None else x11.XOpenDisplay(None)
+        if x11 is not None:
+            self._x11 = x11
         self._window = 0
 
     @property
@@ -103,10 +105,10 @@ class Keyboard:
         while x11.XPending(self._display):
             x11.XNextEvent(self._display, ctypes.byref(event))
             if event.key.type == _KEY_PRESS and not event.key.send_event:
-                found.append(self._told(event.key))
+                found.append(self._decoded(event.key))
         return found
 
-    def _told(self, event: _KeyEvent) -> Pressed:
+    def _decoded(self, event: _KeyEvent) -> Pressed:
         buffer, symbol = ctypes.create_string_buffer(8), ctypes.c_ulong()
         count = self._x11.XLookupString(
             ctypes.byref(event), buffer, len(buffer), ctypes.byref(symbol), None
@@ -185,14 +187,14 @@ class Keyboard:
 
 
 @functools.cache
-def _library() -> Any:
+def _library() -> ctypes.CDLL | None:
     """Xlib; None where windows are not of X11."""
     name = ctypes.util.find_library("X11") if sys.platform.startswith("linux") else None
     if name is None:
         return None
     x11 = ctypes.CDLL(name)
     number, pointer = ctypes.c_ulong, ctypes.c_void_p
-    signatures: dict[str, tuple[Any, ...]] = {
+    signatures: dict[str, tuple[type, ...]] = {
         "XOpenDisplay": (pointer, ctypes.c_char_p),
         "XCloseDisplay": (ctypes.c_int, pointer),
         "XDefaultRootWindow": (number, pointer),

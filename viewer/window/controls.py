@@ -1,0 +1,160 @@
+"""What the panel and the keys change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from viewer.pictures.screenshot import compose, save_picture
+from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Appearance, OctreeChoice
+from viewer.scenes.typed_paths import PICTURES
+from viewer.window.background_encoding import Encoding
+from viewer.window.dock import Dock
+from viewer.window.editor import Editor
+from viewer.window.host import Host
+from viewer.window.loading import Loading
+from viewer.window.navigation import field_of_view, framing, with_field_of_view
+from viewer.window.picking import Picking
+from viewer.window.saved import Saved
+from viewer.window.visits import Visits
+from viewer.window.worker import Stale
+
+#: Fields of view that differ by less are the same, degrees.
+_SAME_ANGLE = 0.01
+
+
+class Controls(Host, Protocol):
+    """A window, for its panel and its keys."""
+
+    visits: Visits
+    saved: Saved
+    loading: Loading
+    picking: Picking
+    editor: Editor
+    encoding: Encoding
+    dock: Dock
+
+    def help(self) -> None:
+        """List the keys."""
+
+    # What is shown
+
+    def refresh(self) -> None:
+        """Update panes, dock and panel to the choice."""
+        self.stage.refresh()
+        self.refresh_panel()
+
+    def refresh_panel(self) -> None:
+        """Update dock and panel, the panes being as they should be."""
+        self.dock.refresh()
+        self.panel.refresh()
+
+    def toggle(self, layer: str) -> None:
+        """Switch a layer on or off."""
+        self.choice.layers ^= {layer}
+        self.refresh()
+
+    def set_colouring(self, colouring: str) -> None:
+        """Colour centres by another quantity."""
+        self.choice.colouring = colouring
+        self.refresh()
+
+    def next_colouring(self) -> None:
+        """Colour centres by the next of `COLOURINGS`."""
+        index = (COLOURINGS.index(self.choice.colouring) + 1) % len(COLOURINGS)
+        self.set_colouring(COLOURINGS[index])
+
+    def set_logarithmic(self, logarithmic: bool) -> None:
+        """Set whether the scale of the present colours of centres is logarithmic."""
+        self.choice.scales[self.choice.colouring] = SCALES[logarithmic]
+        self.refresh()
+
+    def set_octree(self, octree: OctreeChoice) -> None:
+        """Change the depth or the colouring of the octree's cells."""
+        self.choice.octree = octree
+        self.stage.show_octree()
+
+    def set_exact(self, exact: bool) -> None:
+        """Set whether splats are drawn by gs_codec's rasteriser on a graphics card, too."""
+        self.choice.exact = exact
+        self.refresh()
+
+    def set_appearance(self, appearance: Appearance) -> None:
+        """Change how splats are drawn."""
+        # A slider also reports what it is set to.
+        if appearance != self.choice.appearance:
+            self.choice.appearance = appearance
+            self.stage.restyle()
+            self.panel.refresh()
+
+    def set_mode(self, mode: str) -> None:
+        """Set how two scenes are shown."""
+        self.choice.mode = mode
+        self.refresh()
+
+    def next_mode(self) -> None:
+        """Show two scenes in the next of `MODES`."""
+        self.set_mode(MODES[(MODES.index(self.choice.mode) + 1) % len(MODES)])
+
+    def set_wipe(self, wipe: float) -> None:
+        """Move the wipe."""
+        self.stage.wipe_to(wipe)
+
+    def flip(self) -> None:
+        """Show the other of two scenes, in one view."""
+        choice = self.choice
+        choice.mode, choice.front = "flip", 1 - choice.front if choice.mode == "flip" else 0
+        self.refresh()
+
+    def set_dock(self, dock: str) -> None:
+        """Show another of `DOCKS` below the panes."""
+        self.choice.dock = dock
+        self.window.set_needs_layout()
+        self.stage.arrange()
+        self.refresh_panel()
+
+    def next_dock(self) -> None:
+        """Show the next of `DOCKS` below the panes."""
+        self.set_dock(self.dock.next())
+
+    # Where one looks from
+
+    def set_flying(self, flying: bool) -> None:
+        """Make drags look around, or turn about the point ahead."""
+        self.choice.flying = flying
+        self.panel.refresh()
+
+    def set_field_of_view(self, degrees: float) -> None:
+        """Set the vertical field of view of the frame."""
+        pose = self.stage.pose
+        # A slider also reports what it is set to.
+        if pose is not None and abs(degrees - field_of_view(pose)) > _SAME_ANGLE:
+            self.stage.steer(with_field_of_view(pose, degrees))
+
+    def frame_all(self) -> None:
+        """Go back, or nearer, until all of the scene is seen."""
+        if self.stage.pose is not None:
+            scene = self.stage.scenes[0]
+            self.stage.look_from(*framing(self.stage.pose, scene.positions, scene.opacities))
+
+    # Files
+
+    def ask_save(self) -> None:
+        """Ask where to write a picture, and write it."""
+        self.files.ask_save("Save a picture", PICTURES, self.save)
+
+    def save(self, path: str) -> None:
+        """Write a picture of what is shown, drawn in software."""
+        stage, mode, wipe = self.stage, self.choice.mode, self.choice.wipe
+        if stage.pose is None:
+            return
+        pose, shown, size, front = stage.pose, stage.shown, stage.size, self.choice.front
+
+        def draw(stale: Stale) -> None:
+            picture = compose(pose, shown, mode, wipe, size, front=front)
+            save_picture(picture, Path(path))
+
+        def done(_: None) -> None:
+            self.panel.say(f"{Path(path).name} is written")
+
+        self.worker.submit("save", draw, done, self.fail)

@@ -1,0 +1,56 @@
+"""What the parts of a window use of it and of each other."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from open3d.visualization import gui
+
+from viewer.scenes.choice import Choice
+from viewer.scenes.view_request import Request
+from viewer.window.dialogs import Modal
+from viewer.window.file_dialog import Files
+from viewer.window.stage import Stage
+from viewer.window.worker import Worker
+
+
+class Status(Protocol):
+    """The panel, for those who report to it."""
+
+    @property
+    def doing(self) -> str:
+        """What the window is doing and how far it is; empty if nothing that is waited for."""
+
+    def say(self, text: str, progress: float | None = None) -> None:
+        """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
+
+    def show_progress(self, progress: float) -> None:
+        """Set the progress bar, 0-1."""
+
+    def show(self, name: str) -> None:
+        """Bring a tab to the front, by its name."""
+
+    def refresh(self) -> None:
+        """Update all controls and numbers from the viewer."""
+
+
+class Host(Protocol):
+    """The window of a part."""
+
+    request: Request
+    choice: Choice
+    window: gui.Window
+    worker: Worker
+    modal: Modal
+    files: Files
+    stage: Stage
+    panel: Status
+
+    def fail(self, error: Exception) -> None:
+        """Show an error in a dialog; the scenes shown stay."""
+
+    def refresh(self) -> None:
+        """Update panes, dock and panel to the choice."""
+
+    def refresh_panel(self) -> None:
+        """Update dock and panel, the panes being as they should be."""

@@ -1,4 +1,4 @@
-"""A scene as Open3D's octree."""
+"""Convert a scene to Open3D's octree."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ if TYPE_CHECKING:
 
 @checked
 def to_octree(cloud: PointCloud, depth: int) -> Octree:
-    """Sort the centres of a cloud into Open3D's octree, to count, search or draw them by cells.
+    """Put the centres of a cloud into Open3D's octree, to count, search or draw them by cell.
 
     Parameters
     ----------
     cloud : open3d.t.geometry.PointCloud
-        With the attributes that `read` gives, at least one Gaussian; others are ignored.
+        A cloud from `read` with at least one Gaussian; additional attributes are ignored.
     depth : int
         Depth of the leaves, 1-16: they are cubes of ``octree.size / 2**depth`` scene units.
 
     Returns
     -------
     open3d.geometry.Octree
-        Its root is Open3D's cube around the centres, 1 % larger than their extent. A leaf, an
-        `OctreePointColorLeafNode`, has in ``indices`` the Gaussians whose centres are in it, by
-        their index in the cloud, and as ``color`` the mean of their SH-DC colours, RGB, 0-1.
+        Its root is Open3D's cube around the centres, 1 % larger than their extent. In a leaf, an
+        `OctreePointColorLeafNode`, ``indices`` are the cloud indices of the Gaussians whose centres
+        are inside, and ``color`` is the mean of their SH-DC colours, RGB, 0-1.
 
     Raises
     ------
     InvalidInput
-        If the depth is not 1-16, an attribute is missing, the cloud is empty, a centre or SH-DC
-        is not finite, or all centres are together so far from the origin that 64-bit floats have
-        no cells there.
+        If the depth is not 1-16, an attribute is missing, the cloud is empty, a centre or SH-DC is
+        not finite, or all centres are so close together and so far from the origin that 64-bit
+        floats cannot resolve cells.
     MissingTool
         If Open3D is not installed.
 
     Notes
     -----
-    `encode` does not use this class: its coder of positions walks sorted Morton codes, which takes
-    a fraction of the time. Open3D calls ``octree.traverse`` back for each node, leaves or not.
+    `encode` does not use this class: its position coder walks sorted Morton codes, which takes a
+    fraction of the time. ``octree.traverse`` calls back for every node, not only for leaves.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def to_octree(cloud: PointCloud, depth: int) -> Octree:
     sums = np.stack([np.bincount(cells, row) for row in colours])
     vectors = open3d.utility.Vector3dVector
     points = open3d.geometry.PointCloud(vectors(positions.T))
-    # Open3D gives a leaf the colour of its last point: all points of a cell have the mean.
+    # Open3D gives a leaf the colour of its last point, so all points of a cell get the mean.
     points.colors = vectors((sums / np.bincount(cells))[:, cells].T)
     octree = open3d.geometry.Octree(max_depth=depth)
     octree.convert_from_point_cloud(points, EXPANSION)

@@ -1,4 +1,4 @@
-"""The public functions that read, write and code Open3D point clouds."""
+"""Public functions that read, write, encode and decode Open3D point clouds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def read(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> PointCloud:
-    """Read a scene of any format, recognised by content.
+    """Read a scene in any supported format, recognised by content.
 
     Formats are PLY, `.egs`, `.splat`, `.ksplat`, `.spz`, SOG, glTF, USD, and checkpoints of gsplat
     and splatfacto.
@@ -44,35 +44,35 @@ def read(
     path : str or Path
         The suffix matters only if the content does not identify the format.
     extra : {"keep", "drop", "error"}
-        What to do with properties beyond the 3DGS layout, such as normals that are not all zero:
-        keep them as attributes ``(N, 1)``, leave them out, or refuse the file. Elements of a PLY
-        other than ``vertex`` are never kept. A log message names what is left out.
+        Handling of properties beyond the 3DGS layout, such as normals that are not all zero: keep
+        them as attributes ``(N, 1)``, drop them, or reject the file. PLY elements other than
+        ``vertex`` are never kept. A log message names everything that is dropped.
     progress : callable, optional
-        Called as ``progress(stage, done, total)`` in the calling thread while work is done; an
-        exception from it stops the work.
+        Called as ``progress(stage, done, total)`` in the calling thread; an exception in it aborts
+        the work.
     max_bytes : int, optional
-        Largest size of the scene's floats; by default 1 GiB or 1000 times the file.
+        Maximum size of the scene's floats; by default 1 GiB or 1000 times the file size.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with
-        K = 0, 3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``,
-        ``scale (N, 3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down,
-        forward: a scene that states another system, as `.spz` does, is converted. Opacities of 0
-        and 1 and scales of 0, whose logits and logarithms are infinite, become finite numbers that
-        look the same; a warning counts them.
+        Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with K = 0,
+        3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``, ``scale (N,
+        3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down, forward: a
+        scene that states another system, such as an `.spz`, is converted. Opacities of 0 and 1 and
+        scales of 0, whose logits and logarithms are infinite, are replaced by finite numbers that
+        render the same; a warning counts them.
 
     Raises
     ------
     InvalidInput
         If the file cannot be read, is of no known format, decodes to more than `max_bytes`, or has
-        properties that `extra` refuses.
+        properties that `extra` rejects.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is an `.egs` file that is damaged, or newer than this version.
     MissingTool, ToolFailed
         If Open3D is not installed; or if its points are coded by G-PCC, and ``tmc3`` is not
-        installed or does not decode them.
+        installed or fails.
 
     Notes
     -----
@@ -81,7 +81,7 @@ def read(
 
     - ``translate``, and the methods that select or append points, are correct.
     - ``scale`` changes ``scale`` but not ``log_scale``, which keeps the exact values of the file.
-      Delete the one that is out of date, or `encode` and `write` raise `InvalidInput`.
+      Delete the outdated one; otherwise `encode` and `write` raise `InvalidInput`.
     - ``rotate`` is correct for SH degree 0. It rotates ``f_rest`` wrongly, so view-dependent
       colours become wrong. gs_codec cannot detect this.
     - ``transform`` changes only ``positions``, as its warning says. gs_codec cannot detect this.
@@ -92,7 +92,7 @@ def read(
     >>> cloud.point.positions.shape, cloud.point.f_rest.shape
     (SizeVector[2000, 3], SizeVector[2000, 15, 3])
 
-    Twice as large:
+    Scale a scene by two:
 
     >>> larger = cloud.clone().scale(2, [0, 0, 0])
     >>> del larger.point["log_scale"]
@@ -105,7 +105,7 @@ def read(
 def write(
     path: str | Path, cloud: PointCloud, config: Config | str | None = None, overwrite: bool = False
 ) -> None:
-    """Write a cloud as ``.ply``, ``.pt`` or, encoded, ``.egs``...; whole or not at all.
+    """Write a cloud as ``.ply``, ``.pt`` or, encoded, ``.egs``...; atomically.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def write(
         The suffix selects the format. A PLY has the INRIA trainer's layout, a ``.pt`` is a
         checkpoint of gsplat, a ``.ckpt`` of splatfacto, a ``.csv`` a table of attributes.
     cloud : open3d.t.geometry.PointCloud
-        With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
+        A cloud with the attributes from `read`. One of ``log_scale`` and ``scale`` is enough; if
         both are present, they must agree.
     config : Config or str, optional
-        How to encode the file, or the name of a profile. Its `extra` says what to do with other
+        How to encode the file, or the name of a profile. Its `extra` controls additional
         attributes: by default, a PLY, a CSV and profile ``lossless`` keep them. Log messages name
-        what is left out.
+        everything that is dropped.
     overwrite : bool
         Whether to replace an existing file, once the new one is complete. By default, an existing
         file is an error.
@@ -129,7 +129,7 @@ def write(
         If the suffix is unknown, an attribute is missing, ``log_scale`` and ``scale`` disagree, a
         value to be coded is not finite, or the file cannot be written.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC or torchac, which is not installed or fails.
+        If `config` selects G-PCC or torchac, which is not installed or fails.
 
     Examples
     --------
@@ -177,39 +177,38 @@ def encode(
 ) -> bytes | tuple[bytes, RateReport]:
     """Encode a scene as an `.egs` stream, or in another format; `encode_file` has these arguments.
 
-    The same scene, options and version give the same bytes. Log messages name what the format
-    cannot hold. Profiles ``paper-*`` use the method of
-    EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
+    The same scene, options and version give the same bytes. Log messages name everything that the
+    format cannot represent. Profiles ``paper-*`` use the method of EntropyGS (arXiv 2508.10227,
+    Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
 
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a scene
-        As for `write`; of a file, the stream is what `encode_file` writes.
+        A cloud as in `write`, or a file, whose stream equals the output of `encode_file`.
     config : Config or str, optional
         A configuration or the name of a profile, by default ``m``.
     plan : Plan, optional
-        How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` then spend
-        bits where its views see it.
+        Steps of preparation, if any, and views that guide profiles ``l``, ``m`` and ``s``: bits are
+        spent where they are visible.
     rate : RateTarget or mapping, optional
         Rate target for profiles ``l``, ``m`` and ``s``: one of ``size`` (bytes), ``ratio``,
         ``bits`` (per Gaussian) and ``psnr_drop`` (dB); and ``allow_prune``. The ratio is relative
-        to the PLY that `write` writes.
+        to the PLY written by `write`.
     progress : callable, optional
-        As for `read`.
+        As in `read`.
 
     Returns
     -------
     data : bytes
-        The stream, or the bytes of `config.format`, which may be written to a file as they are.
+        The stream, or the content of a file in `config.format`.
     report : RateReport
-        Only with a rate target: the step sizes, and the size or quality expected and reached.
+        Only with a rate target: the step sizes, and the predicted and actual size or quality.
 
     Raises
     ------
     InvalidInput
-        As for `write`; or if the rate target cannot be reached.
-    MissingTool, ToolFailed
-        As for `write`.
+        As in `write`; or if the rate target cannot be reached.
+    MissingTool, ToolFailed As in `write`.
 
     Examples
     --------
@@ -218,7 +217,7 @@ def encode(
     >>> small = gs_codec.encode("scene.ply", "s")
     >>> seen = gs_codec.encode(cloud, plan=gs_codec.Plan(cameras="cameras.json"))
 
-    A size instead of a profile's own step sizes; sizes are met from below:
+    With a size target, which is never exceeded:
 
     >>> data, report = gs_codec.encode(cloud, rate={"size": 40_000})
     >>> len(data) == report.file_bytes <= 40_000
@@ -258,32 +257,32 @@ def decode(
     Parameters
     ----------
     source : bytes, bytearray, memoryview, str or Path
-        A whole stream, from `encode` or a file; or the path of a file.
+        A complete stream, from `encode` or a file; or the path of a file.
     part : Part, optional
-        A box, a lower SH degree, or both; a level of detail, or what a view needs.
+        A box, a lower SH degree, or both; a level of detail; or the blocks for a view.
     threads : int, optional
-        Worker threads, 1-256; by default one for each available processor, but a single one for
-        fewer than 4096 Gaussians.
+        Worker threads, 1-256; by default one per available processor, or a single one for fewer
+        than 4096 Gaussians.
     tmc3 : str or Path, optional
-        MPEG's program, for streams that use G-PCC; by default what the environment variable
-        ``GS_CODEC_TMC3`` or PATH say.
+        MPEG's program, for streams that use G-PCC; by default it is found through the environment
+        variable ``GS_CODEC_TMC3`` or PATH.
     progress, max_bytes
-        As for `read`.
+        As in `read`.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        With the attributes `read` gives.
+        A cloud with the attributes from `read`.
 
     Raises
     ------
     InvalidInput
-        If a box has no Gaussians, or the stream lacks the level.
+        If a box has no Gaussians, or the stream does not have the level.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the stream is damaged, decodes to more than `max_bytes`, or is newer than this version.
     MissingTool, ToolFailed
         If Open3D is not installed; or if points are coded by G-PCC, and its program is not
-        installed or does not decode them.
+        installed or fails.
 
     Examples
     --------
@@ -294,7 +293,7 @@ def decode(
     >>> gs_codec.decode(data, gs_codec.Part(sh_degree=0)).point.f_rest.shape
     SizeVector[2000, 0, 3]
 
-    What a camera sees of a scene with levels of detail, where an error of 4 pixels may be:
+    Decode the blocks for a camera, with levels of detail and an error of up to 4 pixels:
 
     >>> data = gs_codec.encode(cloud, gs_codec.Config(lod=True, block_size=1024))
     >>> [camera, _] = gs_codec.read_cameras("cameras.json")

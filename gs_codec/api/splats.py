@@ -1,4 +1,4 @@
-"""Tensors on a device, ready to be drawn, from an `.egs` stream and to one."""
+"""Decode an `.egs` stream to tensors on a device, ready for rendering; encode tensors."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Splats:
-    """Gaussians as gsplat's rasteriser takes them: float32 tensors of one device, in stream order.
+    """Gaussians for gsplat's rasteriser: float32 tensors on one device, in stream order.
 
-    The tensors are what the file states, the same bits on every device; `scales` and `opacities`
-    are computed from them by torch.
+    The tensors have the values of the file, bit-identical on every device; torch computes `scales`
+    and `opacities` from them.
 
     Attributes
     ----------
     means : Tensor, shape (N, 3)
         Centres.
     quats : Tensor, shape (N, 4)
-        Quaternions wxyz: of profiles ``l``, ``m`` and ``s`` of length 1, of others as stored.
+        Quaternions wxyz: unit quaternions with profiles ``l``, ``m`` and ``s``, otherwise as
+        stored.
     log_scales : Tensor, shape (N, 3)
         Natural logarithms of standard deviations.
     logits : Tensor, shape (N,)
@@ -69,8 +70,8 @@ class Splats:
 def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
     """Decode an `.egs` file or stream to tensors on a device.
 
-    A CUDA device decodes profiles ``l``, ``m`` and ``s`` itself. Files of other profiles, and those
-    with far Gaussians, are decoded on the CPU, and their numbers copied to the device.
+    Profiles ``l``, ``m`` and ``s`` are decoded on a CUDA device. Files of other profiles, and files
+    with far Gaussians, are decoded on the CPU and copied to the device.
 
     Parameters
     ----------
@@ -82,16 +83,16 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
     Returns
     -------
     Splats
-        The numbers that `decode` gives, bit for bit.
+        The same values as from `decode`, bit for bit.
 
     Raises
     ------
     InvalidInput
-        If the file cannot be read, or there is no such kind of device.
+        If the file cannot be read, or the device type is unknown.
     CorruptStream, TruncatedStream, UnsupportedVersion
-        As for `decode`.
+        As in `decode`.
     MissingTool, ToolFailed
-        If torch, or for ``cuda`` numba-cuda or a device, is missing; or as for `decode`.
+        If torch, or for ``cuda`` numba-cuda or a device, is missing; or as in `decode`.
 
     Examples
     --------
@@ -99,7 +100,7 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
     >>> splats.means.shape, splats.opacities.shape, splats.sh.shape
     (torch.Size([2000, 3]), torch.Size([2000]), torch.Size([2000, 16, 3]))
 
-    Drawn by gsplat, with ``device="cuda"``::
+    Render with gsplat, with ``device="cuda"``::
 
         shapes = splats.means, splats.quats, splats.scales
         gsplat.rasterization(*shapes, splats.opacities, splats.sh, views, lenses, 800, 532)
@@ -113,29 +114,29 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
 
 @checked
 def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
-    """Encode Gaussians of torch tensors as an `.egs` stream, on the CPU.
+    """Encode torch tensors of Gaussians as an `.egs` stream, on the CPU.
 
-    `decode_tensors` is the way back.
+    `decode_tensors` is the inverse.
 
     Parameters
     ----------
     splats : Splats
-        Of torch, on any device; a trainer's are `log_scales` and `logits` before activation.
+        Tensors on any device; `log_scales` and `logits` are a trainer's values before activation.
     config : Config or str, optional
         A configuration or the name of a profile, by default ``m``.
 
     Returns
     -------
     bytes
-        The stream that `encode` gives without a plan, byte for byte.
+        The same stream as from `encode` without a plan, byte for byte.
 
     Raises
     ------
     InvalidInput
-        If a tensor has another shape than `Splats` says; if the configuration is of another format
-        or has coarser levels; or as for `encode`.
+        If the shape of a tensor is wrong (see `Splats`); if the configuration has another format or
+        coarser levels; or as in `encode`.
     MissingTool, ToolFailed
-        As for `encode`.
+        As in `encode`.
 
     Examples
     --------
@@ -161,7 +162,7 @@ def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
 
 
 def require_device(device: str) -> None:
-    """Check that there are a device and what is needed to work on it."""
+    """Check that a device and the packages for it are available."""
     kind, _, number = device.partition(":")
     if kind not in ("cpu", "cuda") or (number and not (kind == "cuda" and number.isdecimal())):
         raise InvalidInput(f"device '{device}': expected cpu, cuda, cuda:1...")
@@ -188,12 +189,12 @@ def _is_complete() -> bool:
 
 def _decode(chosen: ChosenPart, device: str) -> Splats:
     header = chosen.file.header
-    # Kernels know nothing of far Gaussians.
+    # Kernels do not support far Gaussians.
     by_kernels = header.profile in ADAPTIVE_PROFILES and Feature.FAR not in header.features
     if device != "cpu" and by_kernels:
         from gs_codec.codecs.cuda.decode import decode_blocks
 
-        carried(chosen.file)  # Damage there is found, too.
+        carried(chosen.file)  # also detects damage there
         return Splats(**decode_blocks(chosen.file, device))
     import torch
 

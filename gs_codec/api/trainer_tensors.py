@@ -1,4 +1,4 @@
-"""Point clouds from and to the tensors of trainers."""
+"""Convert point clouds from and to the tensors of trainers."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ if TYPE_CHECKING:
 
 
 def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
-    """A cloud of the tensors that a trainer optimises, before any activation.
+    """Make a cloud from the tensors that a trainer optimises, before activation.
 
     Parameters
     ----------
     tensors : mapping of str to array or tensor
-        Floats of NumPy, or of torch on any device; they are copied and converted to float32. Names
-        and shapes are gsplat's: ``means (N, 3)``, ``quats (N, 4)`` (wxyz, of any norm), ``scales
-        (N, 3)`` (natural logarithm), ``opacities (N,)`` or ``(N, 1)`` (logit), ``sh0 (N, 1, 3)`` or
-        ``(N, 3)``, ``shN (N, K, 3)`` with K = 0, 3, 8, 15, or none. nerfstudio's ``features_dc``
-        and ``features_rest`` stand for the last two; with K = 0 they are colours before the
-        sigmoid.
+        NumPy or torch floats on any device; they are copied and converted to float32. Names and
+        shapes are gsplat's: ``means (N, 3)``, ``quats (N, 4)`` (wxyz, of any norm), ``scales (N,
+        3)`` (natural logarithm), ``opacities (N,)`` or ``(N, 1)`` (logit), ``sh0 (N, 1, 3)`` or
+        ``(N, 3)``, ``shN (N, K, 3)`` with K = 0, 3, 8, 15, or none. nerfstudio's names of the last
+        two, ``features_dc`` and ``features_rest``, are accepted; with K = 0 they are colours before
+        the sigmoid.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        With the attributes `read` gives. Numbers are taken to be right, down, forward, as in the
-        PLY files of these trainers.
+        A cloud with the attributes from `read`. Coordinates are assumed to be right, down, forward,
+        as in the PLY files of these trainers.
 
     Raises
     ------
     InvalidInput
-        If a tensor is missing or not known, has another shape, or is not of floats.
+        If a tensor is missing or unknown, has another shape, or does not contain floats.
     MissingTool
         If Open3D is not installed.
 
@@ -55,7 +55,7 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     >>> len(data) < 60_000
     True
     """
-    if not hasattr(tensors, "items"):  # torch's ParameterDict is no mapping
+    if not hasattr(tensors, "items"):  # torch's ParameterDict is not a Mapping
         given = type(tensors).__name__
         raise InvalidInput(f"tensors: {given}, expected a mapping of names to tensors")
     scene = scene_of_tensors({name: _array(each) for name, each in tensors.items()})
@@ -76,12 +76,12 @@ def to_tensors(cloud: PointCloud, library: Literal["torch"]) -> dict[str, Tensor
 def to_tensors(
     cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy"
 ) -> dict[str, NDArray[np.float32]] | dict[str, Tensor]:
-    """The tensors of a cloud, as gsplat's trainer names and shapes them, before any activation.
+    """The tensors of a cloud, with the names and shapes of gsplat's trainer, before activation.
 
     Parameters
     ----------
     cloud : open3d.t.geometry.PointCloud
-        With the attributes that `read` gives; others are left out.
+        A cloud with the attributes from `read`; others are dropped.
     library : {"numpy", "torch"}
         Arrays, or tensors on the CPU. They share no memory with the cloud.
 
@@ -94,9 +94,9 @@ def to_tensors(
     Raises
     ------
     InvalidInput
-        If the cloud lacks an attribute, or `library` is another.
+        If the cloud lacks an attribute, or `library` is unknown.
     MissingTool
-        If torch is asked for and not installed.
+        If torch is requested and not installed.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def to_tensors(
 
 
 def _array(value: Any) -> NDArray:
-    """An array of what NumPy takes, or of a tensor, of which NumPy lacks some types."""
+    """Convert a NumPy array-like or a tensor to an array; NumPy lacks some tensor types."""
     if hasattr(value, "detach"):
         value = value.detach().cpu()
         value = (value.float() if value.is_floating_point() else value).numpy()

@@ -1,4 +1,4 @@
-"""The public functions that use cameras: render, compare and prepare scenes."""
+"""Public functions that use cameras: render, compare and prepare scenes."""
 
 from __future__ import annotations
 
@@ -48,30 +48,30 @@ def render(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> RenderedViews:
-    """Render a scene as the 3DGS rasteriser does; each view is drawn when it is asked for.
+    """Render a scene like the 3DGS rasteriser; each view is rendered on demand.
 
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a scene
         The scene; extra properties are ignored.
     cameras : path, "auto", or sequence of Camera or mapping
-        A file or folder that `read_cameras` reads; ``auto`` for cameras chosen from the scene; or
-        cameras, or entries of ``cameras.json``.
+        A file or folder that `read_cameras` reads; ``auto`` for cameras estimated from the scene;
+        or cameras, or entries of ``cameras.json``.
     split : {"all", "held-out", "test", "train"}
-        Which cameras to use. ``held-out`` is ``test`` if cameras are marked, else ``all``.
+        Which cameras to use. ``held-out`` means ``test`` if cameras are marked, else ``all``.
     width : int, optional
         Width of the images, pixels; the height keeps the aspect ratio.
     background : sequence of three float
         RGB behind everything, 0-1.
     antialiased : bool, optional
-        Opacity compensation for the low-pass filter (Mip-Splatting); by default as the comments of
-        the file say.
+        Opacity compensation for the low-pass filter (Mip-Splatting); by default as stated in the
+        comments of the file.
     accumulate : bool
         Keep the sum of blending weights of each Gaussian.
     device : {"auto", "cpu", "cuda"}
         ``cuda`` renders with gsplat; ``auto`` uses ``cuda`` if possible.
     progress, max_bytes
-        As for `read`; `max_bytes` only for paths.
+        As in `read`; `max_bytes` only applies to paths.
 
     Returns
     -------
@@ -81,9 +81,9 @@ def render(
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        As for `read`; or if the cameras cannot be read, or none is in the split.
+        As in `read`; or if the cameras cannot be read, or none is in the split.
     MissingTool
-        When drawing, if ``cuda`` is asked for and not available.
+        When rendering, if ``cuda`` is requested and not available.
 
     Examples
     --------
@@ -119,43 +119,43 @@ def compare(
     max_bytes: int | None = None,
     overwrite: bool = False,
 ) -> Comparison:
-    """Errors of one scene against another: by attribute, or in what cameras see.
+    """Compare two versions of a scene: errors by attribute, or in rendered views.
 
-    Without cameras, Gaussians are matched through the stored order of a decoded version, by index,
-    in the order of other formats' writers, or by the nearest centre and look; each match is checked
+    Without cameras, Gaussians are matched by the stored order of a decoded version, by index, by
+    the order of other formats' writers, or by nearest centre and appearance. Each match is checked
     on a sample of Gaussians.
 
     Parameters
     ----------
     first, second : open3d.t.geometry.PointCloud, or paths of scenes
-        Two of a kind, unless there are cameras.
+        Both clouds or both paths, unless there are cameras.
     cameras, split, width, background, device, progress, max_bytes
-        As for `render`; ``auto`` cameras are chosen from the first scene.
+        As in `render`; ``auto`` cameras are estimated from the first scene.
     gt_images : path, optional
-        Folder of ground-truth images, named as the cameras; views are rendered at their size. Those
-        of distorted lenses are undistorted (see `Lens`).
+        Folder of ground-truth images, named like the cameras; views are rendered at their size.
+        Images with lens distortion are undistorted (see `Lens`).
     images : path, optional
         Output folder: for each view, both images and their amplified difference.
     lpips : path, optional
         Weights of torchvision's VGG16, AlexNet or SqueezeNet 1.1, as PyTorch stores a state dict:
-        measures LPIPS of views too (extra ``lpips``). By default the environment variable
-        ``GS_CODEC_LPIPS`` names the file; if nothing does, LPIPS is not measured.
+        also measures LPIPS of views (extra ``lpips``). By default the file is named by the
+        environment variable ``GS_CODEC_LPIPS``; without a file, LPIPS is not measured.
     overwrite : bool
-        Whether `images` may be a folder that has files.
+        Whether `images` may be a folder that is not empty.
 
     Returns
     -------
     Comparison
         Without cameras its `groups`: largest and root-mean-square errors of each attribute. With
-        cameras its `views`, their `mean` and the `worst`: PSNR, SSIM and, if asked for, LPIPS.
+        cameras its `views`, their `mean` and the `worst`: PSNR, SSIM and, if measured, LPIPS.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        As for `read`; or if images differ in size or are missing, or, without cameras, if the
+        As in `read`; or if images differ in size or are missing, or, without cameras, if the
         numbers of Gaussians differ, or most Gaussians have no match.
     MissingTool
-        If ``cuda`` or LPIPS is asked for but not available, or an image has to be undistorted, and
+        If ``cuda`` or LPIPS is requested but not available, or an image must be undistorted and
         OpenCV is not installed.
 
     Examples
@@ -208,26 +208,26 @@ def prepare(
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a scene
-        The input, which stays as it is.
+        The input, which is not changed.
     plan : Plan
         Steps of preparation, and the views that guide them.
     config : Config or str, optional
-        As for `prepare_file`; of it, `threads` alone matters here.
+        As in `prepare_file`; only its `threads` is used.
     progress, max_bytes
-        As for `read`; `max_bytes` only for paths.
+        As in `read`; `max_bytes` only applies to paths.
 
     Returns
     -------
     open3d.t.geometry.PointCloud
-        The smaller scene, with the attributes that `read` gives.
+        The smaller scene, with the attributes from `read`.
     PrepareReport
-        A label for each input Gaussian, size and quality after each step, and what windows of
-        other views lose.
+        A label for each input Gaussian, size and quality after each step, and the loss in crops of
+        other views.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        As for `read`; or if there are no cameras, or nothing would be left.
+        As in `read`; or if there are no cameras, or no Gaussian would remain.
     MissingTool
         If Open3D is not installed.
 

@@ -1,1 +1,1 @@
-"""Errors of attributes and of images."""
+"""Errors of attributes and images."""

@@ -1,4 +1,4 @@
-"""Errors between two versions of a scene, by attribute; and what `compare` returns."""
+"""Errors between two versions of a scene, by attribute; the result of `compare`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gs_codec.scene import Scene
 
 @dataclass(frozen=True)
 class GroupError:
-    """Errors of one attribute, all its components together.
+    """Errors of one attribute, over all its components.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class GroupError:
         Unit of both errors: ``scene units``, ``SH``, ``logit``, ``0-1``, ``log``, ``stored``
         (components of quaternions) or ``degrees``.
     max : float
-        Largest absolute error.
+        Maximum absolute error.
     rms : float
         Root mean square.
     """
@@ -46,10 +46,10 @@ class Comparison:
     Attributes
     ----------
     counts : tuple of two int
-        Gaussians of each.
+        Number of Gaussians of each scene.
     matched_by : str or None
         ``stored order``, ``index``, ``Morton order`` or ``nearest centre``; None with cameras,
-        which need no match.
+        which need no matching.
     groups : tuple of GroupError
         Errors by attribute, empty with cameras. Opacity and rotation appear twice, in two
         units.
@@ -58,8 +58,8 @@ class Comparison:
     systems : tuple of two str
         Coordinate systems of the two files; if they differ, one scene was converted.
     backbone : str or None
-        Network that measured LPIPS, whose values are not comparable with those of another; None
-        if LPIPS was not asked for.
+        Network used for LPIPS; values of different networks are not comparable. None if LPIPS was
+        not measured.
     """
 
     counts: tuple[int, int]
@@ -76,7 +76,7 @@ class Comparison:
         Raises
         ------
         InvalidInput
-            If there are none.
+            If there are no views.
         """
         self._check_views()
         between = mean_quality([view.between for view in self.views])
@@ -107,10 +107,10 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """Compare Gaussian by Gaussian, in the order given.
 
     Positions, f_dc, f_rest, opacity (logit), log-scales and rotation components are compared as
-    stored; opacity also after the sigmoid, rotation also as an angle in degrees. An ellipsoid can
-    be written in several ways: the nearest counts, and turns about an axis whose two others are
-    equal, to 5 %, count nothing. Missing SH bands count as zero. Opacities of 0 and 1, whose logit
-    is infinite, are compared after the sigmoid alone.
+    stored; opacity also after the sigmoid, rotation also as an angle in degrees. An ellipsoid has
+    several equivalent parameterisations; the nearest is compared. Rotations about an axis do not
+    count if the other two axes are equal within 5 %. Missing SH bands count as zero. Opacities of 0
+    and 1, whose logit is infinite, are compared only after the sigmoid.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def _errors(name: str, unit: str, rows: Iterable[NDArray], size: int) -> GroupEr
 
 
 def _finite(first: NDArray, second: NDArray) -> tuple[NDArray, NDArray]:
-    """Columns of both in which neither is infinite."""
+    """Columns of both in which no value is infinite."""
     there = ~(np.isinf(first) | np.isinf(second)).any(axis=0)
     return first[:, there], second[:, there]
 

@@ -1,4 +1,4 @@
-"""Quality of images: PSNR, SSIM, and LPIPS if asked for."""
+"""Quality of images: PSNR, SSIM and optionally LPIPS."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _SSIM_WINDOW = 11
 
 @dataclass(frozen=True)
 class Quality:
-    """Similarity of two images, a mean over pairs, or a difference of two of these.
+    """Similarity of two images, a mean over pairs, or a difference of two qualities.
 
     Attributes
     ----------
     psnr : float
         dB; infinite for equal images.
     ssim : float
-        At most 1 (Wang et al. 2004): Gaussian window of sigma 1.5, 11 pixels wide, mean over
-        the pixels whose window lies within the image.
+        At most 1 (Wang et al. 2004): Gaussian window of sigma 1.5, 11 pixels wide, averaged over
+        the pixels whose window is inside the image.
     lpips : float or None
-        0 for equal images (Zhang et al. 2018, version 0.1); None if it is not asked for. Images
-        are scaled to -1 to 1, as it is defined; the script of the 3DGS paper leaves them in 0-1.
+        0 for equal images (Zhang et al. 2018, version 0.1); None if not measured. Images are scaled
+        to -1 to 1, according to the definition; the script of the 3DGS paper leaves them in 0-1.
     """
 
     psnr: float
@@ -39,7 +39,7 @@ class Quality:
     lpips: float | None = None
 
     def as_dict(self) -> dict[str, float | None]:
-        """Values for JSON; an infinite PSNR, of equal images, is None."""
+        """Convert for JSON; the infinite PSNR of equal images becomes None."""
         finite = np.isfinite(self.psnr)
         return {"psnr": self.psnr if finite else None, "ssim": self.ssim, "lpips": self.lpips}
 
@@ -64,11 +64,11 @@ class View:
     Attributes
     ----------
     name : str
-        The camera's.
+        Name of the camera.
     between : Quality
-        Of the second scene's image against the first's.
+        Quality of the second scene's image relative to the first's.
     first, second : Quality or None
-        Of each against the ground truth, if that is given.
+        Quality of each relative to the ground truth, if given.
     """
 
     name: str
@@ -85,7 +85,7 @@ class View:
 
 
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
-    """Means of PSNR, SSIM, and LPIPS if every pair has it."""
+    """Means of PSNR, SSIM, and of LPIPS if every pair has it."""
     lpips = [q.lpips for q in qualities if q.lpips is not None]
     return Quality(
         float(np.mean([q.psnr for q in qualities])),
@@ -103,7 +103,7 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
     first, second : ndarray, shape (H, W, 3)
         RGB.
     lpips : path, optional
-        As for `compare`; by default LPIPS is not measured.
+        As in `compare`; by default LPIPS is not measured.
 
     Returns
     -------
@@ -113,9 +113,9 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
     Raises
     ------
     InvalidInput
-        If the sizes differ, or are too small for SSIM or LPIPS; or if the file is not such weights.
+        If the sizes differ, or are too small for SSIM or LPIPS; or if the file has no such weights.
     MissingTool
-        If LPIPS is asked for, and its package is not installed.
+        If LPIPS is requested, and its package is not installed.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""LPIPS by the package `lpips`; the weights of its backbone come from a file."""
+"""LPIPS with the package `lpips`; the weights of its backbone come from a file."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from gs_codec.errors import InvalidInput, MissingTool, one_line
 from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import opened
 
-#: The environment variable that names the file for `compare`.
+#: Environment variable with the path of the weights, for `compare`.
 VARIABLE = "GS_CODEC_LPIPS"
 
-#: Least width and height of images, pixels: AlexNet's; the others take smaller ones.
+#: Minimum width and height of images, in pixels: AlexNet's; the others accept smaller ones.
 LEAST = 31
 
-#: Backbones by the package's names: what they are called, and a weight that tells each.
+#: Backbones by the package's names: display name, and a weight that identifies each.
 _BACKBONES = {
     "vgg": ("VGG16", "features.26.weight"),
     "squeeze": ("SqueezeNet 1.1", "features.12.squeeze.weight"),
@@ -30,7 +30,7 @@ _BACKBONES = {
 
 @dataclass(frozen=True)
 class Lpips:
-    """The metric by one backbone; values of different ones are not comparable."""
+    """LPIPS with one backbone; values of different backbones are not comparable."""
 
     backbone: str
     network: Any
@@ -46,31 +46,31 @@ class Lpips:
 
 @cache
 def load_lpips(path: str | Path) -> Lpips:
-    """The metric by the backbone whose state dict of torchvision is in a file.
+    """Load LPIPS with the backbone whose torchvision state dict is in a file.
 
     Raises
     ------
     InvalidInput
-        If the file is missing, or something else.
+        If the file is missing, or not such a state dict.
     MissingTool
-        If the package, or what it needs, is not installed.
+        If the package or one of its dependencies is not installed.
     """
     with opened(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what lpips asks of torchvision
+        warnings.simplefilter("ignore")  # about lpips' calls of torchvision
         try:
             import lpips
             import torch
-        except (ImportError, RuntimeError) as error:  # the latter if torchvision is not torch's
+        except (ImportError, RuntimeError) as error:  # or mismatched builds
             why = f"lpips cannot be imported ({one_line(error)})"
             raise MissingTool(f"{why}: {pip_install('lpips')}") from error
         try:
             state = torch.load(path, map_location="cpu", weights_only=True)
             net = next(net for net, (_, own) in _BACKBONES.items() if own in state)
             network = lpips.LPIPS(net=net, pnet_rand=True, verbose=False)
-            # features.0.weight is slice1.0.weight here
+            # features.0.weight is called slice1.0.weight here
             names = {n: f"features.{n.partition('.')[2]}" for n in network.net.state_dict()}
             network.net.load_state_dict({n: state[name] for n, name in names.items()})
-        except Exception as error:  # of many types, as files may hold anything
+        except Exception as error:  # files may contain anything, so many types are possible
             known = ", ".join(name for name, _ in _BACKBONES.values())
             text = f"{path}: not a state dict of torchvision, expected one of {known}"
             raise InvalidInput(text) from error

@@ -1,7 +1,8 @@
-"""How far ellipsoids are apart in scale and rotation, whichever of the equivalent ways they have.
+"""Differences of ellipsoids in scale and rotation, independent of their parameterisation.
 
-The same ellipsoid has its axes in any order, turned to match, and half turns about them. Where two
-axes are equal, turns about the third show nothing; where all are, no turn does.
+The same ellipsoid can be written with its axes in any order, rotated to match, and with half turns
+about them. If two axes are equal, rotations about the third have no effect; if all are equal, no
+rotation has.
 """
 
 from __future__ import annotations
@@ -14,28 +15,29 @@ from numpy.typing import NDArray
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.scene import Scene
 
-#: Axes are equal if they differ by less than this, logarithm, in one of the scenes.
+#: Axes count as equal if their log-scales differ by less than this in one of the scenes.
 EQUAL = 0.05
 
-#: Share, and radians, by which another way to write a Gaussian has to be nearer.
+#: Relative difference, and radians, by which another parameterisation must be nearer to be used.
 _ROUNDING = 1e-5
 
-#: Most Gaussians at once.
+#: Maximum number of Gaussians processed at once.
 _CHUNK = 1 << 18
 
 _IDENTITY = np.array([[1.0], [0.0], [0.0], [0.0]])
 
 
 class ShapeErrors(NamedTuple):
-    """Errors of each Gaussian of a scene, in the way to write it that is nearest to the other's.
+    """Errors of each Gaussian, in the parameterisation that is nearest to the other scene's.
 
     Attributes
     ----------
     log_scale : ndarray, shape (3, N)
     rot : ndarray, shape (4, N)
-        Of the components as stored, of either sign; of unit quaternions if axes change places.
+        Errors of the stored components, for the better sign; of unit quaternions if axes are
+        swapped.
     turn : ndarray, shape (N,)
-        Smallest turn that brings axes of different lengths onto those of the other, degrees.
+        Smallest rotation that aligns the axes of distinct lengths with the other's, in degrees.
     """
 
     log_scale: NDArray[np.float64]
@@ -44,7 +46,7 @@ class ShapeErrors(NamedTuple):
 
 
 def shape_errors(first: Scene, second: Scene) -> ShapeErrors:
-    """Compare scales and rotations, Gaussian by Gaussian; they are not negative."""
+    """Compare scales and rotations, Gaussian by Gaussian; errors are at least 0."""
     found = ShapeErrors(*(np.empty((*rows, first.count)) for rows in ((3,), (4,), ())))
     for start in range(0, first.count, _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -62,7 +64,7 @@ def _errors(
     stored = ShapeErrors(
         differences(first[0], second[0]), _apart_of_either_sign(first[1], second[1]), _turn(*pair)
     )
-    # With axes from the longest.
+    # With axes sorted from the longest.
     log_scales, vectors = zip(
         *(sort_axes(log_scale, unit.astype(np.float32))[1:] for log_scale, unit in pair),
         strict=True,
@@ -76,7 +78,7 @@ def _errors(
     )
     nearer = _cost(moved) < (1 - _ROUNDING) * _cost(stored) - _ROUNDING
     log_scale, rot, turn = (np.where(nearer, a, b) for a, b in zip(moved, stored, strict=True))
-    # Of axes that are nearly equal, either may be the longer; components then are far apart.
+    # If axes are nearly equal, either may be the longer; then components differ a lot.
     farther = np.linalg.norm(moved.rot, axis=0) > np.linalg.norm(stored.rot, axis=0)
     return ShapeErrors(log_scale, np.where(farther, stored.rot, rot), turn)
 
@@ -86,27 +88,27 @@ def _cost(errors: ShapeErrors) -> NDArray[np.float64]:
 
 
 def differences(first: NDArray, second: NDArray) -> NDArray[np.float64]:
-    """Absolute differences; 0 of the same infinities."""
+    """Absolute differences; 0 for equal infinities."""
     with np.errstate(invalid="ignore"):
         return np.where(first == second, 0.0, np.abs(first.astype(np.float64) - second))
 
 
 def _apart_of_either_sign(first: NDArray, second: NDArray) -> NDArray[np.float64]:
-    """Differences of quaternions; q and -q are one rotation."""
+    """Differences of quaternions; q and -q are the same rotation."""
     same, opposite = differences(first, second), differences(first, -second)
     return np.where(np.linalg.norm(opposite, axis=0) < np.linalg.norm(same, axis=0), opposite, same)
 
 
 def _turn(first: tuple[NDArray, NDArray], second: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
-    """Smallest turn between log-scales with unit quaternions, degrees; axes are not swapped."""
+    """Smallest rotation between ellipsoids given by log-scales and unit quaternions, in degrees."""
     a, b = first[1], second[1]
     parts = _relative(a, b) ** 2
-    # A half turn about an axis changes nothing: any component may be the real part.
+    # Half turns about axes change nothing, so any component may be the real part.
     *small, largest = np.sort(parts, axis=0)
     turn = 2 * np.arctan2(np.sqrt(sum(small)), np.sqrt(largest))
     equal = _equal_axes(first[0]) | _equal_axes(second[0])
     for axis in range(3):
-        # Only this axis has a direction: the angle between two lines.
+        # Only this axis has a direction: measure the angle between two lines.
         alone = parts[0] + parts[axis + 1]
         others = parts.sum(axis=0) - alone
         lines = np.arctan2(2 * np.sqrt(np.maximum(alone * others, 0)), np.abs(alone - others))
@@ -116,13 +118,13 @@ def _turn(first: tuple[NDArray, NDArray], second: tuple[NDArray, NDArray]) -> ND
 
 
 def _equal_axes(log_scale: NDArray) -> NDArray[np.bool_]:
-    """Whether the two other axes than each are equal, ``(3, N)``."""
+    """Whether the two other axes are equal, for each axis, ``(3, N)``."""
     with np.errstate(invalid="ignore"):
         return np.abs(log_scale[[1, 2, 0]] - log_scale[[2, 0, 1]]) < EQUAL
 
 
 def _relative(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """The turn from unit quaternions ``a (4, N)`` to `b`, in the axes of the former."""
+    """The rotation from unit quaternions ``a (4, N)`` to `b`, in the axes of `a`."""
     (w, x, y, z), (p, q, r, s) = a, b
     return np.stack(
         [

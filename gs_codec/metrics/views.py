@@ -36,34 +36,34 @@ def compare_views(
     progress: Progress | None = None,
     lpips: str | Path | None = None,
 ) -> Comparison:
-    """Draw both scenes for every camera and compare the images.
+    """Render both scenes for every camera and compare the images.
 
     Parameters
     ----------
     first, second : Scene
-        They need not have the same number of Gaussians.
+        Their numbers of Gaussians may differ.
     cameras : sequence of Camera
     truth : path, optional
-        Folder of ground-truth images, found by the cameras' names; views take their size, once
-        they are undistorted.
+        Folder of ground-truth images, found by the cameras' names; views have the size of the
+        undistorted images.
     images : path, optional
         Folder for ``NAME_a.png``, ``NAME_b.png``, and ``NAME_difference.png``, the absolute
         difference amplified by `DIFFERENCE_GAIN`; names are those of `output_names`.
     background : sequence of three float
         RGB behind the scenes.
     device : {"auto", "cpu", "cuda"}
-        As for `render`.
+        As in `render`.
     progress : callable, optional
     lpips : path, optional
-        As for `compare_images`.
+        As in `compare_images`.
 
     Raises
     ------
     InvalidInput
-        If a ground-truth image is missing, is that of two cameras or has another shape, or an image
-        cannot be written.
+        If a ground-truth image is missing, is shared by two cameras or has another shape, or an
+        image cannot be written.
     InvalidInput, MissingTool
-        As for `compare_images` and `read_photograph`.
+        As in `compare_images` and `read_photograph`.
     """
     backbone = None if lpips is None else load_lpips(lpips).backbone
     names = output_names(cameras) if images else []

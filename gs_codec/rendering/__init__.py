@@ -1,1 +1,1 @@
-"""Cameras, and images of a scene as the 3DGS rasteriser draws them."""
+"""Render scenes like the 3DGS rasteriser, and differentiate renders."""

@@ -1,7 +1,7 @@
-"""From derivatives by pixel to derivatives by splat and by the Gaussian's attributes.
+"""Derivatives with respect to splats and Gaussian attributes, from those of pixels.
 
-Let C be the colour of a pixel, S_k the light from behind splat k, and w_k = alpha_k T_k its weight.
-Then ``dC / dc_k = w_k`` and ``dC / dalpha_k = T_k c_k - S_k / (1 - alpha_k)`` (Kerbl et al. 2023,
+Let C be the colour of a pixel, S_k the light behind splat k, and w_k = alpha_k T_k its weight. Then
+``dC / dc_k = w_k`` and ``dC / dalpha_k = T_k c_k - S_k / (1 - alpha_k)`` (Kerbl et al. 2023,
 Appendix C, which goes back to front).
 """
 
@@ -31,10 +31,10 @@ from gs_codec.rendering.tiles_float32 import (
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import SH_C0
 
-#: First row of f_dc in a column.
+#: First f_dc column of a row of slopes.
 _F_DC = 3
 
-#: First row of f_rest; opacity, log_scale and rot follow.
+#: First f_rest column; opacity, log_scale and rot follow.
 _F_REST = 6
 
 
@@ -43,9 +43,9 @@ def differentiate_gaussians(
     positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
     width, height, antialiased, sums, chosen, start, stop, slopes,
 ):  # fmt: skip
-    """Fill ``slopes (stop - start, 14 + 3 K)``, columns in the order of `GROUPS`.
+    """Fill ``slopes (stop - start, 14 + 3 K)``, with columns in the order of `GROUPS`.
 
-    They are the derivatives for Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
+    They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
     `take_back_rows`.
     """
     fx, fy, cx, cy = intrinsics
@@ -97,7 +97,7 @@ def differentiate_gaussians(
 
 @inlined
 def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope):
-    """Fill the columns of f_dc and f_rest; return the effect of the view's direction."""
+    """Fill the columns of f_dc and f_rest; return the derivative by the viewing direction."""
     coefficients = len(f_rest) // 3
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx / distance, dy / distance, dz / distance
@@ -124,13 +124,13 @@ def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, sl
 
 @inlined
 def _differentiate_conic(axes, total, antialiased, by_axes):
-    """Fill ``by_axes (3, 2)``, derivatives by the axes in the image; return those by the centre."""
+    """Fill ``by_axes (3, 2)``, derivatives by the projected axes; return those by the centre."""
     xx, xy, yy, sharp = covariance(axes)
     determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
     a = (yy + LOW_PASS) / determinant
     b = -xy / determinant
     c = (xx + LOW_PASS) / determinant
-    # K is the conic, M the second moments: the derivative by the covariance is K M K / 2.
+    # With conic K and second moments M, the derivative by the covariance is K M K / 2.
     mxx, mxy, myy = total[MOMENT_XX], total[MOMENT_XY], total[MOMENT_YY]
     by_xx = 0.5 * (a * a * mxx + 2.0 * a * b * mxy + b * b * myy)
     by_xy = a * b * mxx + (a * c + b * b) * mxy + b * c * myy

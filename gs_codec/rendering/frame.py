@@ -33,14 +33,14 @@ _CHUNK = 1 << 14
 
 
 class TileLists(NamedTuple):
-    """Splat-tile pairs: tile t draws ``splats[starts[t] : starts[t + 1]]``, nearest first."""
+    """Splat-tile pairs: tile t has ``splats[starts[t] : starts[t + 1]]``, nearest first."""
 
     splats: NDArray[np.int32]
     starts: NDArray[np.int64]
 
 
 class Frame(NamedTuple):
-    """Splats nearest first, and which of them each tile draws."""
+    """Splats, nearest first, and the splats of each tile."""
 
     camera: Camera
     splats: Splats
@@ -50,14 +50,14 @@ class Frame(NamedTuple):
 
     @property
     def pairs(self) -> int:
-        """Splat-tile pairs."""
+        """Number of splat-tile pairs."""
         return len(self.lists.splats)
 
     def over_tiles(self, function: Callable, *arguments: Any) -> None:
         """Run a kernel over all tiles, in threads.
 
         It is called with ``fields (V, 11)``, the splats of the lists ``(pairs,)``, their starts
-        ``(tiles + 1,)``, the first and end tile to work on, the number of tile columns, and
+        ``(tiles + 1,)``, the first and end tile to process, the number of tile columns, and
         `arguments`. It may write only to the pixels or pairs of its own tiles.
         """
         tiles = self.columns * self.rows
@@ -73,7 +73,7 @@ class Frame(NamedTuple):
     def draw(
         self, background: Sequence[float], dtype: type[np.floating], sums: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray, NDArray]:
-        """Draw colour ``(H, W, 3)``, alpha and depth ``(H, W)``; see `draw_tiles` for `sums`."""
+        """Render colour ``(H, W, 3)``, alpha and depth ``(H, W)``; see `draw_tiles` for `sums`."""
         shape = (self.camera.height, self.camera.width)
         colour = np.empty((*shape, 3), dtype)
         alpha, depth = np.empty(shape, dtype), np.empty(shape, dtype)
@@ -84,7 +84,7 @@ class Frame(NamedTuple):
     def draw_rows(
         self, background: Sequence[float]
     ) -> tuple[NDArray[np.float32], tuple[NDArray, NDArray, NDArray]]:
-        """Draw colour ``(H, W, 3)`` in float32; return also what `take_back_rows` needs of it."""
+        """Render colour ``(H, W, 3)`` in float32; also return the inputs of `take_back_rows`."""
         tiles = self.columns * self.rows
         state = (
             np.empty((tiles, TILE * TILE), np.float32),
@@ -114,7 +114,7 @@ def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) ->
 
 
 def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]:
-    """Splats that the camera sees in parts, in the scene's order; the last part is empty."""
+    """Visible splats, in parts, in the scene's order; the last part is empty."""
     parts = run_all(
         lambda start: project(scene, camera, antialiased, start, min(start + _CHUNK, scene.count)),
         range(0, scene.count, _CHUNK),
@@ -123,17 +123,17 @@ def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]
 
 
 def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
-    """Splats that the camera sees, nearest first; equal depths keep the scene's order."""
+    """Visible splats, nearest first; equal depths keep the scene's order."""
     parts = project_all(scene, camera, antialiased)
     order = _nearest_first(np.concatenate([part.fields[:, DEPTH] for part in parts]))
-    # Indices are in range, so nothing is clipped: it is faster than to check them.
+    # Indices are in range, so clipping changes nothing; it is faster than checking.
     return Splats(
         *(np.take(np.concatenate(x), order, 0, mode="clip") for x in zip(*parts, strict=True))
     )
 
 
 def _nearest_first(depths: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The order of depths; equal ones stay as they are."""
+    """Stable sort order of depths."""
     order = np.argsort(depths)
     ordered = depths[order]
     # Rarely needed, and several times slower.
@@ -150,7 +150,7 @@ def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
     run_all(
         lambda job: _count(fields, tiles, columns, *job[0], job[1]), zip(parts, counts, strict=True)
     )
-    # Splats of an earlier part come earlier in each tile.
+    # In each tile, splats of an earlier part come first.
     starts = np.concatenate([[0], np.cumsum(counts.T)])
     cursors = starts[:-1].reshape(columns * rows, threads).T
     listed = np.empty(int(starts[-1]), np.int32)
@@ -185,9 +185,9 @@ def _fill(fields, tiles, columns, start, stop, cursors, splats):
 
 @inlined
 def _ellipse(field):
-    """Centre, factors, and reach of a splat; heights over its centre of its ends and its turn.
+    """Centre, factors and reach of a splat, and heights of its top and its rightmost point.
 
-    The ellipse q <= REACH ends at `top`, and reaches farthest right at `turn`.
+    The ellipse q <= REACH ends at height `top`, and reaches farthest right at height `turn`.
     """
     fxx, fyy, reach = field[FACTOR_XX], field[FACTOR_YY], field[REACH]
     slope = -field[FACTOR_XY] / fxx
@@ -198,7 +198,7 @@ def _ellipse(field):
 
 @inlined
 def _span(ellipse, box, row):
-    """First and end tile of a row of tiles that an ellipse meets."""
+    """First and end tile of a row of tiles that an ellipse touches."""
     u, v, fxx, fyy, slope, reach, top, turn = ellipse
     low = max(row * TILE - v, -top)
     high = min(row * TILE + TILE - 1 - v, top)

@@ -1,4 +1,4 @@
-"""Derivatives of the loss of a view by every attribute of every Gaussian."""
+"""Derivatives of the loss of a view with respect to all attributes of all Gaussians."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from gs_codec.scene import GROUPS, Scene, channel_count
 class Differentiated(NamedTuple):
     """A view of a scene, its mean squared error, and the derivatives of its loss by splat.
 
-    ``sums (N, 9)`` are the sums of `differentiate_tiles`. ``chosen (M,)`` lists, ascending, the
-    Gaussians whose sums are not all 0: those that were seen.
+    ``sums (N, 9)`` are the sums of `take_back_rows`. ``chosen (M,)`` lists, ascending, the visible
+    Gaussians: those whose sums are not all 0.
     """
 
     scene: Scene
@@ -54,12 +54,12 @@ class Differentiated(NamedTuple):
 def differentiate(
     scene: Scene, camera: Camera, target: NDArray[np.float32], background: Sequence[float]
 ) -> Differentiated:
-    """Draw a view and take its loss back to the splats (Kerbl et al. 2023, Appendix A).
+    """Render a view and propagate its loss back to the splats (Kerbl et al. 2023, Appendix A).
 
-    Derivatives have the digits of float32. Otherwise they are exact, except that, as in 3DGS, which
-    splats are drawn in which pixels and in what order is constant. The derivative is 0 for an alpha
-    at its limit and for a colour below 0. Beyond 1.3 of the field of view, the projection's
-    Jacobian is that of the edge.
+    Derivatives have float32 precision. Otherwise they are exact, except that, as in 3DGS, the set
+    and order of splats in each pixel is treated as constant. The derivative is 0 for an alpha at
+    its limit and for a colour below 0. Beyond 1.3 times the field of view, the projection's
+    Jacobian is that at the edge.
 
     Parameters
     ----------

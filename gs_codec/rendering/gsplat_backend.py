@@ -1,10 +1,10 @@
 """Views of a scene and their gradients with gsplat on a CUDA device, if both are available.
 
-gsplat's rule is ours but for this: since 1.5 it bounds a splat at 3.33 sigma instead of 3, up to
-1.5.3 it cuts alpha at 0.999 instead of 0.99, opacity compensation has no least value, and it works
-in float32: images agree with ours within 40 dB or better. Like ours, it leaves out alpha below
-1/255 and stops where less than 1e-4 of the light is left. Gradients are added up in any order, so
-that two runs differ in the last digits.
+gsplat follows the same rules as our rasteriser, with these differences: since 1.5 it bounds a splat
+at 3.33 sigma instead of 3; up to 1.5.3 it clamps alpha to 0.999 instead of 0.99; opacity
+compensation has no lower bound; and it uses float32. Images agree with ours to 40 dB or better.
+Like ours, it skips alpha below 1/255 and stops at a transmittance of 1e-4. Gradients are summed in
+no fixed order, so two runs differ in the last digits.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ def is_available() -> bool:
 
 
 def is_chosen(device: Literal["auto", "cpu", "cuda"]) -> bool:
-    """Whether gsplat does the work where `device` is asked for.
+    """Whether `device` selects gsplat.
 
     Raises
     ------
     MissingTool
-        If it is to, and cannot.
+        If `device` is ``cuda`` and gsplat is not available.
     """
     if device == "cuda" and not is_available():
         raise MissingTool("device 'cuda': needs gsplat, and a CUDA device that torch sees")
@@ -70,7 +70,7 @@ def draw(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], int]:
     """Colour ``(H, W, 3)``, alpha and depth ``(H, W)``, and the number of splat-tile pairs.
 
-    `values` are what `upload` gives.
+    `values` is the result of `upload`.
     """
     import torch
 
@@ -90,7 +90,7 @@ def differentiate(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Derivatives of the loss of a view by ``values (N, C)``, and its mean squared error.
 
-    It is `gradients.differentiate` on the device; a Gaussian that is not seen has zeros.
+    The same as `gradients.differentiate`, on the device; Gaussians that are not visible have zeros.
     """
     import torch
 
@@ -104,7 +104,7 @@ def differentiate(
 def _rasterise(
     values: torch.Tensor, camera: Camera, background: Sequence[float], antialiased: bool, mode: str
 ) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
-    """What gsplat draws, as it returns it; derivatives go back to `values`."""
+    """The raw output of gsplat; derivatives propagate back to `values`."""
     import gsplat
     import torch
 

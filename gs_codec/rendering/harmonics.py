@@ -1,4 +1,4 @@
-"""Real spherical harmonics to degree 3, signs and order as in the trainer; their gradient."""
+"""Real spherical harmonics to degree 3, with the trainer's signs and order; their gradient."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ sh_basis = inlined(sh_values)
 
 @inlined
 def sh_slope(x, y, z, coefficients, weights):
-    """Gradient by direction of the sum of SH-AC values times ``weights (15,)``; see `sh_basis`.
+    """Gradient, by direction, of the sum of SH-AC values times ``weights (15,)``; see `sh_basis`.
 
-    Only the first `coefficients` weights count.
+    Only the first `coefficients` weights are used.
     """
     by_x = by_y = by_z = 0.0
     if coefficients >= 3:

@@ -1,4 +1,4 @@
-"""SSIM of two images, and the derivative of 3DGS' loss (Kerbl et al. 2023, Equation 7)."""
+"""SSIM of two images, and the derivative of the 3DGS loss (Kerbl et al. 2023, Equation 7)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ABSOLUTE = 0.8
 #: Weight of 1 - SSIM in the loss.
 _SSIM = 0.2
 
-#: Half the window of SSIM, pixels.
+#: Half the width of the SSIM window, in pixels.
 _HALF = 5
 
 _GAUSSIAN = np.exp(-(np.arange(-_HALF, _HALF + 1.0) ** 2) / (2 * 1.5**2))
@@ -29,21 +29,21 @@ _WINDOW = tuple((_GAUSSIAN / _GAUSSIAN.sum())[: _HALF + 1].tolist())
 _C1 = 0.01**2
 _C2 = 0.03**2
 
-#: Rows of an image that one task works on.
+#: Number of image rows per task.
 _BAND = 16
 
 
 def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Derivative of the loss by an image ``(H, W, 3)``, not clipped, and the mean squared error.
+    """Derivative of the loss by an unclipped image ``(H, W, 3)``, and the mean squared error.
 
-    SSIM has the Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004), and as in the
-    3DGS trainer what lies outside an image is 0.
+    SSIM uses a Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004). As in the 3DGS
+    trainer, values outside the image are 0.
     """
     height, width, _ = colour.shape
     image, target = colour.reshape(height, -1), target.reshape(height, -1)
     by_image = np.empty_like(image)
     errors = np.empty(height)
-    # Rows outside the image stay 0.
+    # Rows outside the image are 0.
     means = np.zeros((5, height + 2 * _HALF, 3 * width))
     slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
     bands = _bands(height)
@@ -57,7 +57,7 @@ def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.flo
 
 
 def mean_ssim(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """SSIM of two images ``(H, W, 3)`` in 0-1, at least 11 pixels each way.
+    """SSIM of two images ``(H, W, 3)`` in 0-1, at least 11 pixels wide and high.
 
     The window is that of `differentiate_loss`; the mean is over pixels whose window lies within
     the image.
@@ -80,13 +80,13 @@ def _bands(height: int) -> list[tuple[int, int]]:
 def differentiate_loss_tensor(
     colour: torch.Tensor, target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """As `differentiate_loss`, of tensors and to tensors, in their precision."""
+    """`differentiate_loss` for tensors, in their precision."""
     import torch
     from torch.nn.functional import conv2d
 
     taps = [*_WINDOW, *reversed(_WINDOW[:-1])]
     window = torch.tensor(taps, dtype=colour.dtype, device=colour.device).expand(15, 1, 1, -1)
-    # cuDNN may round to ten bits, of which the differences below would leave nothing.
+    # cuDNN may round to ten bits, which is too coarse for the differences below.
     with torch.enable_grad(), torch.backends.cudnn.flags(enabled=False):
         image = colour.detach().permute(2, 0, 1).requires_grad_()
         wanted = target.permute(2, 0, 1)

@@ -1,4 +1,4 @@
-"""What one pixel is drawn of, and what one Gaussian adds to a view, as the rasteriser draws it."""
+"""The Gaussians that contribute to a pixel, and the contribution of a Gaussian to a view."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from gs_codec.rendering.tiles_float64 import tile_bounds, tile_buffers, trace_sp
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 
-#: Points of an outline.
+#: Number of points of an outline.
 _AROUND = 96
 
 
 def pixel_weights(
     scene: Scene, camera: Camera, column: int, row: int, antialiased: bool | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The Gaussians that a pixel is drawn of, nearest first, and their weights alpha T, ``(n,)``.
+    """The Gaussians that contribute to a pixel, nearest first, and weights alpha T, ``(n,)``.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def pixel_weights(
     column, row : int
         The pixel; the upper left one is 0, 0.
     antialiased : bool, optional
-        As for `render`.
+        As in `render`.
     """
     if antialiased is None:
         antialiased = scene.antialiased
@@ -59,9 +59,9 @@ def pixel_weights(
 def gaussian_weight(
     scene: Scene, camera: Camera, gaussian: int, antialiased: bool | None = None
 ) -> tuple[float, int]:
-    """What a Gaussian adds to a view: the sum of its weights alpha T, and over how many pixels.
+    """Contribution of a Gaussian to a view: the sum of its weights alpha T, and its pixel count.
 
-    Of `scene` by its index `gaussian`; `antialiased` is as for `render`. They are those of
+    `gaussian` is its index in `scene`; `antialiased` is as in `render`. The results equal those of
     `Accumulations`.
     """
     frame = make_frame(scene, camera, antialiased)
@@ -80,9 +80,9 @@ def splat_outline(
     sigmas: float = 3.0,
     antialiased: bool | None = None,
 ) -> NDArray[np.float64] | None:
-    """Where a Gaussian's splat ends ``(n, 2)``, `sigmas` standard deviations away, pixels.
+    """Outline ``(n, 2)`` of a Gaussian's splat at `sigmas` standard deviations, in pixels.
 
-    The image's upper left corner is 0, 0. None if the splat is not drawn.
+    The upper left corner of the image is (0, 0). None if the splat is not drawn.
     """
     if antialiased is None:
         antialiased = scene.antialiased

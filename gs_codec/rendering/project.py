@@ -1,7 +1,7 @@
-"""From Gaussians to splats: EWA projection as in the 3DGS rasteriser, view-dependent colour.
+"""Project Gaussians to splats: EWA projection as in the 3DGS rasteriser, view-dependent colour.
 
-All in float64: thresholds decide what is drawn, and a Gaussian on the wrong side of one changes
-the image visibly.
+Everything is in float64, because a Gaussian on the wrong side of a threshold changes the image
+visibly.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
-#: Gaussians whose depth is below this are not drawn, scene units.
+#: Minimum depth of a Gaussian to be drawn, in scene units.
 NEAR = 0.2
 
 #: Added to the variance of a splat along both axes, square pixels.
 LOW_PASS = 0.3
 
-#: A splat is not drawn in pixels where its alpha is lower.
+#: Minimum alpha of a splat in a pixel to be drawn.
 MIN_ALPHA = 1.0 / 255.0
 
-#: Side of a tile, pixels.
+#: Side of a tile, in pixels.
 TILE = 16
 
-#: Largest exponent q of a splat that is drawn: its alpha is `MIN_ALPHA` there.
+#: Maximum exponent q of a drawn splat, where its alpha equals `MIN_ALPHA`.
 _FARTHEST = 2.0 * math.log(1.0 / MIN_ALPHA)
 
-#: Gaussians whose colours are computed together.
+#: Number of Gaussians whose colours are computed together.
 _BLOCK = 128
 
 #: Fields of a splat: centre (pixel index), conic as a triangular factor, largest exponent q,
@@ -57,13 +57,13 @@ class Splats(NamedTuple):
 
 
 def camera_arguments(camera: Camera) -> tuple[NDArray, NDArray, NDArray, int, int]:
-    """A camera as kernels take it: rotation, position, intrinsics, width and height."""
+    """Convert a camera for kernels: rotation, position, intrinsics, width and height."""
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     return camera.rotation, camera.position, intrinsics, camera.width, camera.height
 
 
 def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: int) -> Splats:
-    """Project Gaussians `start` to `stop`; leave out those that cannot be seen."""
+    """Project Gaussians `start` to `stop`; skip those that cannot be visible."""
     count = stop - start
     fields = np.empty((count, DEPTH + 1))
     tiles = np.empty((count, 4), np.int32)
@@ -72,8 +72,8 @@ def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: i
     first = 0
     rows = all(plane.flags.c_contiguous for plane in planes)
     if not rows and any(plane.flags.forc for plane in planes):
-        # To compile a kernel takes seconds: there are one for rows and one for values that an
-        # optimiser holds Gaussian by Gaussian. Of other layouts, these Gaussians are copied.
+        # Compiling a kernel takes seconds, so there is one for planar layout and one for an
+        # optimiser's interleaved layout. Gaussians in other layouts are copied.
         first, planes = start, [np.ascontiguousarray(plane[:, start:stop]) for plane in planes]
     seen = _project(
         *planes,
@@ -148,7 +148,7 @@ def _project(
 
 @kernel
 def _fill_colours(positions, f_dc, f_rest, position, gaussians, fields):
-    """Fill in the colours seen from the camera, channel by channel, as they lie in memory."""
+    """Fill in the colours as seen from the camera, channel by channel, in memory order."""
     coefficients = len(f_rest) // 3
     basis, bases, colours = np.zeros(15), np.zeros((15, _BLOCK)), np.empty((3, _BLOCK))
     for first in range(0, len(gaussians), _BLOCK):
@@ -177,7 +177,7 @@ def _fill_colours(positions, f_dc, f_rest, position, gaussians, fields):
 
 @kernel
 def _keep_finite(fields, tiles, gaussians, count):
-    """Remove splats whose colours are not finite, and return how many are left."""
+    """Remove splats whose colours are not finite; return the number that remain."""
     kept = 0
     for j in range(count):
         field = fields[j]
@@ -212,7 +212,7 @@ def covariance(axes):
         xx += x * x
         xy += x * y
         yy += y * y
-        # By the Cauchy-Binet formula: xx yy - xy xy would cancel for needles.
+        # Cauchy-Binet formula: xx yy - xy xy would cancel for needles.
         other = (axis + 1) % 3
         sharp += (x * axes[other, 1] - y * axes[other, 0]) ** 2
     return xx, xy, yy, sharp
@@ -220,11 +220,11 @@ def covariance(axes):
 
 @inlined
 def _is_outside(centre, variance, tiles):
-    """Whether a splat of at most this variance along an axis of the image meets none of its tiles.
+    """Whether a splat of at most this variance along an image axis touches none of its tiles.
 
-    It is what `_cover` would find, at once.
+    A quick test that gives the same result as `_cover`.
     """
-    # Tiles begin a pixel early, with one of margin; one more, so that rounding has no effect.
+    # Tiles begin a pixel early because of the margin; one more makes rounding irrelevant.
     gap = max(centre - tiles * TILE, -centre - TILE) - 2.0
     return (gap > 0.0) & (gap * gap > _FARTHEST * (variance + LOW_PASS))
 
@@ -242,7 +242,7 @@ def _screen_axes(log_scale, rot, i, rotation, x, y, pixels_x, pixels_y, axes):
 
 @inlined
 def clamped_slopes(x, y, fx, fy, cx, cy, width, height):
-    """Slopes at which the Jacobian is taken, clamped to 1.3 of the field of view."""
+    """Slopes at which the Jacobian is evaluated, clamped to 1.3 times the field of view."""
     margin_x = 0.15 * width / fx
     margin_y = 0.15 * height / fy
     return (
@@ -274,7 +274,7 @@ def quaternion_turn(rot, i):
 
 @inlined
 def rotated(rotation, x, y, z):
-    """Turn a vector from the world's axes to the camera's."""
+    """Rotate a vector from world axes to camera axes."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
         rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
@@ -284,7 +284,7 @@ def rotated(rotation, x, y, z):
 
 @inlined
 def _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
-    """Fill `box` with the splat's tiles: 3DGS' 3-sigma square, cut where alpha is too low."""
+    """Fill `box` with the splat's tiles: 3DGS' 3-sigma square, cropped where alpha is too low."""
     mid = 0.5 * (xx + yy)
     radius = np.ceil(3.0 * math.sqrt(mid + math.sqrt(max(0.1, mid * mid - determinant))))
     # One pixel of margin, so that rounding has no effect.
@@ -299,5 +299,5 @@ def _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
 
 @inlined
 def to_tile(pixel, tiles):
-    """Tile of a pixel, 0 to `tiles`; of NaN, 0."""
+    """Tile of a pixel, 0 to `tiles`; 0 for NaN."""
     return np.int64(min(np.float64(tiles), max(0.0, pixel / TILE)))

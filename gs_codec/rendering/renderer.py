@@ -1,4 +1,4 @@
-"""Images of a scene, drawn on the CPU or with gsplat."""
+"""Render images of a scene, on the CPU or with gsplat."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gs_codec.scene import Scene
 
 @dataclass(frozen=True)
 class Accumulations:
-    """Sums over the pixels a Gaussian was added to, each of shape (N,), in the scene's order.
+    """Sums over the pixels of each Gaussian, each of shape (N,), in the scene's order.
 
     Attributes
     ----------
@@ -41,21 +41,21 @@ class Accumulations:
 
 @dataclass(frozen=True)
 class Rendering:
-    """Image, alpha and depth that a camera sees.
+    """Colour, alpha and depth images of a camera.
 
     Attributes
     ----------
     colour : ndarray, shape (H, W, 3), float32
         RGB, from 0 up; 1 is white, brighter is possible.
     alpha : ndarray, shape (H, W), float32
-        Opacity of everything together, 0-1.
+        Total opacity, 0-1.
     depth : ndarray, shape (H, W), float32
         Mean distance along the optical axis, weighted by alpha T, scene units; 0 where
         nothing is drawn.
     accumulations : Accumulations or None
-        Sums for each Gaussian, if asked for.
+        Sums for each Gaussian, if `accumulate` was set.
     pairs : int
-        Splat-tile pairs drawn; the time to draw grows with them.
+        Number of splat-tile pairs; rendering time grows with it.
     """
 
     colour: NDArray[np.float32]
@@ -73,7 +73,7 @@ def render(
     accumulate: bool = False,
     device: Literal["auto", "cpu", "cuda"] = "auto",
 ) -> Rendering:
-    """Draw a scene as the 3DGS rasteriser does (Kerbl et al. 2023, Section 6).
+    """Render a scene like the 3DGS rasteriser (Kerbl et al. 2023, Section 6).
 
     Gaussians with an attribute or a projection that is not finite are not drawn. On the CPU the
     result does not depend on the number of threads.
@@ -85,18 +85,18 @@ def render(
     background : sequence of three float
         RGB behind everything.
     antialiased : bool, optional
-        Lower the opacity of splats that the low-pass widens (Yu et al. 2023, Mip-Splatting);
-        by default as the scene says it was trained.
+        Lower the opacity of splats that the low-pass widens (Yu et al. 2023, Mip-Splatting); by
+        default as stated in the scene.
     accumulate : bool
-        Keep sums for each Gaussian; this always draws on the CPU.
+        Keep sums for each Gaussian; always renders on the CPU.
     device : {"auto", "cpu", "cuda"}
-        ``cuda`` draws with gsplat; its images agree with the CPU's within 40 dB or better.
-        ``auto`` uses it if it is installed and torch sees a device.
+        ``cuda`` renders with gsplat; its images agree with the CPU's to 40 dB or better. ``auto``
+        uses it if it is installed and torch sees a device.
 
     Raises
     ------
     MissingTool
-        If ``cuda`` is asked for but not available.
+        If ``cuda`` is requested but not available.
     """
     if antialiased is None:
         antialiased = scene.antialiased
@@ -115,7 +115,7 @@ def render(
 
 
 class RenderedViews:
-    """A scene's views, drawn on demand; what `render` returns.
+    """Views of a scene, rendered on demand; the result of `render`.
 
     Iterates over ``(Camera, Rendering)``; a `Rendering` has ``colour (H, W, 3)``,
     ``alpha (H, W)`` and ``depth (H, W)``, float32. Its length is the number of cameras.
@@ -123,7 +123,7 @@ class RenderedViews:
     Attributes
     ----------
     cameras : list of Camera
-        In the order they are drawn.
+        In rendering order.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class RenderedViews:
             advance()
 
     def draw(self, camera: Camera | Mapping[str, Any]) -> Rendering:
-        """Draw what any camera sees, including one that is not in `cameras`.
+        """Render the view of any camera, including one that is not in `cameras`.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class RenderedViews:
         InvalidInput
             If the mapping is not a camera.
         MissingTool
-            If ``cuda`` was asked for but is not available.
+            If ``cuda`` was requested but is not available.
 
         Examples
         --------

@@ -1,8 +1,8 @@
-"""Tiles drawn in float32, a row of 16 pixels at once: for what views teach, not what they measure.
+"""Tiles rendered in float32, a row of 16 pixels at a time: for optimisation, not for measuring.
 
-Whatever is measured goes through `trace`, in float64; this is several times faster. What happens to
-a pixel depends on no other one, and sums are kept by column until a splat is done, so that
-processors with any width of vectors give the same floats.
+Measurements use `tiles_float64`; this is several times faster. Pixels do not depend on one another,
+and sums are kept by column until a splat is done, so the results do not depend on the vector width
+of the processor.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from gs_codec.rendering.project import (
 from gs_codec.rendering.tiles_float64 import MAX_ALPHA, MIN_TRANSMITTANCE, tile_bounds, whole
 from gs_codec.runtime.kernels import inlined, kernel
 
-#: Columns of the sums over a splat's pixels: the derivative by its colour, then moments of
-#: s = alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's
-#: centre to the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
+#: Columns of the sums over a splat's pixels: the derivative by its colour, then moments of s =
+#: alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's centre to
+#: the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
 BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
 
 _ZERO = np.float32(0)
@@ -39,12 +39,12 @@ _LEAST_ALPHA = np.float32(MIN_ALPHA)
 MOST_ALPHA = np.float32(MAX_ALPHA)
 LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
 
-#: The same where splats are left out: an opaque splat's removal shows what it hid.
+#: The same for leave-one-out errors: removing an opaque splat reveals what it hid.
 _LEAST_HIDDEN = np.float32(1e-6)
 
-#: Planes of a tile, one after another in one array, so that the compiler sees that they differ:
-#: transmittance, negative where a pixel is done; red, green and blue, or derivatives by them; and
-#: the light behind the splats that are still to be taken back, times these derivatives.
+#: Planes of a tile, consecutive in one array, so that the compiler knows that they do not overlap:
+#: transmittance (negative if a pixel is done); red, green and blue, or derivatives by them; and the
+#: light behind the splats not yet processed backwards, times these derivatives.
 PIXELS = TILE * TILE
 RED_PLANE, GREEN_PLANE, BLUE_PLANE, BEHIND, _PLANES = (k * PIXELS for k in range(1, 6))
 
@@ -84,7 +84,7 @@ def alpha_at(x, slope, offset, across, reach, opacity):
 
 @inlined
 def splat_of(field):
-    """What is the same in all rows: slope of the offset, largest q, opacity, and colour."""
+    """Values common to all rows: slope of the offset, largest q, opacity, and colour."""
     return (
         np.float32(field[FACTOR_XX]), np.float32(field[REACH]), np.float32(field[OPACITY]),
         np.float32(field[RED]), np.float32(field[GREEN]), np.float32(field[BLUE]),
@@ -102,7 +102,7 @@ def rows_of(field, x0, y0, height):
 
 @inlined
 def row_of(field, u, v, y):
-    """What `alpha_at` needs of a row: offset, q across; from float64, where they would cancel."""
+    """Values of a row for `alpha_at`: offset, q across; from float64, to avoid cancellation."""
     dy = y - v
     across = (field[FACTOR_YY] * dy) ** 2
     return np.float32(field[FACTOR_XY] * dy - field[FACTOR_XX] * u), np.float32(across)
@@ -110,9 +110,9 @@ def row_of(field, u, v, y):
 
 @inlined
 def cover(row, x, alpha, drawn, least):
-    """Put a splat on pixel `x`; return its weight, and whether the pixel is done before it.
+    """Composite a splat onto pixel `x`; return its weight, and whether the pixel was done before.
 
-    That is where its transmittance would fall below `least`.
+    A pixel is done before its transmittance would fall below `least`.
     """
     left = row[x]
     after = left * (_ONE - alpha)
@@ -125,7 +125,7 @@ def cover(row, x, alpha, drawn, least):
 
 @inlined
 def lift(row, x, alpha):
-    """Take a splat off pixel `x`; return its weight, and what share of it shows what is behind."""
+    """Remove a splat from pixel `x`; return its weight, and its ratio to the light it hides."""
     over = _ONE / (_ONE - alpha)
     row[x] *= over
     return alpha * row[x], alpha * over
@@ -133,9 +133,9 @@ def lift(row, x, alpha):
 
 @inlined
 def uncover(row, x, alpha, red, green, blue):
-    """Take a splat off pixel `x`, and add it to the light behind the next.
+    """Remove a splat from pixel `x`, and add it to the light behind the next.
 
-    Returns its weight, and how much redder, greener and bluer the pixel would be without it.
+    Returns its weight, and the change of red, green and blue of the pixel without it.
     """
     weight, uncovered = lift(row, x, alpha)
     by_red = row[x + RED_PLANE] * uncovered - weight * red
@@ -149,10 +149,10 @@ def uncover(row, x, alpha, red, green, blue):
 
 @kernel
 def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
-    """Draw a tile front to back; return the end of the pairs that its pixels need.
+    """Render a tile front to back; return the end of the pairs that its pixels need.
 
     A pixel is done before its transmittance falls below `least`; ``ends (256,)`` receives the
-    number of the pair that each is done at.
+    number of the pair at which each pixel is done.
     """
     still_open = 0
     for pair in range(start, end):
@@ -179,7 +179,7 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
 
 @kernel
 def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
-    """Sums of the pairs of a tile, back to front."""
+    """Accumulate the sums of the pairs of a tile, back to front."""
     for pair in range(end - 1, start - 1, -1):
         field, number = fields[splats[pair]], np.int32(pair - start)
         slope, reach, opacity, red, green, blue = splat_of(field)
@@ -228,7 +228,7 @@ def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns,
 
 @inlined
 def total_of(columns, number):
-    """Total of a sum by column, added up in the same order everywhere."""
+    """Total of a sum by column, added in the same order everywhere."""
     a = b = c = d = _ZERO
     for x in range(number * TILE, (number + 1) * TILE, 4):
         a += columns[x]
@@ -240,7 +240,7 @@ def total_of(columns, number):
 
 @inlined
 def open_tile(x0, x1, y0, y1, light, ends):
-    """Prepare the planes of a tile for `draw_tile`; pixels outside the image are done."""
+    """Prepare the planes of a tile for `draw_tile`; pixels outside the image count as done."""
     light[:] = _ZERO
     ends[:] = np.int32(-1)
     for y in range(y1 - y0):
@@ -250,7 +250,7 @@ def open_tile(x0, x1, y0, y1, light, ends):
 
 @kernel
 def draw_rows(fields, splats, starts, first, end, columns, background, colour, left, ends, reached):
-    """Draw tiles `first` to `end` into an image ``(H, W, 3)``, float32.
+    """Render tiles `first` to `end` into an image ``(H, W, 3)``, float32.
 
     ``left (tiles, 256)`` and ``ends (tiles, 256)`` receive the transmittance behind all splats, and
     the number of the pair at which a pixel is done; ``reached (tiles,)`` the end of the pairs that
@@ -272,7 +272,7 @@ def draw_rows(fields, splats, starts, first, end, columns, background, colour, l
 
 @inlined
 def put_tile(light, x0, x1, y0, y1, background, colour):
-    """Put a tile that `draw_tile` drew into an image ``(H, W, 3)``."""
+    """Copy a tile rendered by `draw_tile` into an image ``(H, W, 3)``."""
     for y in range(y0, y1):
         for x in range(x0, x1):
             pixel = (y - y0) * TILE + x - x0
@@ -285,7 +285,7 @@ def put_tile(light, x0, x1, y0, y1, background, colour):
 def take_back_rows(
     fields, splats, starts, first, end, columns, background, by_colour, left, ends, reached, sums
 ):  # fmt: skip
-    """Fill ``sums (pairs, 9)`` for tiles `first` to `end`, with what `draw_rows` gave.
+    """Fill ``sums (pairs, 9)`` for tiles `first` to `end`, from the results of `draw_rows`.
 
     ``by_colour (H, W, 3)`` is the derivative of the loss by the image.
     """
@@ -328,7 +328,7 @@ def leave_out_rows(fields, splats, starts, first, end, columns, width, height, b
 
 @inlined
 def turn_back(background, light):
-    """After `draw_tile`, to go back to front: only the light behind all splats is left."""
+    """After `draw_tile`, prepare for back to front: keep only the light behind all splats."""
     for pixel in range(PIXELS):
         light[pixel] = abs(light[pixel])
         for channel in range(3):
@@ -338,7 +338,7 @@ def turn_back(background, light):
 
 @kernel
 def _leave_out(fields, splats, start, end, x0, y0, height, light, ends, columns, errors):
-    """Errors of the pairs of a tile, back to front; red, green and blue are the light behind."""
+    """Leave-one-out errors of the pairs of a tile, back to front."""
     for pair in range(end - 1, start - 1, -1):
         field, number = fields[splats[pair]], np.int32(pair - start)
         slope, reach, opacity, red, green, blue = splat_of(field)

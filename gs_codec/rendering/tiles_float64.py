@@ -1,4 +1,4 @@
-"""Tracing of splats through the pixels of a tile, front to back, and their compositing.
+"""Trace splats through the pixels of a tile in float64, front to back, and composite them.
 
 Everything that is drawn, summed or differentiated over pixels goes through `trace_splat`.
 """
@@ -26,13 +26,13 @@ from gs_codec.rendering.project import (
 )
 from gs_codec.runtime.kernels import inlined, kernel
 
-#: Alpha of one splat in one pixel is at most this.
+#: Maximum alpha of one splat in one pixel.
 MAX_ALPHA = 0.99
 
 #: A pixel is done before its transmittance falls below this.
 MIN_TRANSMITTANCE = 1e-4
 
-#: exp(-x) at multiples of 1 / _STEPS up to the largest exponent a visible splat has, ln 255.
+#: exp(-x) at multiples of 1 / _STEPS up to ln 255, the largest exponent of a visible splat.
 _STEPS = 32.0
 _EXPONENTIALS = np.exp(-np.arange(6 * _STEPS) / _STEPS)
 
@@ -47,20 +47,20 @@ def tile_bounds(tile, columns, width, height):
 
 @inlined
 def tile_buffers():
-    """Arrays that `trace_splat` takes: left, pixels, alphas and before, each ``(256,)``."""
+    """Buffers for `trace_splat`: left, pixels, alphas and before, each ``(256,)``."""
     size = TILE * TILE
     return np.empty(size), np.empty(size, np.int64), np.empty(size), np.empty(size)
 
 
 @inlined
 def trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before):
-    """List the pixels that a splat is added to, and reduce their transmittance by it.
+    """List the pixels of a splat, and reduce their transmittance.
 
     ``left (256,)`` is the transmittance of the tile's pixels, negative where a pixel is done.
     ``pixels``, ``alphas`` and ``before`` (256,) receive the pixel in the tile, alpha, and the
     transmittance before the splat.
 
-    Returns how many were listed, and how many pixels are done because of it.
+    Returns the number of listed pixels, and the number of pixels that it completes.
     """
     u, v = field[CENTRE_X], field[CENTRE_Y]
     fxx, fxy, fyy = field[FACTOR_XX], field[FACTOR_XY], field[FACTOR_YY]
@@ -114,15 +114,15 @@ def _exp_minus(x):
     return _EXPONENTIALS[step] * series
 
 
-#: Columns of the sums kept for each splat-tile pair, over the pixels it was added to.
+#: Columns of the sums of each splat-tile pair, over its pixels.
 WEIGHT, SQUARED_WEIGHT, TRANSMITTANCE, PIXELS = range(4)
 
 
 @kernel
 def draw_tiles(fields, splats, starts, first, end, columns, background, colour, alpha, depth, sums):
-    """Draw tiles `first` to `end` into images ``(H, W, 3)``, ``(H, W)``, ``(H, W)`` float32.
+    """Render tiles `first` to `end` into images ``(H, W, 3)``, ``(H, W)``, ``(H, W)`` float32.
 
-    ``sums (pairs, 4)`` is filled too, unless it is empty.
+    Also fills ``sums (pairs, 4)``, unless it is empty.
     """
     height, width = alpha.shape
     light = np.empty((TILE * TILE, 4))

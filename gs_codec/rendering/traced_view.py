@@ -1,4 +1,4 @@
-"""A traced view: the weight alpha T of every Gaussian in every pixel that it is added to."""
+"""A traced view: the weight alpha T of every Gaussian in each of its pixels."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SQUARED = 3
 #: A weight of 1 in 16 bits; a unit is 1/257 of a step of an 8-bit image.
 _UNITS = 65535.0
 
-#: The same numbers, typed for the kernels.
+#: The same values, typed for the kernels.
 _UNIT = np.float32(1 / _UNITS)
 _MOST = np.float32(_UNITS)
 _HALF = np.float32(0.5)
@@ -41,20 +41,20 @@ _WIDTH = np.int32(TILE)
 #: A row is faint if all its weights are below this, in units.
 _FAINT = np.int32(_UNITS / 512)
 
-#: Offsets of the planes of a tile, after red. They are unsigned: numba tests whether signed indices
+#: Offsets of the planes of a tile, after red. Unsigned, because numba tests whether signed indices
 #: are negative.
 _GREEN = np.uint64(PIXELS)
 _BLUE = np.uint64(2 * PIXELS)
 
-#: Offsets of the sums by column, after red.
+#: Offsets of the column sums, after red.
 _BY_GREEN = np.uint64(TILE)
 _BY_BLUE = np.uint64(2 * TILE)
 _BY_SQUARE = np.uint64(3 * TILE)
 
-#: Initial length of the buffer of rows; one splat in a tile needs 16.
+#: Initial length of the row buffer; one splat in a tile needs 16.
 _FIRST_ROWS = 1 << 14
 
-#: Initial length of the buffer of weights; one splat in a tile needs 272.
+#: Initial length of the weight buffer; one splat in a tile needs 272.
 _FIRST_WEIGHTS = 1 << 16
 
 
@@ -65,17 +65,17 @@ class TracedView(NamedTuple):
     ----------
     camera : Camera
     seen : ndarray, shape (V,), int64
-        Gaussians that may be seen in the tiles, ascending.
+        Gaussians that may be visible in the tiles, ascending.
     tiles : ndarray, shape (tiles,), int64
-        Numbers of the tiles that are traced, row by row.
+        Numbers of the traced tiles, row by row.
     pairs : ndarray, shape (pairs,), int32
         Index in `seen` of each pair's Gaussian.
     starts : ndarray, shape (tiles + 1,), int64
-        Where the pairs of each tile start.
+        Start of the pairs of each tile.
     ends : ndarray, shape (pairs,), int32
-        Where the rows of each pair end.
+        End of the rows of each pair.
     rows : ndarray, shape (rows,), uint16
-        By bits: row in the tile (4), first column (4), last column (4), whether it is faint.
+        Bit fields: row in the tile (4), first column (4), last column (4), faint flag.
     weights : ndarray, shape (16 + weights + 16,), uint16
         From the first to the last column of each row, in units of 1 / 65535.
     left : ndarray, shape (tiles, 256), float32
@@ -94,12 +94,12 @@ class TracedView(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory it takes."""
+        """Size in memory, in bytes."""
         return sum(array.nbytes for array in self[1:])
 
     @property
     def pixels(self) -> int:
-        """Pixels that are traced."""
+        """Number of traced pixels."""
         rows, columns = np.divmod(self.tiles, -(-self.camera.width // TILE))
         wide = np.minimum(self.camera.width - TILE * columns, TILE)
         high = np.minimum(self.camera.height - TILE * rows, TILE)
@@ -119,21 +119,21 @@ class TracedView(NamedTuple):
         Parameters
         ----------
         colours : ndarray, shape (V, 3), float32
-            Of the Gaussians in ``seen``.
+            Colours of the Gaussians in ``seen``.
         target : ndarray, shape (H, W, 3)
-            The residual is this minus the image, in the pixels that are traced.
+            The residual is this minus the image, in the traced pixels.
         background : ndarray, shape (3,)
         summed : bool
-            Whether to sum; without, the sums are empty, and it takes half the time.
+            Whether to compute the sums; otherwise they are empty, in half the time.
         faint : bool
-            Whether faint rows count, a third of all; they hold less than a hundredth of the weight.
+            Whether to include faint rows, a third of all rows with less than 1 % of the weight.
         """
         sums = np.zeros((len(self.seen) if summed else 0, SQUARED + 1))
         columns = -(-self.camera.width // TILE)
         return sums, _residual(*self[2:], columns, colours, target, background, faint, sums)
 
 
-#: Rows and weights, reused because new memory takes longer than tracing.
+#: Buffers for rows and weights, reused because allocating memory takes longer than tracing.
 TraceBuffers = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
 
@@ -144,9 +144,9 @@ def trace_view(
     first: int = 0,
     buffers: TraceBuffers | None = None,
 ) -> tuple[TracedView, TraceBuffers]:
-    """Trace one of every so many tiles of a view; return also the buffers that took, for the next.
+    """Trace every n-th tile of a view (`every`); also return the buffers, for reuse.
 
-    Tiles are on diagonals, `first` of which is the first that is traced.
+    The traced tiles are on diagonals; `first` is the number of the first diagonal.
     """
     frame = make_frame(scene, camera)
     splats, starts = frame.lists
@@ -226,7 +226,7 @@ def _residual(
     tiles, pairs, starts, ends, rows, weights, left, columns, colours, target, background, faint,
     sums,
 ):  # fmt: skip
-    """Fill ``sums (V, 4)``, if it is not empty; returns the squared error."""
+    """Fill ``sums (V, 4)``, unless it is empty; return the squared error."""
     height, width = target.shape[:2]
     # Red, green and blue, one after another.
     residual = np.zeros(3 * PIXELS, np.float32)
@@ -254,7 +254,7 @@ def _residual(
 
 @kernel
 def _subtract(pairs, ends, rows, weights, most, colours, row, start, residual):
-    """Subtract the pairs of a tile from its residual; return where the next tile's begin."""
+    """Subtract the pairs of a tile from its residual; return the start of the next tile's pairs."""
     for pair in range(len(pairs)):
         colour = colours[pairs[pair]]
         red, green, blue = _UNIT * colour[0], _UNIT * colour[1], _UNIT * colour[2]
@@ -303,6 +303,6 @@ def _add_up(pairs, ends, rows, weights, most, residual, row, start, by_column, s
 
 @kernel
 def _unpack(code, start):
-    """First and last column of a row, where it starts in a plane, and where its column 0 is."""
+    """First and last column of a row, its start in a plane, and the position of its column 0."""
     first, last = np.int32(code >> 4 & 15), np.int32(code >> 8 & 15)
     return first, last, np.uint64((code & 15) * TILE), np.uint64(start - first)

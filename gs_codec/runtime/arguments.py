@@ -1,4 +1,4 @@
-"""Arguments of public functions and classes are of the types that their annotations say."""
+"""Check that arguments of public functions and classes have the types of their annotations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Public = TypeVar("Public", bound=Callable[..., Any])
 
 
 def checked(function: Public) -> Public:
-    """Let a function raise `InvalidInput` for an argument of a type that it does not take."""
+    """Make a function raise `InvalidInput` for an argument of a wrong type."""
     described = signature(function)
 
     @wraps(function)
@@ -32,13 +32,13 @@ def checked(function: Public) -> Public:
 
 
 def check_fields(settings: Any) -> None:
-    """Raise `InvalidInput` if a field of a dataclass has a value of another type."""
+    """Raise `InvalidInput` if a field of a dataclass has a value of a wrong type."""
     hints = _hints_of(cast(Hashable, type(settings)))
     for field in (each for each in fields(settings) if each.init):
         _check(field.name, getattr(settings, field.name), hints[field.name])
 
 
-#: An annotation as written, and the types that it means.
+#: An annotation as written, and the types that it denotes.
 _Hint = tuple[str, Any]
 _ANYTHING: _Hint = ("", Any)
 
@@ -52,7 +52,7 @@ def _check(name: str, value: Any, hint: _Hint) -> None:
 
 
 class _Names(dict):
-    """What annotations may name; what is imported for type checkers alone is anything."""
+    """Names in annotations; names imported only for type checkers count as Any."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, Any)
@@ -70,7 +70,7 @@ def _hints_of(public: Any) -> dict[str, _Hint]:
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value is of a type; what is no type takes any."""
+    """Whether a value has a type; if `kind` is not a type, any value fits."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return any(_fits(value, each) for each in inner)
@@ -85,16 +85,16 @@ def _fits(value: Any, kind: Any) -> bool:
 
 
 def _is_number(value: Any, kind: type) -> bool:
-    """Whether a value is a number; an integer may be written as a float."""
+    """Whether a value is a number; an integer is accepted as a float."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return False
     return kind is float or isinstance(value, Integral) or float(value).is_integer()
 
 
 def _holds(value: Any, origin: type, inner: tuple[Any, ...]) -> bool:
-    """Whether a value is an array, a sequence, a mapping or a function, by the type it is of."""
+    """Whether a value is an array, a sequence, a mapping or a function, as its type requires."""
     if origin.__module__ == "numpy":
-        import numpy as np  # which help does without
+        import numpy as np  # not needed for help
 
         array = np.asarray(value if isinstance(value, np.ndarray | list | tuple) else "")
         return array.dtype.kind in "biuf"
@@ -103,5 +103,5 @@ def _holds(value: Any, origin: type, inner: tuple[Any, ...]) -> bool:
         return isinstance(value, origin)
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
         return False
-    # What goes through an iterator or an array checks it.
+    # Items of iterators and arrays are checked where they are used.
     return not (inner and isinstance(value, list | tuple)) or all(_fits(v, inner[0]) for v in value)

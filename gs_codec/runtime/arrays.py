@@ -1,9 +1,9 @@
-"""Large arrays: in memory, or in temporary files so that a process stays below a memory limit.
+"""Large arrays, in memory or in temporary files, so that a process stays below a memory limit.
 
-Code allocates arrays that grow with the scene by `empty`, and passes arrays that it keeps to
-`current().keep`; results do not depend on where the arrays are. Within `bounded`, arrays are
-memory-mapped temporary files without a name. A thread releases their pages before the process
-reaches the limit; the system reads a page again from the file when it is used.
+Code allocates arrays that grow with the scene with `empty`, and passes long-lived arrays to
+`current().keep`; results do not depend on the storage. Within `bounded`, arrays are memory-mapped
+temporary files without a name. A thread releases their pages before the process reaches the limit;
+the system reads a page again from the file when it is used.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ _ALIGNMENT = 64
 #: Pages are released above this share of the limit.
 _HIGH = 0.7
 
-#: Seconds between two checks.
+#: Seconds between checks.
 _PERIOD = 0.004
 
-#: glibc's option for the size from which memory is mapped, and so returned when it is freed.
+#: glibc's option for the minimum size of mapped memory, which is returned to the system when freed.
 _M_MMAP_THRESHOLD = -3
 
-#: This size, bytes: glibc's initial value, before it adapts.
+#: Value of that option in bytes: glibc's initial value, before it adapts.
 _MAPPED = 1 << 17
 
 
 def release_freed() -> None:
-    """Give memory that was freed back to the system, where the C library keeps it (glibc)."""
+    """Return freed memory to the system, if the C library keeps it (glibc)."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def release_large_when_freed() -> None:
-    """From now on, give memory of large arrays back to the system as they are freed (glibc)."""
+    """From now on, return the memory of large arrays to the system when they are freed (glibc)."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _MAPPED)
 
@@ -65,15 +65,15 @@ class Memory:
     limit: int | None = None
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """A new array, not initialised."""
+        """A new, uninitialised array."""
         return np.empty(shape, dtype)
 
     def keep(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Move an array to where it is kept for long."""
+        """Move an array to long-term storage."""
         return array
 
     def keep_bytes(self, data: bytes) -> bytes | memoryview:
-        """Move bytes to where they are kept for long."""
+        """Move bytes to long-term storage."""
         return data
 
     def watch(self, mapped: mmap.mmap) -> None:
@@ -86,7 +86,7 @@ class Disk(Memory):
     Parameters
     ----------
     limit : int, optional
-        Memory limit, bytes, for code that chooses how much to do at once. `bounded` enforces it.
+        Memory limit in bytes, for code that chooses batch sizes. `bounded` enforces it.
     """
 
     def __init__(self, limit: int | None = None) -> None:
@@ -165,7 +165,7 @@ class Disk(Memory):
 
 
 def _on_disk() -> str:
-    """A folder for large files: /tmp is in memory on many systems, /var/tmp is not."""
+    """A folder for large files; /tmp is in memory on many systems, /var/tmp is not."""
     return "/var/tmp" if os.access("/var/tmp", os.W_OK) else tempfile.gettempdir()
 
 
@@ -178,7 +178,7 @@ def current() -> Memory:
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """A new array of the `Memory` in use, not initialised."""
+    """A new, uninitialised array of the `Memory` in use."""
     return current().empty(shape, dtype)
 
 
@@ -196,7 +196,7 @@ def using(storage: Memory) -> Iterator[None]:
 def bounded(limit: int | None) -> Iterator[None]:
     """Keep the process below `limit` bytes within the block, by moving large arrays to disk.
 
-    Only the arrays allocated here count: other memory is not reduced. None: no limit.
+    Only arrays allocated here can be moved; other memory is not reduced. None means no limit.
     """
     if limit is None:
         yield
@@ -219,7 +219,7 @@ def _guard(disk: Disk, limit: int, done: threading.Event) -> None:
 
 
 def resident_bytes() -> int:
-    """Resident memory of this process, bytes; 0 if the system does not say."""
+    """Resident memory of this process in bytes; 0 if the system does not report it."""
     with suppress(OSError), open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * mmap.PAGESIZE
     return 0

@@ -1,4 +1,4 @@
-"""Write files atomically: an output appears complete or not at all."""
+"""Write files atomically: an output appears completely or not at all."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def remove_leftover(path: str | Path) -> None:
     finally:
         os.close(descriptor)
     if unused:
-        with suppress(OSError):  # Windows does not remove a file that another process writes
+        with suppress(OSError):  # Windows does not remove a file that another process is writing
             os.unlink(path)
 
 
@@ -100,8 +100,8 @@ def try_lock(descriptor: int) -> bool:
 def alone(path: str | Path, patience: float = math.inf) -> Iterator[None]:
     """Keep a file or folder locked within the block, once no other process has locked it.
 
-    After `patience` seconds the block runs without, as where there are no locks. The system takes
-    the lock from a process that is killed.
+    After `patience` seconds the block runs without the lock, as on systems without locks. The
+    system releases the lock of a killed process.
     """
     descriptor, end = None, time.monotonic() + patience
     try:
@@ -163,7 +163,7 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def _create(folder: Path, hidden: Path) -> tuple[int, bool]:
-    """Create a file, without a name if possible; tell whether it is named `hidden`."""
+    """Create a file, without a name if possible; return whether it is named `hidden`."""
     nameless = getattr(os, "O_TMPFILE", None)
     if nameless is not None and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):
@@ -188,7 +188,7 @@ def _name(descriptor: int, target: Path, hidden: Path) -> None:
 
 
 def _keep_name(folder: Path) -> None:
-    """Flush the entry of a new file in its folder to disk, if the system supports it."""
+    """Flush the directory entry of a new file to disk, if the system supports it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -198,12 +198,12 @@ def _keep_name(folder: Path) -> None:
 
 
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files by name into a folder; it and folders of their names are made if missing.
+    """Write files by name into a folder; missing folders are created.
 
     Raises
     ------
     InvalidInput
-        If a folder cannot be made, or a file cannot be written; files written before it stay.
+        If a folder cannot be made, or a file cannot be written; files already written remain.
     """
     target = make_folder(folder)
     for name, content in files.items():

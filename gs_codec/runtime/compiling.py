@@ -1,4 +1,4 @@
-"""Messages while kernels are compiled, which takes seconds: nobody waits without knowing why."""
+"""Messages while kernels are compiled, which takes seconds, so that users know why they wait."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gs_codec.runtime import kernel_archive, kernel_cache
 
 log = logging.getLogger(__name__)
 
-#: Seconds of compiling before the first message, and of waiting between others.
+#: Seconds of compiling before the first message, and between later ones.
 _MOMENT = 0.5
 _PAUSE = 2.5
 
 
 class _Compiled:
-    """What this process has compiled, and is compiling: calls within calls."""
+    """What this process has compiled and is compiling; calls may be nested."""
 
     kernels = 0
     seconds = 0.0
@@ -30,7 +30,7 @@ class _Compiled:
 
 @contextmanager
 def watched() -> Iterator[None]:
-    """Load or compile a kernel in the block; only one thread does."""
+    """Load or compile a kernel in the block; only one thread does at a time."""
     _Compiled.calls += 1
     try:
         yield
@@ -48,13 +48,13 @@ def count() -> int:
 
 
 def elapsed() -> float | None:
-    """Seconds that this process has compiled kernels; None while it compiles none."""
+    """Seconds of the current compilation in this process; None if there is none."""
     begun = _Compiled.begun
     return None if begun is None else _Compiled.seconds + time.monotonic() - begun
 
 
 def begin() -> None:
-    """Note, in a `watched` block, that a kernel has to be compiled."""
+    """Note, in a `watched` block, that a kernel must be compiled."""
     _Compiled.kernels += 1
     if _Compiled.begun is None:
         _Compiled.begun, _Compiled.done = time.monotonic(), threading.Event()
@@ -70,7 +70,7 @@ def _tell(done: threading.Event) -> None:
         if _Compiled.told is None:
             _tell_first()
         else:
-            seconds = elapsed() or _Compiled.seconds  # it may end just now
+            seconds = elapsed() or _Compiled.seconds  # compilation may have just ended
             log.info("compiling kernels: %d so far, %.0f s", _Compiled.kernels, seconds)
         _Compiled.told, wait = time.monotonic(), _PAUSE
 

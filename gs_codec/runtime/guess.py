@@ -1,16 +1,16 @@
-"""What a file that is no scene looks like, so that errors can name it."""
+"""Guess what a file that is not a scene is, so that errors can name it."""
 
 from __future__ import annotations
 
 from codecs import BOM_UTF8
 
-#: Bytes at the beginning of a file that are looked at.
+#: Bytes at the beginning of a file that are examined.
 LOOKED_AT = 512
 
 _LFS = "a Git LFS pointer, not the file itself (`git lfs pull` fetches it)"
 _HTML = "an HTML page, not a scene (a server may answer with one in place of a file)"
 
-#: Beginnings, in lower case, of text without the white space before it.
+#: Beginnings of text files, in lower case and without leading white space.
 _TEXTS = {
     b"version https://git-lfs": _LFS,
     b"<!doctype html": _HTML,
@@ -29,7 +29,7 @@ _SIGNATURES = {
 
 
 def looks_like(head: bytes) -> str:
-    """What is known not to be a scene, by the first `LOOKED_AT` bytes, in words; "" if unknown."""
+    """Describe a file that is not a scene, from its first `LOOKED_AT` bytes; "" if unknown."""
     text = head.removeprefix(BOM_UTF8).lstrip().lower()
     found = [words for begin, words in _TEXTS.items() if text.startswith(begin)]
     found += [words for begin, words in _SIGNATURES.items() if head.startswith(begin)]
@@ -37,11 +37,11 @@ def looks_like(head: bytes) -> str:
 
 
 def text_kind(head: bytes) -> str:
-    """Which text the first `LOOKED_AT` bytes are, in words; "" if they are none."""
+    """Describe the text in the first `LOOKED_AT` bytes; "" if they are not text."""
     try:
         text = head.decode()
     except UnicodeDecodeError as error:
-        if error.reason != "unexpected end of data":  # a character cut off
+        if error.reason != "unexpected end of data":  # a character that is cut off
             return ""
         text = head[: error.start].decode()
     if not all(character.isprintable() or character in "\t\r\n" for character in text):

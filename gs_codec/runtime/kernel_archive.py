@@ -1,7 +1,7 @@
-"""Machine code of kernels that comes with the package, for common processors.
+"""Precompiled kernels that come with the package, for common processors.
 
-`kernel_build` writes an archive for each of `TIERS`, and `load` looks into those that are for this
-Python, numba and processor. A kernel whose sources were edited is not found.
+`kernel_build` writes an archive for each of `TIERS`, and `load` searches those that match this
+Python, numba and processor. Kernels with edited sources are not found.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from gs_codec.errors import one_line
 from gs_codec.runtime.kernel_cache import settings, stamp
 from gs_codec.runtime.kernel_list import entry_of
 
-#: Where archives are in an installed package.
+#: Folder of archives in an installed package.
 FOLDER = Path(__file__).with_name("compiled")
 
 _MAGIC = b"gs_codec kernels 1\n"
 _DIGEST_BYTES = 32
 
-#: Name of the machine code of numba's runtime, which numba compiles in each process.
+#: Name of the machine code of numba's runtime, which numba otherwise compiles in each process.
 _RUNTIME = "numba runtime"
 
 _V3 = (
@@ -43,8 +43,8 @@ _V3 = (
     "xsave",
 )  # fmt: skip
 
-#: Processors to compile for, the best first: the name and the features that LLVM calls them by.
-#: x86-64-v4 would halve its vectors, as its first processors were slow with long ones.
+#: Processors to compile for, the best first: name, and features in LLVM's notation. x86-64-v4 would
+#: halve the vector length, because its first processors were slow with long vectors.
 TIERS = {
     "x86-64-v4": ("znver4", (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl")),
     "x86-64-v3": ("x86-64-v3", _V3),
@@ -52,14 +52,14 @@ TIERS = {
 
 
 def target_of(tier: str) -> tuple[str, str]:
-    """What NUMBA_CPU_NAME and NUMBA_CPU_FEATURES are for a tier."""
+    """Values of NUMBA_CPU_NAME and NUMBA_CPU_FEATURES for a tier."""
     name, features = TIERS[tier]
     signed = ("+-"[each not in features] + each for each in llvm.get_host_cpu_features())
     return name, ",".join(signed)
 
 
 def _made_for() -> dict[str, str]:
-    """What an archive depends on beside the processor."""
+    """What an archive depends on besides the processor."""
     return {
         "Python": sys.implementation.cache_tag + getattr(sys, "abiflags", ""),
         "numba": numba.__version__,
@@ -74,12 +74,12 @@ class Archive:
     Parameters
     ----------
     content : bytes-like
-        Of its file, after the magic number.
+        Content of the file after the magic number.
 
     Raises
     ------
     ValueError
-        If it is damaged, or made for something else.
+        If it is damaged, or was made for something else.
     """
 
     def __init__(self, content: Any) -> None:
@@ -99,7 +99,7 @@ class Archive:
         self._places = {name: each[1:] for name, each in head["kernels"].items()}
 
     def part(self, name: str) -> Any:
-        """What was kept under a name; None if it is not there, or damaged."""
+        """The entry under a name; None if it is missing or damaged."""
         begin, end, digest = self._places.get(name, (0, 0, ""))
         part = self._parts[begin:end]
         intact = hashlib.sha256(part).hexdigest() == digest
@@ -108,7 +108,7 @@ class Archive:
 
 @functools.cache
 def _found() -> tuple[list[Archive], list[str]]:
-    """The archives for this machine, the best first, and why others are not."""
+    """The archives for this machine, the best first, and the reasons why others do not apply."""
     archives, reasons = [], []
     paths = {tier: FOLDER / f"{tier}.kernels" for tier in TIERS}
     for tier, path in paths.items():
@@ -128,7 +128,7 @@ def _found() -> tuple[list[Archive], list[str]]:
 
 
 def _check_processor(tier: str) -> None:
-    """Check that this is a processor of a tier, and that no other is to be compiled for."""
+    """Check that this processor belongs to a tier, and that no other is configured."""
     present = llvm.get_host_cpu_features()
     if not all(present.get(each) for each in TIERS[tier][1]):
         raise ValueError(f"need a processor with {tier}")
@@ -137,13 +137,13 @@ def _check_processor(tier: str) -> None:
 
 
 def why_not() -> str:
-    """Why archives are not used; empty if there are none, or one is."""
+    """Why archives are not used; empty if there are none, or if one is used."""
     archives, reasons = _found()
     return "" if archives or not reasons else reasons[-1]
 
 
 def load(function: Callable, types: Any, target: Any) -> CompileResult | None:
-    """A kernel for these types; None if it has to be compiled."""
+    """Load a kernel for these types; None if it must be compiled."""
     name = " ".join(entry_of(function, types))
     for archive in _found()[0]:
         stamped = archive.stamps.get(name)
@@ -153,12 +153,12 @@ def load(function: Callable, types: Any, target: Any) -> CompileResult | None:
 
 
 def stamp_text(function: Callable) -> str:
-    """A digest of what a kernel is compiled from."""
+    """Digest of the sources of a kernel."""
     return hashlib.sha256(repr(stamp(function)).encode()).hexdigest()
 
 
 class _Opened:
-    """numba's target for what an archive holds: its libraries are `_Library`."""
+    """numba's target for an archive: its libraries are `_Library`."""
 
     def __init__(self, target: Any) -> None:
         self._target = target
@@ -179,7 +179,7 @@ class _Opened:
 
 
 class _Library(JITCodeLibrary):
-    """Machine code; its LLVM module is parsed only if a kernel is compiled that calls it."""
+    """Machine code; its LLVM module is parsed only when a kernel that calls it is compiled."""
 
     _bitcode: bytes | None = None
     _module: Any = None
@@ -188,7 +188,7 @@ class _Library(JITCodeLibrary):
     def opened(
         cls, codegen: Any, name: str, code: bytes, bitcode: bytes, symbols: set[str]
     ) -> _Library:
-        """Code that is ready to be called; `symbols` are those that it defines."""
+        """Create a library of machine code that is ready to call; `symbols` are those defined."""
         library = cls(codegen, name)
         library.enable_object_caching()
         library._set_compiled_object(code)
@@ -209,7 +209,7 @@ class _Library(JITCodeLibrary):
 
 
 def begin_runtime(target: Any) -> None:
-    """Set up numba's runtime, by the machine code of an archive if there is one."""
+    """Set up numba's runtime, from the machine code of an archive if there is one."""
     if rtsys._init:
         return
     compile_runtime = nrtdynmod.compile_nrt_functions
@@ -223,7 +223,7 @@ def begin_runtime(target: Any) -> None:
 
 
 def keep_runtime() -> None:
-    """Let numba keep the machine code of its runtime, before it is set up."""
+    """Make numba keep the machine code of its runtime; call before it is set up."""
 
     def compile_runtime(context: Any) -> Any:
         module, library = nrtdynmod.create_nrt_module(context)
@@ -236,7 +236,7 @@ def keep_runtime() -> None:
 
 
 def write(path: Path, kernels: list[tuple[Any, Any]], runtime: bool) -> None:
-    """Write the archive of kernels, each for some types, that this process has compiled."""
+    """Write an archive of kernels, each for some types, that this process has compiled."""
     from numba.core.serialize import dumps
 
     places: dict[str, tuple[Any, ...]] = {}
@@ -250,7 +250,7 @@ def write(path: Path, kernels: list[tuple[Any, Any]], runtime: bool) -> None:
     for kernel, types in kernels:
         result = kernel.overloads[types]
         _, *rest = result._reduce()
-        rest[5] = ""  # notes of the types, with paths
+        rest[5] = ""  # type annotations, with paths
         function = kernel.py_func
         name = " ".join(entry_of(function, types))
         add(name, stamp_text(function), (_parts(result.library), *rest))
@@ -263,7 +263,7 @@ def write(path: Path, kernels: list[tuple[Any, Any]], runtime: bool) -> None:
 
 
 def _parts(library: Any) -> tuple[str, bytes, bytes, set[str]]:
-    """What `_Library.opened` takes."""
+    """The arguments of `_Library.opened`."""
     name, _, (code, bitcode) = library.serialize_using_object_code()
     module = library._get_module_for_linking()
     known = (*module.functions, *module.global_variables)

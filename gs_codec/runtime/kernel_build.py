@@ -1,7 +1,7 @@
 """Compile the listed kernels and write their archives: ``python -m gs_codec.runtime.kernel_build``.
 
-A process compiles for one processor, and counts the functions that it compiles, by which symbols
-are named; so each tier has a process, and numbers that no other has.
+A process compiles for one processor, and names symbols by counting the functions that it compiles.
+So each tier has its own process and its own range of numbers.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from pathlib import Path
 
 from gs_codec.runtime.kernel_list import Entry, read_list
 
-#: Kernels that are much faster with AVX-512; others are compiled for x86-64-v3 alone.
+#: Kernels that are much faster with AVX-512; all others are compiled only for x86-64-v3.
 _WIDE = {
     ("gs_codec.rendering.traced_view", "_residual"),
     ("gs_codec.guidance.splat_moments", "sum_moments"),
 }
 
-#: No other process counts so many functions.
+#: Start of the numbers, which no other process reaches.
 _FIRST_NUMBER = 10**9
 
 
 def build_all(folder: Path) -> None:
-    """Write all archives into a folder, in processes beside each other.
+    """Write all archives into a folder, in parallel processes.
 
     Raises
     ------
     OSError
-        If one could not be built, or this is another system.
+        If one could not be built, or this system is not supported.
     """
     from gs_codec.runtime.kernel_archive import TIERS, target_of
 
@@ -51,7 +51,7 @@ def build_all(folder: Path) -> None:
 
 
 def build(tier: str, path: Path) -> None:
-    """Compile the kernels of a tier in this process, and write its archive."""
+    """Compile the kernels of a tier in this process, and write the archive."""
     from numba.core.bytecode import FunctionIdentity
 
     from gs_codec.runtime import kernel_archive, kernel_cache

@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: in a folder of this user's, never in the installed package."""
+"""Disk cache of compiled kernels, in a folder of the user, never in the installed package."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from numba.misc.appdirs import AppDirs
 #: Errors of a full disk, a folder without permission, or a truncated cache entry.
 _CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
 
-#: Settings of numba that change machine code and are not in the key of its caches.
+#: Settings of numba that change machine code but are not in the key of its cache.
 _SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 
-#: Source files of the package are named from here, wherever it is installed.
+#: Source files are named relative to the package, wherever it is installed.
 _PACKAGE = Path(__file__).parents[1]
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Where this user's compiled kernels are: NUMBA_CACHE_DIR, or the first safe place.
+    """Folder of the user's compiled kernels: NUMBA_CACHE_DIR, or the first safe folder.
 
-    That is the system's cache folder of the user, or else a folder in that of temporary files. As
-    code is loaded from it, no other user may write there. None if there is no such place.
+    Candidates are the user's cache folder and a folder for temporary files. No other user may write
+    there, because code is loaded from it. None if there is no safe folder.
     """
     if config.CACHE_DIR:
         return Path(config.CACHE_DIR)
@@ -42,7 +42,7 @@ def cache_folder() -> Path | None:
 
 
 def is_writable() -> bool:
-    """Whether kernels can be kept in `cache_folder`."""
+    """Whether kernels can be written to `cache_folder`."""
     folder = cache_folder()
     while folder is not None and not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -52,12 +52,12 @@ def is_writable() -> bool:
 def _places() -> Iterator[Path]:
     home = Path(os.path.expanduser("~/.cache/gs-codec"))
     user = Path(AppDirs("gs-codec", appauthor=False).user_cache_dir)
-    yield user if user.is_absolute() else home  # the current folder is not this user's
+    yield user if user.is_absolute() else home  # the current folder may belong to another user
     yield Path(tempfile.gettempdir(), f"gs-codec-{os.geteuid() if _has_owners() else 'kernels'}")
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder is there, or can be made, that no other user can write to or move."""
+    """Whether a folder exists or can be made that no other user can write to or move."""
     try:
         folder.parent.mkdir(0o700, exist_ok=True)
         if not _has_owners():
@@ -80,10 +80,10 @@ def _has_owners() -> bool:
 
 
 def kept(kind: Any, function: Callable, loading: Callable[[Any], Any]) -> Any:
-    """A cache of one of numba's kinds for a kernel, in `cache_folder`.
+    """Make a cache of one of numba's kinds for a kernel, in `cache_folder`.
 
-    Its failures are ignored: a kernel can be compiled again. `loading` makes of numba's target the
-    one that machine code is loaded with.
+    Its failures are ignored, because a kernel can be compiled again. `loading` wraps numba's target
+    for loading machine code.
     """
     if cache_folder() is None or not os.path.exists(function.__code__.co_filename):
         return NullCache()
@@ -103,7 +103,7 @@ def _kind(kind: Any) -> Any:
             self._function, self._loading = function, loading
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
-            # Only now are all globals of the function's module there.
+            # Only now are all globals of the function's module defined.
             self._cache_file._source_stamp = stamp(self._function)
             with suppress(*_CACHE_ERRORS):
                 return super().load_overload(sig, self._loading(target_context))
@@ -120,7 +120,7 @@ def _kind(kind: Any) -> Any:
 
 
 class _Place:
-    """Where numba's cache keeps the kernels of a source file: by its content."""
+    """Location of the cached kernels of a source file, derived from its content."""
 
     def __init__(self, function: Callable, source: str) -> None:
         self._line = function.__code__.co_firstlineno
@@ -135,14 +135,14 @@ class _Place:
         self._path.mkdir(0o755, parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> None:
-        """That of a kernel is `stamp`."""
+        """Not used; a kernel has its own `stamp`."""
 
     def get_disambiguator(self) -> str:
         return str(self._line)
 
 
 def place_name(source: str) -> str:
-    """Name of the folder of a source file's kernels."""
+    """Name of the folder for a source file's kernels."""
     return f"{Path(source).stem}-{source_digest(source)[1][:16]}"
 
 
@@ -153,7 +153,7 @@ def settings() -> tuple[str, ...]:
 
 @functools.cache
 def source_digest(path: str) -> tuple[str, str]:
-    """The name of a source file, in the package from its folder on, and a digest of its content."""
+    """The name of a source file, relative to the package, and a digest of its content."""
     source = Path(path)
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
     inside = source.is_relative_to(_PACKAGE)
@@ -161,9 +161,9 @@ def source_digest(path: str) -> tuple[str, str]:
 
 
 def stamp(function: Callable) -> list[Any]:
-    """What a kernel is compiled from; numba's own stamp is that of its source file alone.
+    """Everything a kernel is compiled from; numba's own stamp covers only its source file.
 
-    These are the source files of all kernels that it calls, and the values of globals of all.
+    These are the source files of all kernels that it calls, and the values of their globals.
     """
     found: dict[str, Any] = {}
 

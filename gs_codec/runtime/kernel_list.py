@@ -1,7 +1,7 @@
-"""The list of kernels, and of the types that they are compiled for: `kernels.txt`, beside this.
+"""The list of kernels and the types to compile them for: `kernels.txt`.
 
-A line has a kernel's module and name, and the types of its arguments: ``float32[2C]`` is an array
-of two dimensions in C's order.
+A line has a kernel's module and name, and the types of its arguments; ``float32[2C]`` is a
+two-dimensional array in C order.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Entry(NamedTuple):
     types: str
 
     def kernel(self) -> Any:
-        """The kernel itself; its module is imported."""
+        """The kernel itself; imports its module."""
         return getattr(import_module(self.module), self.name)
 
     def signature(self) -> tuple[Any, ...]:
-        """The types of numba."""
+        """The types as numba types."""
         return tuple(map(_type_of, self.types.split()))
 
 
@@ -40,7 +40,7 @@ def entry_of(function: Any, types: Iterable[Any]) -> Entry:
 
 
 def read_list(path: Path = LIST) -> list[Entry]:
-    """All lines."""
+    """Read all lines."""
     return [Entry(*line.split(" ", 2)) for line in path.read_text().splitlines()]
 
 

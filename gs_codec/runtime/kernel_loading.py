@@ -1,4 +1,4 @@
-"""What happens before a kernel is compiled: the archive, the disk cache, and other processes."""
+"""Steps before a kernel is compiled: archive, disk cache, lock against other processes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +12,8 @@ from gs_codec.runtime import compiling, kernel_archive
 from gs_codec.runtime.atomic import alone
 from gs_codec.runtime.kernel_cache import kept
 
-#: How long to wait for a process that compiles kernels of the same source file; it may be stopped.
+#: Maximum seconds to wait for a process that compiles kernels of the same source file; it may be
+#: suspended.
 _PATIENCE = 60.0
 
 #: Source files whose kernels this process is compiling.
@@ -20,20 +21,20 @@ _compiling: set[str] = set()
 
 
 def load_first(dispatcher: Any) -> None:
-    """Let numba's dispatcher of a kernel load what is compiled already."""
+    """Let numba's dispatcher of a kernel first load compiled code."""
     function = dispatcher.py_func
     dispatcher._cache = _Ready(function)
     dispatcher.compile = _alone(dispatcher.compile, function.__code__.co_filename)
 
 
 class _Ready:
-    """Where a dispatcher looks before it compiles: the package's archive, then the disk cache."""
+    """Sources of compiled code for a dispatcher: the package's archive, then the disk cache."""
 
     def __init__(self, function: Callable) -> None:
         self._function, self._kept = function, kept(FunctionCache, function, _Loading)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """A kernel for the types of a signature; None if it has to be compiled."""
+        """Load a kernel for the types of a signature; None if it must be compiled."""
         types, _ = normalize_signature(signature)
         found = kernel_archive.load(self._function, types, _Loading(target))
         if found is None:
@@ -47,7 +48,7 @@ class _Ready:
 
 
 def _alone(compile_one: Callable, source: str) -> Callable:
-    """Compile while no other process compiles a kernel of this source file: it may be the same."""
+    """Compile while no other process compiles a kernel of this source file."""
 
     def compile_alone(signature: Any) -> Any:
         with global_compiler_lock, _locked(source), compiling.watched():
@@ -58,7 +59,7 @@ def _alone(compile_one: Callable, source: str) -> Callable:
 
 @contextmanager
 def _locked(source: str) -> Iterator[None]:
-    """Keep a source file locked, unless it is, or there are no locks."""
+    """Hold the lock of a source file, unless this process already does, or there are no locks."""
     if source in _compiling:
         yield
         return
@@ -71,10 +72,10 @@ def _locked(source: str) -> Iterator[None]:
 
 
 class _Loading:
-    """numba's target for loading a kernel from the cache, with half the start-up time.
+    """numba's target for loading a kernel from the cache, in half the start-up time.
 
-    Before numba looks into the cache, it prepares everything that the compiler needs: 0.4 seconds,
-    with the linear algebra of scipy. Loaded machine code needs only numba's runtime. If the kernel
+    Before reading the cache, numba prepares everything for the compiler, including scipy's linear
+    algebra, which takes 0.4 seconds. Loaded machine code needs only numba's runtime. If the kernel
     must be compiled after all, the compiler calls the target's own `refresh`.
     """
 

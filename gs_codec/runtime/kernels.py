@@ -10,15 +10,15 @@ _making = Lock()
 
 
 class Kernel:
-    """A function whose dispatcher numba makes when it is first called, or called by a kernel.
+    """A function whose numba dispatcher is made on the first call, or when a kernel calls it.
 
-    Commands import a hundred and fifty of them and call a few; numba loads with the first.
+    Commands import 150 of them and call a few; numba is loaded with the first.
 
     Parameters
     ----------
     function : callable
     make : callable
-        Makes numba's dispatcher of it; all other attributes are the dispatcher's.
+        Makes numba's dispatcher; all other attributes are forwarded to it.
     """
 
     def __init__(self, function: Callable, make: Callable[[Callable], Any]) -> None:
@@ -29,7 +29,7 @@ class Kernel:
 
     @property
     def dispatcher(self) -> Any:
-        """What numba made of the function."""
+        """The function's numba dispatcher."""
         if self._made is None:
             with _making:
                 if self._made is None:
@@ -37,7 +37,7 @@ class Kernel:
         return self._made
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the machine code for the types of the arguments; load or compile it before."""
+        """Run the machine code for the types of the arguments, loading or compiling it first."""
         return self.dispatcher(*arguments)
 
     def __getattr__(self, name: str) -> Any:
@@ -47,9 +47,9 @@ class Kernel:
 def kernel(function: Callable) -> Any:
     """Compile a kernel. No fastmath: results must not depend on the machine.
 
-    To compile takes seconds, so arrays are copied into slices in loops, where an assignment would
-    compile the text of an error as well; and what begins at a constant and goes to other kernels
-    begins at ``np.int64(0)``, as these would be compiled for the constant, too.
+    Compiling takes seconds, so copy arrays into slices in loops: slice assignment also compiles an
+    error message. Initialise values that are passed to other kernels with ``np.int64(0)``: a
+    literal constant would compile those once more.
     """
     return Kernel(function, _cached)
 
@@ -71,6 +71,6 @@ def _cached(function: Callable) -> Any:
     from gs_codec.runtime.kernel_loading import load_first
 
     compiled = numba.njit(nogil=True, error_model="numpy")(function)
-    if compiled is not function:  # or numba is disabled (NUMBA_DISABLE_JIT)
+    if compiled is not function:  # or if numba is disabled (NUMBA_DISABLE_JIT)
         load_first(compiled)
     return compiled

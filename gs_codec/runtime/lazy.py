@@ -1,4 +1,4 @@
-"""Names and modules that are loaded when they are first used."""
+"""Load names and modules on first use."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 
 from gs_codec.errors import MissingTool
 
-#: Not from `typing`: it takes long to load, and Ctrl-C before `start` shows a traceback.
+#: Not from `typing`, which loads slowly: Ctrl-C before `start` would show a traceback.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -23,9 +23,9 @@ def lazy_names(
     ----------
     package : str
     public : mapping of str to sequence of str
-        Modules, and names that they have for everybody.
+        Modules and their public names.
     packages : sequence of str
-        Packages in it that are found by their names, too.
+        Subpackages that can also be accessed by name.
     """
     homes = {name: module for module, names in public.items() for name in names}
 
@@ -40,12 +40,12 @@ def lazy_names(
 
 
 def from_extra(module: str, extra: str, what: str) -> ModuleType:
-    """A module of ours that needs packages of an extra.
+    """Import a module of ours that needs packages of an extra.
 
     Raises
     ------
     MissingTool
-        If they are not installed; `what` says who needs them.
+        If they are not installed; `what` names the feature that needs them.
     """
     try:
         return import_module(module)
@@ -54,7 +54,7 @@ def from_extra(module: str, extra: str, what: str) -> ModuleType:
 
 
 def pip_install(extra: str) -> str:
-    """The command that installs what an extra is for, beside the distribution that is there."""
+    """The command that installs the packages of an extra, for the installed distribution."""
     from importlib.metadata import PackageNotFoundError, version
 
     name = "gs-codec-core"
@@ -66,19 +66,19 @@ def pip_install(extra: str) -> str:
 
 
 def needed(module: str, what: str) -> ModuleType:
-    """A module of Open3D, scipy or matplotlib, which gs-codec-core goes without.
+    """Import a module of Open3D, scipy or matplotlib, which gs-codec-core does not require.
 
     Raises
     ------
     MissingTool
-        If the package is not installed; `what` says who needs it.
+        If the package is not installed; `what` names the feature that needs it.
     """
     check_installed(module.partition(".")[0], what)
     return import_module(module)
 
 
 def check_installed(package: str, what: str) -> None:
-    """Refuse a call that needs a package which is not installed, as `needed` does."""
+    """Reject a call that needs a package which is not installed, like `needed`."""
     from importlib.util import find_spec
 
     if find_spec(package) is None:

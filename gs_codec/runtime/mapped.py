@@ -1,4 +1,4 @@
-"""Read parts of files, and put the names of files into errors."""
+"""Read parts of files, and put file names into errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gs_codec.runtime.wording import counted
 
 
 class FileBytes:
-    """The bytes of an open file; a part is read when it is asked for, and belongs to the caller.
+    """The bytes of an open file; each part is read on access into new memory.
 
     Input files are not memory-mapped: if another program truncates a mapped file, the next access
     ends the process.
@@ -24,9 +24,9 @@ class FileBytes:
     Parameters
     ----------
     path : str or Path
-        Named in errors.
+        Name in errors.
     number : int
-        Number of the open file.
+        Descriptor of the open file.
     """
 
     def __init__(self, path: str | Path, number: int) -> None:
@@ -48,7 +48,7 @@ class FileBytes:
         return data.data.toreadonly()
 
     def window(self, start: int, size: int) -> FileBytes:
-        """The same file, of which only `size` bytes from `start` on are seen."""
+        """A view of the same file, limited to `size` bytes from `start`."""
         window = copy(self)
         window._first, window._size = self._first + start, size
         return window
@@ -57,7 +57,7 @@ class FileBytes:
         return bytes(self[:])
 
     def read_into(self, data: NDArray[np.uint8], start: int) -> None:
-        """Fill `data` with the bytes from `start` on; `InvalidInput` if they are gone."""
+        """Fill `data` with the bytes from `start` on; `InvalidInput` if they are missing."""
         done, view = 0, data.data
         while done < len(view):
             try:
@@ -70,19 +70,19 @@ class FileBytes:
             done += read
 
     def check_unchanged(self) -> None:
-        """`InvalidInput` if the file was written to since it was opened."""
+        """Raise `InvalidInput` if the file was modified since it was opened."""
         if self._look() != self._stamp:
             raise self._error("was changed while it was read")
 
     def _error(self, text: str) -> InvalidInput:
         error = InvalidInput(f"{self._path}: {text}")
-        error.of_another_file = True  # names its file already
+        error.of_another_file = True  # already names its file
         return error
 
 
 @contextmanager
 def opened(path: str | Path) -> Iterator[FileBytes]:
-    """The bytes of a file.
+    """Open a file and yield its bytes.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def opened(path: str | Path) -> Iterator[FileBytes]:
 
 @contextmanager
 def other_files() -> Iterator[None]:
-    """Mark errors about other files, which already name them, so that `located` skips them."""
+    """Mark errors in the block as about other files, which they already name; see `located`."""
     try:
         yield
     except GsCodecError as error:
@@ -114,7 +114,7 @@ def other_files() -> Iterator[None]:
 
 @contextmanager
 def located(path: str | Path) -> Iterator[None]:
-    """Put the name of the file before errors within the block, except errors about other files."""
+    """Prefix errors in the block with the file's name, except errors about other files."""
     try:
         yield
     except GsCodecError as error:

@@ -1,4 +1,4 @@
-"""Memory that is available."""
+"""Available memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def available_bytes() -> int | None:
-    """Memory that this machine and its control groups have free now, bytes; None if unknown."""
+    """Free memory of this machine and its control groups in bytes; None if unknown."""
     known = [free for free in (_of_machine(), *_of_groups()) if free is not None]
     return min(known, default=None)
 

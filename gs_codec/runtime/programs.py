@@ -1,7 +1,7 @@
-"""Run external programs, which are not trusted.
+"""Run untrusted external programs.
 
-They may abort, crash or run forever on some input. Each run has its own process group and limits,
-and every failure is a `ToolFailed`.
+They may abort, crash or hang on some inputs. Each run has its own process group and limits, and
+every failure is a `ToolFailed`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shif
 
 _LOG_BYTES = 4096
 
-#: Least bytes that a program may write to a file, so that its log, which is one, has room.
+#: Minimum limit on the bytes of a file, so that the program's log has room.
 _FILE = 1 << 20
 
 
@@ -36,7 +36,7 @@ class Limits:
         Wall time; generous, because other programs may keep the processors busy.
     processor_seconds : int
     memory_bytes : int or None
-        Address space; None for programs such as Node, which reserve more than the memory there is.
+        Address space; None for programs such as Node, which reserve more than the physical memory.
     """
 
     seconds: float = 600.0
@@ -45,7 +45,7 @@ class Limits:
 
 
 def first_line(command: Sequence[str], limits: Limits) -> str:
-    """First line that a program prints, as printable ASCII; it may run for at most a minute.
+    """First line that a program prints, as printable ASCII; it may run for a minute at most.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def run_on_files(
     limits: Limits,
     most: int,
 ) -> bytes:
-    """Run a program in a folder with the files `inputs`; return the bytes of its file `output`.
+    """Run a program in a folder with the files `inputs`; return the bytes of file `output`.
 
     Raises
     ------
@@ -94,8 +94,8 @@ def plain_text(data: bytes | memoryview) -> str:
 def _run(
     command: Sequence[str], folder: str, limits: Limits, most: int
 ) -> tuple[bytes, bytes, int]:
-    """Run a command; return the start and end of what it prints, and its status (-N: signal N)."""
-    import resource  # not on Windows, where the rest of gs_codec runs
+    """Run a command; return the start and end of its output, and its status (-N: signal N)."""
+    import resource  # not available on Windows
 
     # In the units of the shell: seconds, KiB, 512 bytes.
     numbers = [

@@ -77,7 +77,7 @@ def redact_process() -> None:
 
 
 class _Redacting(logging.Formatter):
-    """Removes secrets from the output of another formatter, tracebacks included."""
+    """Removes secrets from the output of another formatter, including tracebacks."""
 
     def __init__(self, inner: logging.Formatter | None) -> None:
         super().__init__()
@@ -99,7 +99,7 @@ def _write_traceback(
 
 
 def _links(url: str) -> list[str]:
-    """The URLs of a chain; a web URL is always the last, because its query may hold ``::``."""
+    """The URLs of a chain; a web URL is always the last, because its query may contain ``::``."""
     web = re.search("(?i)(?:^|::)https?://", url)
     if web is None:
         return _CHAIN.split(url)

@@ -1,6 +1,6 @@
 """Threads for kernels that release the GIL; results never depend on their number.
 
-`using_threads` sets the number once, for everything that is called in its block.
+`using_threads` sets the number for everything that is called in its block.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 
 _SET: ContextVar[int | None] = ContextVar("threads", default=None)
 
-#: Fewer Gaussians or splats are done sooner by one thread: several wait for each other.
+#: Below this number of Gaussians or splats, one thread is faster than several.
 _FEW = 1 << 12
 
 
@@ -28,7 +28,7 @@ _FEW = 1 << 12
 def using_threads(number: int | None, count: int = _FEW) -> Iterator[None]:
     """Use `number` threads in everything that the block calls, on `count` Gaussians or splats.
 
-    None changes nothing, but one thread is then used for few of them.
+    None keeps the current number, except that few Gaussians use one thread.
     """
     token = _SET.set(number or _SET.get() or (1 if count < _FEW else None))
     try:
@@ -38,12 +38,12 @@ def using_threads(number: int | None, count: int = _FEW) -> Iterator[None]:
 
 
 def available_threads() -> int:
-    """Threads to use: the number set by `using_threads`, else one for each processor."""
+    """Number of threads: the number set by `using_threads`, else one per processor."""
     return _SET.get() or processors()
 
 
 def processors() -> int:
-    """Processors this process may run on."""
+    """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -57,9 +57,9 @@ def run_all(
 ) -> list[Result]:
     """Map `function` over `items` in threads, in order; `advance` is called after each.
 
-    An item is taken when a thread is free, so a generator of items needs little memory. Threads
-    see the caller's context variables. Within an item, `run_all` uses one thread, which is faster
-    than several threads for each item; if there are fewer items than threads, they share these.
+    An item is taken when a thread is free, so a generator of items needs little memory. Threads see
+    the caller's context variables. Nested calls of `run_all` use one thread, which is faster than
+    several threads per item; if there are fewer items than threads, they share the threads.
     """
     number = threads or available_threads()
     results: list[Result] = []
@@ -106,9 +106,9 @@ def run_all(
 
 
 def work_behind(function: Callable[[int, Item], None], items: Iterable[Item]) -> None:
-    """Call `function` with the number of each item and the item, in order, in another thread.
+    """Call ``function(number, item)`` for each item, in order, in another thread.
 
-    Meanwhile the next item is made. With one thread in use, all is done in the caller's.
+    Meanwhile the next item is made. With a single thread, everything runs in the caller's.
     """
     if available_threads() == 1:
         for number, item in enumerate(items):

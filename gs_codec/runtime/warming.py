@@ -1,4 +1,4 @@
-"""Compile in advance all kernels that tests and documents use, in several processes."""
+"""Compile all kernels that tests and documents use in advance, in several processes."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from gs_codec.runtime.threads import available_threads
 
 @dataclass(frozen=True)
 class WarmReport:
-    """What `warm` has done.
+    """Result of `warm`.
 
     Attributes
     ----------
     kernels : int
-        Listed kernels, once for each combination of types.
+        Number of listed kernels, counted once for each combination of types.
     compiled : int
-        How many were not there.
+        Number of kernels that had to be compiled.
     folder : Path
-        Where they are kept.
+        Folder of the compiled kernels.
     """
 
     kernels: int
@@ -35,12 +35,12 @@ class WarmReport:
 
 
 def warm(progress: Callable[[str, int, int], None]) -> WarmReport:
-    """Compile kernels that neither came with the package nor are kept.
+    """Compile kernels that are neither in the package nor in the cache.
 
     Raises
     ------
     InvalidInput
-        If no folder can keep them.
+        If no folder can store them.
     """
     from gs_codec.runtime.kernel_cache import cache_folder, is_writable
 
@@ -58,7 +58,7 @@ def warm(progress: Callable[[str, int, int], None]) -> WarmReport:
     processes = min(available_threads(), len(modules))
     pool = ProcessPoolExecutor(processes, get_context("spawn"), _let_be)
     try:
-        # Those with most types first: they take longest.
+        # Those with the most types first, because they take longest.
         ordered = sorted(modules.values(), key=lambda each: -sum(len(e.types) for e in each))
         for future in as_completed([pool.submit(_compile, each) for each in ordered]):
             done, compiled = done + future.result()[0], compiled + future.result()[1]
@@ -69,12 +69,12 @@ def warm(progress: Callable[[str, int, int], None]) -> WarmReport:
 
 
 def _let_be() -> None:
-    """Leave Ctrl-C to the process that started this one."""
+    """Leave Ctrl-C to the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _compile(entries: list[Entry]) -> tuple[int, int]:
-    """Load or compile kernels; their number, and how many this process had to compile."""
+    """Load or compile kernels; return their number, and how many were compiled."""
     from gs_codec.runtime import compiling
 
     before = compiling.count()

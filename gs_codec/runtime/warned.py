@@ -1,4 +1,4 @@
-"""Warnings of Python and of other packages as log messages of one line."""
+"""Log warnings of Python and of other packages as single lines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ log = logging.getLogger(__name__)
 
 
 def log_warnings() -> None:
-    """From now on, log what Python, NumPy or another package warns of in this process."""
+    """From now on, log the warnings of Python, NumPy and other packages in this process."""
     warnings.showwarning = _log
 
 
@@ -23,6 +23,6 @@ def _log(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """See `warnings.showwarning`."""
+    """Replacement for `warnings.showwarning`."""
     text = " ".join(str(message).split())
     log.warning("%s (%s, line %d)", text, Path(filename).name, lineno)

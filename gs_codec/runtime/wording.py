@@ -1,11 +1,11 @@
-"""Words of messages: numbers with nouns and units, arguments of Python or of a shell."""
+"""Wording of messages: numbers with nouns and units, arguments of Python or of a shell."""
 
 from __future__ import annotations
 
 import re
 from typing import SupportsIndex
 
-#: Arguments that messages of the library name, in Python: `overwrite=True`, `extra="drop"`.
+#: Python arguments that messages of the library name: `overwrite=True`, `extra="drop"`.
 _ARGUMENT = re.compile(r'\b(overwrite|nonfinite|extra|cameras)=(?:True|"(\w+)")')
 _ACTION = re.compile(r'\bAction\("([a-z-]+)"(?:, "([^"]*)")?\)')
 
@@ -30,7 +30,7 @@ def size_text(size: float) -> str:
 
 
 def as_typed(text: str) -> str:
-    """A message of the library with Python's arguments as options of the commands."""
+    """Replace Python arguments in a message of the library by options of the commands."""
     return _ACTION.sub(_option, _ARGUMENT.sub(_option, text))
 
 

@@ -17,8 +17,8 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 import pytest
-from browser import Job, in_browser, open_pages
 from scenes import random_scene
+from web_pages import Job, in_browser, open_pages
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config

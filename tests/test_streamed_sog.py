@@ -15,9 +15,9 @@ from typing import Any
 import foreign
 import numpy as np
 import pytest
-from browser import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 from other_programs import PROGRAMS, check, stored_numbers
 from scenes import assert_same_floats, random_scene
+from web_pages import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 
 from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.coding.morton import spatial_order

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_work import OneProcess
+from batch_work import in_this_process
 from command_line import Folder, assert_one_error_line
 from scenes import random_scene
 
@@ -31,7 +31,7 @@ HOSTILE = "a\x1b]0;b\x07\x1b[2J\x9b1m\u202ec\u2066\u200f\u2028d\n\re"
 def folder(tmp_path, monkeypatch, capsys) -> Folder:
     """A scene of a hostile name, and commands that run in this process."""
     write_scene(tmp_path / f"{HOSTILE}.ply", random_scene(60, 0), Config())
-    monkeypatch.setattr(run, "Pool", OneProcess)
+    monkeypatch.setattr(run, "Pool", in_this_process)
     monkeypatch.chdir(tmp_path)
     return Folder(tmp_path, monkeypatch, capsys)
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import Job, decibels, drawn, in_browser, open_pages, seen
-from browser import serving as serving_without_ranges
 from damage import flipped
 from level_files import city
+from web_pages import Job, decibels, drawn, in_browser, open_pages, seen
+from web_pages import serving as serving_without_ranges
 
 from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.camera_files import write_cameras

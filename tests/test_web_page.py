@@ -15,7 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import (
+from damage import flipped
+from javascript import GOLDEN, digest
+from scenes import random_scene, thorough
+from web_pages import (
     HEIGHT,
     NODE,
     ROOT,
@@ -29,9 +32,6 @@ from browser import (
     seen,
     serving,
 )
-from damage import flipped
-from javascript import GOLDEN, digest
-from scenes import random_scene, thorough
 
 from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.camera_files import write_cameras

@@ -1,4 +1,4 @@
-"""Whether two scenes look alike: covariances and colours, not floats."""
+"""Compare two scenes by appearance: covariances and colours, not floats."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def matrix_of(turn: np.ndarray, factor: float = 1.0, shift: object = 0.0) -> np.
 
 
 def some_turn(seed: int, mirrored: bool = False) -> np.ndarray:
-    """An orthogonal matrix, by another way than the one that is tested."""
+    """A random orthogonal matrix, computed differently from the code under test."""
     turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     return turn if (np.linalg.det(turn) < 0) == mirrored else -turn
 
@@ -55,7 +55,7 @@ def assert_seen_alike(scene: Scene, turned: Scene, turn: np.ndarray) -> None:
 
 
 def assert_held_exactly(back: Scene, scene: Scene) -> None:
-    """Equal, but for what is rounded once in linear form, and the length of quaternions."""
+    """Equal, except for the rounding of values stored in linear form, and quaternion norms."""
     for group in ("positions", "f_dc", "f_rest"):
         np.testing.assert_array_equal(getattr(back, group), getattr(scene, group))
     np.testing.assert_allclose(back.log_scale, scene.log_scale, atol=1e-6)

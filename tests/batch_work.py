@@ -1,4 +1,4 @@
-"""What workers of the batch tests do instead of their work; found by name in their processes."""
+"""Replacements for the work of batch workers, found by name in their processes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ FOREVER = 3600.0
 
 
 def lines(report: str | Path) -> int:
-    """Whole lines of a report, which may not be there yet."""
+    """Number of complete lines of a report, which may not exist yet."""
     path = Path(report)
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
 def stuck_in_fsync(options: Options, task: Task, place: Place) -> Record:
-    """Never end writing an output once $REPORT has $HOLD lines, and create $HELD."""
+    """Never finish writing an output once $REPORT has $HOLD lines; create $HELD."""
 
     def stick(descriptor: int) -> None:
         Path(os.environ["HELD"]).touch()
@@ -38,13 +38,13 @@ def stuck_in_fsync(options: Options, task: Task, place: Place) -> Record:
 
     if lines(os.environ["REPORT"]) >= int(os.environ["HOLD"]):
         os.fsync = stick
-        # Where files can do without a name until they are whole, nothing would be left of them.
+        # With unnamed temporary files, nothing would be left of unfinished outputs.
         os.__dict__.pop("O_TMPFILE", None)
     return encode_one(options, task, place)
 
 
 def killed(options: Options, task: Task, place: Place) -> Record:
-    """As if the system had killed it: always at `twice.ply`, at `once.ply` the first time."""
+    """Die as if killed by the system: always at `twice.ply`, at `once.ply` the first time."""
     mark = Path(task.source.path).with_suffix(".mark")
     if task.name == "twice.ply" or (task.name == "once.ply" and not mark.exists()):
         mark.touch()
@@ -56,12 +56,12 @@ def killed(options: Options, task: Task, place: Place) -> Record:
 def in_this_process(
     jobs: int, limit: int | None, folder: str, watcher: Listener
 ) -> Iterator[Serial]:
-    """In place of `Pool`."""
+    """Replaces `Pool`."""
     yield Serial(folder, watcher)
 
 
 def waiting(options: Options, task: Task, place: Place) -> Record:
-    """Create $HELD, and go on once $GO is there."""
+    """Create $HELD, and continue once $GO exists."""
     Path(os.environ["HELD"]).touch()
     while not Path(os.environ["GO"]).exists():
         time.sleep(0.02)
@@ -69,7 +69,7 @@ def waiting(options: Options, task: Task, place: Place) -> Record:
 
 
 def alone(options: Options, task: Task, place: Place) -> Record:
-    """Start no thread."""
+    """Fail if a thread is started."""
 
     def refuse(thread: threading.Thread) -> None:
         raise GsCodecError(f"{thread.name} started")
@@ -79,7 +79,7 @@ def alone(options: Options, task: Task, place: Place) -> Record:
 
 
 def held(options: Options, task: Task, place: Place) -> Record:
-    """Take a task of a Dask worker, and say so in $HELD once $REPORT has $HOLD lines; no more."""
+    """Hold a task of a Dask worker once $REPORT has $HOLD lines, and create $HELD."""
     while lines(os.environ["REPORT"]) < int(os.environ["HOLD"]):
         time.sleep(0.05)
     Path(os.environ["HELD"]).touch()
@@ -88,7 +88,7 @@ def held(options: Options, task: Task, place: Place) -> Record:
 
 
 def main() -> None:
-    """The command line, whose workers do what $WORK says, and which hears Ctrl-C."""
+    """The command line, with workers that run $WORK, and with Ctrl-C enabled."""
     from gs_codec.cli.main import main as command
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -98,12 +98,12 @@ def main() -> None:
 
 
 def dask_setup(worker: Any) -> None:
-    """What ``dask worker --preload`` calls."""
+    """Called by ``dask worker --preload``."""
     work.encode_one = held
 
 
 if __name__ == "__main__":
-    # Workers find the functions above by the name of this module, which is not __main__.
+    # Workers find the functions above by the name of this module, which is not __main__ there.
     from batch_work import main
 
     main()

@@ -1,4 +1,4 @@
-"""Errors of decoded values beside the bounds that the steps of a file imply."""
+"""Compare errors of decoded values with the bounds implied by a file's step sizes."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.config import LOSSLESS, PROFILES, Config
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
-#: Name, error and bound of values; all ``(n,)``.
+#: Name, errors and bounds of values; all ``(n,)``.
 Errors = Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]
 
-#: SH-AC hand their errors on to neighbours, a step of it at most.
+#: SH-AC pass at most one step of error on to neighbours.
 _DIFFUSED = 1.5
 
 
 def error_over_bound(
     scene: Scene, decoded: Scene, data: bytes, config: Config
 ) -> tuple[float, str]:
-    """Largest error over its bound, rounding to float32 allowed for, and of what.
+    """Largest ratio of an error to its bound (allowing for float32 rounding), and its name.
 
-    Values beyond what the profile keeps count from the edge they were moved to, far Gaussians that
-    it draws nearer from where they are drawn. The scene was encoded without views; of `lossless`, a
-    bit that differs is an infinite error.
+    Errors of clamped values are measured from the clamped value, those of far Gaussians from their
+    new position. The scene was encoded camera-free. With `lossless`, any differing bit is an
+    infinite error.
     """
     if config.profile != LOSSLESS:
         scene, _ = identity_for_zero(finite_ends(scene)[0])
@@ -67,7 +67,7 @@ def _of_bits(scene: Scene, decoded: Scene, config: Config) -> Errors:
 
 
 def _ulp(values: NDArray) -> NDArray[np.float64]:
-    """What rounding to float32 may do to values of this size."""
+    """Maximum float32 rounding error of values of this size."""
     return np.spacing(np.abs(values).astype(np.float32)).astype(np.float64)
 
 
@@ -98,7 +98,7 @@ def _of_lattices(scene: Scene, decoded: Scene, config: Config) -> Errors:
 
 
 def _of_places(ordered: Scene, decoded: Scene, arranged: Arranged, shape: Shape) -> Errors:
-    """Positions are in the middle of cells as wide as the rule says, or narrower."""
+    """Positions are at the centres of cells as wide as the rule says, or narrower."""
     grid = arranged.lattice.grid
     rule = arranged.lattice.rules["position"]
     dropped = rule.shifts(arranged.classes[0], 3, shape.opacity, shape.scales)
@@ -125,7 +125,7 @@ def _of_shapes(
         values = np.clip(values.astype(np.float64), -LARGEST, LARGEST)
         yield name, np.abs(values - result), 0.5 * steps + 2.0**-20 + _ulp(result)
     rot = nearest_quaternions(quantiser.vectors, decoded.rot).astype(np.float64)
-    # Round Gaussians are not turned.
+    # Spherical Gaussians get no rotation.
     rounding = to_float(units["scaling"] << quantiser.shifts["scale_0"])
     turned = quantiser.scales[0] - quantiser.scales[2] > 0.5 * rounding
     apart = np.sqrt(np.sum((rot - decoded.rot) ** 2, axis=0))
@@ -133,10 +133,10 @@ def _of_shapes(
 
 
 def _of_turns(quantiser: ShapeQuantiser) -> np.ndarray:
-    """How far apart the ends of a quaternion may be that was rounded in three steps.
+    """Maximum error of a quaternion that was quantised in three steps.
 
-    A turn of sine s is rounded by at most half a step d, or not coded; its angle, half of the
-    rotation's, by d / 2 over the least cosine.
+    A turn of sine s is rounded by at most half a step d, or not coded. Its angle, half of the
+    rotation's, changes by at most d / 2 divided by the smallest cosine.
     """
     unit, total = quantiser.lattice.units["rotation"], 0.0
     rolls, *tilts = (

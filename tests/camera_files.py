@@ -1,4 +1,4 @@
-"""Camera files of several programs, written by hand: good ones and bad ones."""
+"""Handwritten camera files of several programs, valid and invalid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.errors import InvalidInput
 
-#: COLMAP's camera models, by their numbers.
+#: COLMAP's camera models by number.
 MODELS = {
     "SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4,
     "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6, "FOV": 7, "SIMPLE_RADIAL_FISHEYE": 8,
@@ -26,10 +26,11 @@ MODELS = {
 #: A camera at (1, 2, 3) that looks along x, with z up: right is -y, down is -z.
 RIGHT_DOWN_FORWARD = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
 
-#: Where that camera is.
+#: Position of that camera.
 POSITION = [1.0, 2.0, 3.0]
 
-#: The same, world to camera: R has the rows right, down and forward, and t is -R (1, 2, 3).
+#: World-to-camera quaternion of that camera: R has the rows right, down and forward, and t is -R
+#: (1, 2, 3).
 QUATERNION = (0.5, 0.5, -0.5, 0.5)
 
 #: See `QUATERNION`.
@@ -38,19 +39,19 @@ TRANSLATION = (2.0, 3.0, -1.0)
 #: A number that overflows every float.
 HUGE = int("9" * 4000)
 
-#: 4 before that camera, 1 to its right and 2 above it.
+#: A point 4 in front of that camera, 1 to its right and 2 above it.
 POINT = (5.0, 1.0, 5.0)
 
-#: The same camera, camera to world: the columns are right (-y), up (z) and back (-x).
+#: Camera-to-world matrix of that camera: the columns are right (-y), up (z) and back (-x).
 POSE = [[0, 0, -1, 1], [-1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1]]
 
-#: The same, row by row.
+#: `POSE`, row by row.
 MATRIX = [value for row in POSE for value in row]
 
-#: Degrees of 150 pixels at a distance of 200.
+#: Field of view of 150 pixels at a distance of 200, in degrees.
 FOV = math.degrees(2 * math.atan(0.75))
 
-#: What all frames of a transforms.json share.
+#: Fields shared by all frames of a transforms.json.
 SHARED = {"fl_x": 100.0, "fl_y": 200.0, "cx": 190.0, "cy": 160.0, "w": 400, "h": 300}
 
 
@@ -168,7 +169,7 @@ def assert_valid(cameras: list[Camera]) -> None:
 
 
 def assert_refused(given: Path, message: str = ".", told: Path | None = None) -> None:
-    """Refused in one short line that begins with the path told, or else with the one given."""
+    """Reading fails in one short line that begins with the path `told`, else with `given`."""
     with pytest.raises(InvalidInput, match=message) as caught:
         read_cameras(given)
     text = str(caught.value)
@@ -198,7 +199,7 @@ def random_model(seed: int) -> tuple[list[Image], list[Intrinsics]]:
 
 
 def read_damaged(path: Path) -> bool:
-    """Whether a damaged file was read; anything but valid cameras or a refusal is an error."""
+    """Whether a damaged file was read; any result but valid cameras or a refusal fails."""
     try:
         cameras = read_cameras(path)
     except InvalidInput as error:
@@ -211,7 +212,7 @@ def read_damaged(path: Path) -> bool:
 
 
 def damaged(good: bytes, rng: np.random.Generator) -> bytes:
-    """Some bytes changed; at times, a part lost or repeated."""
+    """Change some bytes; sometimes remove or repeat a part."""
     data = bytearray(good)
     for position in rng.integers(0, len(data), rng.integers(1, 6)):
         data[position] = rng.integers(0, 256)
@@ -251,7 +252,7 @@ def pose(**changes: Any) -> dict[str, Any]:
 
 
 def project(*poses: Any, **changes: Any) -> dict[str, Any]:
-    """The document.json of a project of SuperSplat."""
+    """The document.json of a SuperSplat project."""
     named = [{"name": f"camera_{i}", "frame": 30 * i} | each for i, each in enumerate(poses)]
     sets = [{"name": "set0", "poses": named}]
     return {"version": 0, "camera": {"fov": 75}, "poseSets": sets, "splats": []} | changes

@@ -1,4 +1,4 @@
-"""The commands, run in this process or in another, and what they print."""
+"""Run the commands in this process or another, and capture their output."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ class Folder:
         return run_here(self.monkeypatch, self.capsys, "gs-codec", *arguments)
 
     def contents(self) -> dict[str, bytes | None]:
-        """Every file with its bytes, hidden ones and folders too."""
+        """All files with their bytes, including hidden ones and folders."""
         return {
             str(path.relative_to(self.path)): path.read_bytes() if path.is_file() else None
             for path in self.path.rglob("*")
         }
 
     def refuse(self, *arguments: str) -> str:
-        """Run what must fail; check the one line, the status and the folder; return the line."""
+        """Run a command that must fail; check its line, status and the folder; return the line."""
         before = self.contents()
         status, out, err = self.run(*arguments)
         if "--json" in arguments:
@@ -65,12 +65,12 @@ class Folder:
 def assert_one_error_line(err: str) -> None:
     assert err.startswith("gs-codec: error: ")
     assert err.endswith("\n")
-    # Under a missing argument, there is a line on how to use the command.
+    # A missing argument adds a usage line.
     assert len([line for line in err.splitlines() if not line.startswith("usage: ")]) == 1
 
 
 def strict_json(text: str) -> dict:
-    """The one JSON document on stdout; NaN and Infinity are not JSON."""
+    """The only JSON document on stdout, without NaN and Infinity, which are not JSON."""
 
     def refuse(constant: str) -> None:
         raise AssertionError(f"{constant} is not JSON")
@@ -79,7 +79,7 @@ def strict_json(text: str) -> dict:
 
 
 def python(*arguments: str, cwd: Path = ROOT) -> Result:
-    """Run Python in another process that finds gs_codec."""
+    """Run Python in another process that can import gs_codec."""
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=cwd,

@@ -1,4 +1,4 @@
-"""Fixtures that several test files use."""
+"""Fixtures shared by several test files."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
 from gs_codec.formats.ply.writer import write_ply
 
-# Assertions in the modules that tests share report values, too.
+# Assertions in shared modules report values too.
 pytest.register_assert_rewrite(*(path.stem for path in Path(__file__).parent.glob("*.py")))
 
 from command_line import Folder, run_here  # noqa: E402
 from scenes import estimate_few_cameras, random_scene  # noqa: E402
 
-# A shell that starts tests in the background lets them, and so what they start, ignore Ctrl-C.
+# A shell that starts tests in the background makes them, and their child processes, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# However long kernels take to compile: what other processes print is the same.
+# Output of other processes does not depend on how long kernels take to compile.
 os.environ["GS_CODEC_PROGRESS"] = "0"
 
-#: Examples of a property.
+#: Number of examples per property test.
 EXAMPLES = 25
 
-#: Files that take longest come first, so that no worker ends long after the others; of these, those
-#: whose kernels no other needs, as one that compiles a module's kernels lets others wait for them.
-#: Those that wait for windows and browsers leave processors to the others.
+#: Start the slowest files first, so that no worker ends long after the others. Of these, first
+#: those whose kernels no other file needs: workers that need the same kernels wait for one to
+#: compile them. Tests that wait for windows and browsers leave the processors to others.
 FIRST = (
     "test_viewer_more.py", "test_viewer_window.py", "test_optimise.py", "test_interchange.py",
     "test_web_page.py", "test_rate.py", "test_tutorial.py", "test_readme.py", "test_distributed.py",
@@ -61,7 +61,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "rounds(n): `seed` goes from 0 to n times --rounds")
     config.addinivalue_line("markers", "thorough: takes seconds; for `make test-all`, not for CI")
     config.addinivalue_line("markers", "one_in(n): all but one case in n are thorough")
-    # The same examples on every run, on however slow a machine.
+    # The same examples on every run, however slow the machine.
     hypothesis.settings.register_profile(
         "same",
         derandomize=True,
@@ -74,7 +74,7 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("same")
 
 
-@pytest.hookimpl(tryfirst=True)  # before any are left out
+@pytest.hookimpl(tryfirst=True)  # before any are deselected
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path.name, len(FIRST)))
@@ -84,7 +84,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if item.get_closest_marker("thorough"):
                 continue
             (n,), test = mark.args, (item.path, item.originalname)
-            # By the sum of its digits to base n: every row of a table begins with another.
+            # By the digit sum to base n, so that every row of a table begins with another case.
             number, digits = numbers[test], 0
             while number:
                 number, digit = divmod(number, n)
@@ -103,7 +103,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(autouse=True)
 def _no_progress_by_the_clock(monkeypatch):
-    """However slow the machine is, or kernels to compile: stderr has the same lines."""
+    """stderr has the same lines, however slow the machine or the compilation of kernels."""
     monkeypatch.setattr(output, "SECONDS_A_LINE", math.inf)
 
 
@@ -115,7 +115,7 @@ def few_cameras(monkeypatch):
 
 @pytest.fixture(scope="session")
 def display():
-    """A display, and no other."""
+    """A virtual display."""
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
@@ -131,7 +131,7 @@ def display():
 
 
 class Trio(NamedTuple):
-    """A scene as PLY, encoded, and decoded again."""
+    """A scene as PLY, encoded, and decoded."""
 
     ply: Path
     egs: Path
@@ -151,19 +151,19 @@ def trio(tmp_path_factory: pytest.TempPathFactory) -> Trio:
 
 @pytest.fixture
 def run_codec(monkeypatch, capsys):
-    """Run `gs-codec` in this process: its status, stdout and stderr."""
+    """Run `gs-codec` in this process; return status, stdout and stderr."""
     return partial(run_here, monkeypatch, capsys, "gs-codec")
 
 
 @pytest.fixture
 def run_viewer(monkeypatch, capsys):
-    """Run `gs-viewer` in this process: its status, stdout and stderr."""
+    """Run `gs-viewer` in this process; return status, stdout and stderr."""
     return partial(run_here, monkeypatch, capsys, "gs-viewer")
 
 
 @pytest.fixture
 def folder(trio, tmp_path, monkeypatch, capsys):
-    """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
+    """A folder with `scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
     from camera_files import inria_entry, write_json
 
     for path in trio:

@@ -1,12 +1,12 @@
-"""Run a command again and again, killed at another moment each time, and say what is left.
+"""Run a command many times, kill it at a different moment each time, and report what is left.
 
     python crash_trials.py FOLDER SEED CALLS DELAYS COMMAND...
 
-The command runs in children of this process, which has run it before. They are killed (SIGKILL,
-which nothing can catch) by themselves at their k-th call of a function, Python's or C's, in the
-main thread: at CALLS random k, and at twice as many from where the file is made to where it is
-named; and at DELAYS random moments by this process. One JSON document on stdout: ``whole``, what
-the folder holds after the command, and ``left``, what after each kill, as digests by file name.
+The command runs once in this process, then in its children. They kill themselves (SIGKILL, which
+cannot be caught) at their k-th call of a Python or C function in the main thread: at CALLS random
+k, and at twice as many between creating the file and naming it. This process kills them at DELAYS
+random moments. It prints a JSON document: ``whole`` is the content of the folder after the complete
+command, ``left`` the content after each kill, as digests by file name.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ from pathlib import Path
 
 
 def run(command: list[str]) -> None:
-    """Run a command here."""
+    """Run a command in this process."""
     from gs_codec.cli import main as cli
 
     sys.argv = ["gs-codec", *command]
     sink = open(os.devnull, "w")  # noqa: SIM115
-    # An exit is that of success: others are told by what is left.
+    # Exits are ignored: failures show in the files left behind.
     with sink, contextlib.redirect_stdout(sink), contextlib.suppress(SystemExit):
         cli.main()
 
 
 def start(command: list[str], kill_at: int, writing_only: bool, output: int) -> int:
-    """Run a command in a child, which is killed if it comes to that call; its process number.
+    """Run a command in a child that kills itself at a given call; return its process number.
 
-    Calls count from the beginning, which threads may shift by some, or from where the file is made.
+    Calls are counted from the beginning (threads may shift this a little), or from creating the
+    file.
     """
     pid = os.fork()
     if pid:
@@ -68,7 +69,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def main() -> None:
-    """Measure how many calls the command makes, then kill it."""
+    """Count the calls of the command, then kill it."""
     folder, command = Path(sys.argv[1]), sys.argv[5:]
     seed, calls, delays = map(int, sys.argv[2:5])
     kept = {path: path.read_bytes() for path in folder.iterdir()}

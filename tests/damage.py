@@ -1,4 +1,4 @@
-"""Files to be damaged, ways to damage them, and what must come of it."""
+"""Files to damage, ways to damage them, and checks of the result."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ from gs_codec.scene import GROUPS
 HEADER = 44
 ENTRY = 20
 
-#: Where the header has the number of Gaussians, of those in a block, and of sections.
+#: Offsets in the header: number of Gaussians, of Gaussians in a block, and of sections.
 COUNT, BLOCK_SIZE, SECTIONS = 16, 36, 40
 
-#: What a damaged file may be refused with.
+#: Errors with which a damaged file may be rejected.
 REFUSALS = (CorruptStream, TruncatedStream, UnsupportedVersion)
 
-#: FORMAT.md, "Limits": decoding takes at most so much memory.
+#: Maximum memory of decoding, from FORMAT.md, "Limits": factors on the size limit and on the file,
+#: and bytes per thread.
 TIMES_LIMIT, TIMES_FILE, A_THREAD = 3, 64, 32 << 20
 
 
-#: What `sample` takes for a file of profile `m` with far Gaussians; what there are samples of.
+#: Argument of `sample` for a file of profile `m` with far Gaussians; and all arguments of `sample`.
 FAR = "far"
 SAMPLES = (*PROFILE_CHOICES, FAR)
 
@@ -46,13 +47,13 @@ def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -
     if profile == FAR:
         profile, scene = "m", with_far(scene, 1 + count // 5)
     scene = replace(scene, extra=carried, comments=("a comment",), has_normals=True)
-    # More blocks in less to damage.
+    # more blocks in fewer bytes to damage
     config = SmallBlocks(profile, extra="keep", block_size=block_size)
     return encode_scene(scene, config)[0]
 
 
 def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> bytes:
-    """The file with the bytes of a section changed, in order; None removes it."""
+    """The file with the bytes of a section replaced by `change`; None removes it."""
     file = read_file(data)
     content = change(bytes(file.sections.get((section_id, block), b"")))
     changed = {**file.sections, (section_id, block): content}
@@ -67,17 +68,17 @@ def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> 
 
 
 def flipped(data: bytes, bit: int) -> bytearray:
-    """The bytes with one bit changed."""
+    """The bytes with one bit flipped."""
     damaged = bytearray(data)
     damaged[bit >> 3] ^= 1 << (bit & 7)
     return damaged
 
 
 def changed(data: bytes, rng: np.random.Generator) -> bytearray:
-    """The bytes with some of them changed, one by one or a run of them."""
+    """The bytes with some changed, one by one or a run of them."""
     damaged = bytearray(data)
     for _ in range(rng.integers(1, 6)):
-        # Half of the changes hit the front, where the structure is.
+        # Half of the changes are near the front, where the structure is.
         end = min(len(data), 2000) if rng.random() < 0.5 else len(data)
         start = int(rng.integers(8, end))
         size = int(rng.choice([1, 1, 2, 4, 8, 64]))
@@ -97,7 +98,7 @@ def changed(data: bytes, rng: np.random.Generator) -> bytearray:
 
 
 def with_checksums(data: bytes | bytearray) -> bytes:
-    """The stream with every checksum made right again, as a hostile writer would."""
+    """The stream with all checksums corrected, as a hostile writer would do."""
     data = bytearray(data)
     sections = struct.unpack_from("<I", data, SECTIONS)[0]
     size = HEADER + ENTRY * sections
@@ -115,9 +116,9 @@ def with_checksums(data: bytes | bytearray) -> bytes:
 
 
 def survive(data: bytes, max_bytes: int | None = 1 << 20, threads: int = 1) -> bool:
-    """Decode and inspect what anyone may have written; whether it was taken for a scene.
+    """Decode and inspect untrusted data; return whether it was accepted as a scene.
 
-    Only refusals of one line may come out, or a scene that is sound.
+    The result must be an error of one line, or a valid scene.
     """
     info = None
     try:
@@ -139,7 +140,7 @@ def survive(data: bytes, max_bytes: int | None = 1 << 20, threads: int = 1) -> b
 
 
 def peak_of(work: Callable[[], object]) -> int:
-    """Most bytes allocated at once while it runs."""
+    """Maximum bytes allocated at once during `work`."""
     tracemalloc.start()
     try:
         work()
@@ -149,6 +150,6 @@ def peak_of(work: Callable[[], object]) -> int:
 
 
 def most_memory(size: int, max_bytes: int | None = None, threads: int = 1) -> int:
-    """What decoding a file of `size` bytes may take, as FORMAT.md has it."""
+    """Maximum memory for decoding a file of `size` bytes, according to FORMAT.md."""
     limit = max(1 << 30, 1000 * size) if max_bytes is None else max_bytes
     return TIMES_LIMIT * limit + TIMES_FILE * size + A_THREAD * threads

@@ -1,6 +1,6 @@
-"""Works on a device, for tests: `python device_work.py FOLDER`, in numba's simulator.
+"""Decode on a device, for tests: `python device_work.py FOLDER`, in numba's simulator.
 
-Beside each `.egs` of the folder it writes its tensors, `.npz`, or the kind of its error, `.txt`.
+Next to each `.egs` in the folder it writes its tensors (`.npz`) or the type of its error (`.txt`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from numba.cuda.simulator import kernel
 from gs_codec.api.splats import decode_tensors
 from gs_codec.errors import GsCodecError
 
-#: Types of arguments of each kernel.
+#: Argument types of each kernel.
 KINDS: dict = {}
 
 FIELDS = ("means", "quats", "log_scales", "logits", "sh")
 
 
 def run(self, place: tuple, *arguments) -> None:
-    """One thread of a block: the simulator's own would ask all the time whether it has ended."""
+    """Run one thread of a block; the simulator's own code would poll all the time."""
     thread = kernel.BlockThread(lambda: self._f(*arguments), self, place, (0, 0, 0), self._debug)
     thread.start()
     thread.join()
@@ -30,7 +30,7 @@ def run(self, place: tuple, *arguments) -> None:
 
 
 def launch(self, *arguments) -> None:
-    """Run a kernel, which a device compiles for one list of types."""
+    """Run a kernel; a device compiles each for a single list of types."""
     types = [(getattr(a, "dtype", type(a)), getattr(a, "ndim", 0)) for a in arguments]
     assert KINDS.setdefault(self.fn, types) == types, self.fn
     launch_kernel(self, *arguments)

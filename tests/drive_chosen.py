@@ -1,6 +1,6 @@
-"""Opens a window without cameras, and prints what it shows before and after views are chosen.
+"""Open a window without cameras, and print what it shows before and after estimating views.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def run(folder: Path) -> dict:
     go_on.set()
     driver.wait(lambda: viewer.visits.views.chosen)
     found["where"] = [viewer.visits.where]
-    driver.tick(3)  # laid out
+    driver.tick(3)  # wait for the layout
     found["at_first"] = driver.models()
     driver.wait(lambda: len(viewer.visits.viewpoints) > 1)
     found["said"] = list(said)
@@ -66,7 +66,7 @@ def run(folder: Path) -> dict:
     driver.wait(lambda: viewer.stage.scenes[0].name == "b.egs")
     found["other"] = [viewer.visits.number, viewer.visits.where, viewer.choice.up]
     driver.wait(lambda: len(viewer.visits.viewpoints) > 1)
-    # A scene that does not show which way is up says so, until another axis is taken.
+    # A scene whose up axis is uncertain shows a note until another axis is chosen.
     viewer.visits.put(replace(viewer.visits.views, up_certain=False), 0)
     found["unsure"] = [viewer.panel.status.text]
     driver.key("u")

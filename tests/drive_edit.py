@@ -1,6 +1,6 @@
-"""Selects, edits and saves in a real window of the viewer; prints what came of it as JSON.
+"""Select, edit and save in a real viewer window; print the results as JSON.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from viewer.window.pane import Pane
 
 
 def draw(driver: Driver, pane: Pane, corners: list, key: str = "") -> np.ndarray:
-    """Drag the mouse along pixels of a pane, with a key held; the screen before it ends."""
+    """Drag the mouse along pixels of a pane, holding a key; return the screen before release."""
     frame, corner = pane.widget.frame, driver.viewer.window.os_frame
     places = [(corner.x + frame.x + x, corner.y + frame.y + y) for x, y in corners]
     if key:
@@ -36,13 +36,13 @@ def draw(driver: Driver, pane: Pane, corners: list, key: str = "") -> np.ndarray
 
 
 def selected(driver: Driver) -> list[int]:
-    """Rows of the file that are selected of the scene that is edited."""
+    """Rows in the file of the Gaussians selected in the edited scene."""
     edits = driver.viewer.editor.edits
     return edits.scene.rows[edits.selected].tolist()
 
 
 def find(driver: Driver, text: str) -> gui.Button:
-    """A button of the dialog that is open, once it is there to be clicked."""
+    """A button of the open dialog, once it can be clicked."""
     driver.wait(lambda: driver.viewer.modal.dialog is not None)
     driver.tick(5, redraw=True)
     buttons = [w for w in inside(driver.viewer.modal.dialog) if isinstance(w, gui.Button)]
@@ -50,7 +50,7 @@ def find(driver: Driver, text: str) -> gui.Button:
 
 
 def answer(driver: Driver, text: str) -> None:
-    """Click a button of the dialog that is open."""
+    """Click a button of the open dialog."""
     modal = driver.viewer.modal
     button, dialog = find(driver, text), modal.dialog
     driver.click(button)
@@ -58,7 +58,7 @@ def answer(driver: Driver, text: str) -> None:
 
 
 def undo(driver: Driver) -> None:
-    """Undo what was done last by ctrl + Z."""
+    """Undo with ctrl + Z."""
     edits = driver.viewer.editor.edits
     step = edits.undone_next
     driver.key("ctrl+z")
@@ -66,13 +66,13 @@ def undo(driver: Driver) -> None:
 
 
 def replaces(modal: Modal) -> list[gui.Widget]:
-    """The button of a dialog that replaces a file, if it has one."""
+    """The button of a dialog that overwrites a file, if it has one."""
     buttons = [w for w in inside(modal.dialog) if isinstance(w, gui.Button)]
     return [button for button in buttons if button.text == "Replace"]
 
 
 def save(driver: Driver, name: str) -> None:
-    """Save the scene that is edited by ctrl + shift + S and a typed name."""
+    """Save the edited scene with ctrl + shift + S and a typed name."""
     driver.key("ctrl+shift+s")
     driver.type_path(name)
     driver.key("Return")
@@ -81,7 +81,7 @@ def save(driver: Driver, name: str) -> None:
 
 
 def regions(driver: Driver, found: dict) -> None:
-    """Select by boxes and lassos, added and removed, in both panes."""
+    """Select with boxes and lassos, adding and removing, in both panes."""
     viewer = driver.viewer
     first, second = viewer.stage.panes
     pose, size = viewer.stage.pose, viewer.stage.picture_size
@@ -98,7 +98,7 @@ def regions(driver: Driver, found: dict) -> None:
     driver.key("l")
     draw(driver, first, [(160, 60), (220, 80), (200, 200), (110, 210)], "shift")
     found["added"] = selected(driver)
-    edge = first.widget.frame.width - 1, 100  # where the pane ends
+    edge = first.widget.frame.width - 1, 100  # right edge of the pane
     found["edge"] = edge
     draw(driver, first, [(110, 100), (edge[0] + 90, 100), (120, 220)], "ctrl")
     found["removed"] = selected(driver)
@@ -108,7 +108,7 @@ def regions(driver: Driver, found: dict) -> None:
 
 
 def steps(driver: Driver, found: dict) -> None:
-    """Delete, undo, redo and hide by keys."""
+    """Delete, undo, redo and hide with keys."""
     viewer = driver.viewer
     stage, pose, original = viewer.stage, viewer.stage.pose, viewer.stage.scenes[0]
     counts, found["quality"] = [original.count], [stage.quality]
@@ -137,7 +137,7 @@ def steps(driver: Driver, found: dict) -> None:
 
 
 def saving(driver: Driver, found: dict) -> None:
-    """Edit as `convert` does, and save."""
+    """Edit with the actions of `convert`, and save."""
     viewer, tab = driver.viewer, driver.viewer.panel.edit
     edits = viewer.editor.all[0]
     viewer.editor.select_range("opacity", 0.5, np.inf)
@@ -188,7 +188,7 @@ def unsaved(driver: Driver, found: dict) -> None:
     viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 0, "test"))
     first, second = viewer.stage.scenes
     whole = viewer.editor.edits.whole
-    viewer.loading.show([whole, second], viewer.visits.views, None)  # as other parts do
+    viewer.loading.show([whole, second], viewer.visits.views, None)  # like other parts do
     answer(driver, "Cancel")
     found["kept"] = viewer.stage.scenes[0] is first is not whole
     viewer.window.close()

@@ -1,6 +1,6 @@
-"""Drives the viewer's window as on a graphics card, with its switch for exact splats.
+"""Drive the viewer's window as on a graphics card, with its switch for exact splats.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_window.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from viewer.scenes.view_request import Request
 
 
 def apart(driver: Driver, exact: np.ndarray) -> tuple[float, float]:
-    """Mean and largest difference of the screen from a picture, levels of 255."""
-    driver.move(5, 5)  # or the switch would show what it does over the picture
+    """Mean and largest difference between the screen and a picture, in levels of 255."""
+    driver.move(5, 5)  # otherwise the switch's tooltip would cover the picture
     frame = driver.viewer.stage.panes[0].widget.frame
     shown = driver.rest()[frame.y : frame.get_bottom(), frame.x : frame.get_right()]
     apart = np.abs(shown - np.rint(255 * exact))

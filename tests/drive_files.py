@@ -1,6 +1,6 @@
-"""Drives the dialogs of the viewer's window that ask for files; prints what came of it.
+"""Drive the file dialogs of the viewer's window; print the results.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_window.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from viewer.window.x11 import Keyboard
 
 
 def said(driver: Driver) -> list[str]:
-    """What the dialog that is open says: the text in its field, labels, and its first button."""
+    """What the open dialog shows: the text in its field, labels, and its first button."""
     dialog = driver.viewer.modal.dialog
     if dialog is None:
         return []
@@ -34,7 +34,7 @@ def said(driver: Driver) -> list[str]:
 
 
 def enter(driver: Driver, text: str, key: str = "Return") -> list[str]:
-    """What the dialog says after a text and a key, and once it has closed, nothing."""
+    """What the dialog shows after a text and a key; nothing once it has closed."""
     if text:
         driver.type_path(text)
     before = said(driver)
@@ -44,7 +44,7 @@ def enter(driver: Driver, text: str, key: str = "Return") -> list[str]:
 
 
 def opens(driver: Driver) -> dict:
-    """Open scenes by paths of all kinds, good and bad."""
+    """Open scenes by all kinds of paths, valid and invalid."""
     viewer, found = driver.viewer, {}
     wrong = ("none.ply", "folder/none.ply", "empty.ply", "pipe.ply", "folder")
     for name in wrong:
@@ -59,7 +59,7 @@ def opens(driver: Driver) -> dict:
     viewer.dismiss()
     driver.key("o")
     driver.wait(lambda: bool(said(driver)))
-    driver.tick(20)  # until the field takes keys
+    driver.tick(20)  # until the field accepts keys
     driver.key("ctrl+v")
     driver.wait(lambda: said(driver)[0].startswith("file:"))
     found["pasted"] = enter(driver, "")
@@ -80,7 +80,7 @@ def opens(driver: Driver) -> dict:
 
 
 def saves(driver: Driver) -> dict:
-    """Save pictures under the name that is suggested, a name that exists, and a wrong one."""
+    """Save pictures under the suggested name, an existing name, and an invalid one."""
     found: dict = {}
     driver.key("ctrl+s")
     driver.wait(lambda: bool(said(driver)))
@@ -105,7 +105,7 @@ def saves(driver: Driver) -> dict:
 
 
 def resized(driver: Driver) -> float:
-    """Share of the pixels of a pane that are not those of its picture, after a resize."""
+    """Share of a pane's pixels that differ from its picture after a resize."""
     stage = driver.viewer.stage
     driver.viewer.window.size = gui.Size(620, 300)
     driver.tick(10, redraw=True)
@@ -117,7 +117,7 @@ def resized(driver: Driver) -> float:
 
 
 def ghosts(driver: Driver) -> int:
-    """How many values of the screen differ after a dialog was open in an empty window."""
+    """Number of screen values that differ after a dialog was open in an empty window."""
     driver.tick(10, redraw=True)
     before = grab(driver.viewer.window)
     driver.key("h")
@@ -130,7 +130,7 @@ def ghosts(driver: Driver) -> int:
 
 
 def notices(driver: Driver) -> list[str]:
-    """What the window says over its panes while it is empty, and while kernels are compiled."""
+    """Notices over the panes while the window is empty, and while kernels are compiled."""
     notice = driver.viewer.notice.label
     driver.wait(lambda: notice.visible)
     lines = [notice.text]

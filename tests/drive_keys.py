@@ -1,6 +1,6 @@
-"""Presses keys of the viewer's window many times, and through its dialogs; prints what came of it.
+"""Press keys of the viewer's window many times, also in its dialogs; print the results.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from open3d.visualization import gui
 
 
 def many(driver: Driver) -> int:
-    """How many keys are pressed while nothing waits for what they change."""
+    """Press many keys without waiting for their effects; return their number."""
     pressed = 0
     for keys in ("mf", "nmf15", "mf5", "5fm", "p5mf"):
         for _ in range(8):
@@ -28,7 +28,7 @@ def many(driver: Driver) -> int:
 
 
 def resize(driver: Driver) -> int:
-    """How many sizes the window gets while its parts are laid out again and again."""
+    """Resize the window many times while it lays out its parts; return the number of sizes."""
     window, rng = driver.viewer.window, np.random.default_rng(1)
     sizes = rng.integers((400, 300), (800, 520), (20, 2))
     for width, height in sizes.tolist():
@@ -42,7 +42,7 @@ def resize(driver: Driver) -> int:
 
 
 def dialogs(driver: Driver) -> dict:
-    """What keys do while a dialog is open, and after it."""
+    """The effect of keys while a dialog is open, and after it."""
     found: dict = {}
     for end in ("Escape", "Return"):
         for key in ("h", "n", "m", "1", "q"):
@@ -61,7 +61,7 @@ def dialogs(driver: Driver) -> dict:
 
 
 def path(driver: Driver) -> dict:
-    """Poses that are kept by key and buttons, flown along, saved and opened again."""
+    """Keep poses with a key and buttons, fly along them, save them and open them again."""
     viewer, saved = driver.viewer, driver.viewer.saved
     viewer.panel.show("View")
     tab = viewer.panel.view
@@ -104,7 +104,7 @@ def path(driver: Driver) -> dict:
 
 
 def type_name(driver: Driver, name: str, end: str) -> tuple[list, str]:
-    """Type a name into the dialog that is open, and a key; the state between, and the name."""
+    """Type a name into the open dialog, and a key; return the state in between, and the name."""
     field = driver.type_path(name)
     found = state(driver), field.text_value
     driver.key(end)
@@ -113,15 +113,15 @@ def type_name(driver: Driver, name: str, end: str) -> tuple[list, str]:
 
 
 def state(driver: Driver) -> list:
-    """Whether a dialog is open; what keys change that are not for it."""
+    """Whether a dialog is open, and state that keys not meant for it would change."""
     choice = driver.viewer.choice
     is_open = driver.viewer.modal.dialog is not None
     return [is_open, driver.viewer.visits.number, choice.mode, sorted(choice.layers)]
 
 
 if __name__ == "__main__":
-    os.chdir(sys.argv[1])  # where pictures are saved
-    # A software driver takes long for large frames.
+    os.chdir(sys.argv[1])  # pictures are saved there
+    # A software driver is slow with large frames.
     driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(560, 400))
     driver.rest()
     found: dict = {"resized": resize(driver), "pressed": many(driver)}

@@ -1,6 +1,6 @@
-"""Drives the viewer's window through its layers, layouts and appearances; prints what came of it.
+"""Drive the viewer's window through its layers, layouts and appearances; print the results.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from viewer.window.worker import Stale
 
 
 def layers(driver: Driver, first: np.ndarray) -> dict:
-    """How many pixels of each half of the panes a layer changes; how far it is back without it."""
+    """Number of pixels of each half of the panes that a layer changes, and that stay changed."""
     found, before = {}, first
     for layer in driver.viewer.panel.scene.boxes:
         driver.toggle(layer)
@@ -35,7 +35,7 @@ def layers(driver: Driver, first: np.ndarray) -> dict:
 
 
 def drags(driver: Driver) -> dict:
-    """The cameras after the same drags and back, in events as many as not, however panes are."""
+    """The cameras after the same drag forth and back, in few and many events, in each layout."""
     viewer, found = driver.viewer, {}
     cases = [
         ("side", 1, "ctrl", (1, 20)),
@@ -54,7 +54,7 @@ def drags(driver: Driver) -> dict:
 
 
 def wheel(driver: Driver) -> list[float]:
-    """How far ahead the centre is at first, after scrolling up and after scrolling down."""
+    """Distance of the centre at first, after scrolling up, and after scrolling down."""
     navigator, distances = driver.viewer.stage.navigator, []
     frame = driver.viewer.stage.panes[0].widget.frame
     driver.move(frame.x + frame.width / 2, frame.y + frame.height / 2)
@@ -68,7 +68,7 @@ def wheel(driver: Driver) -> list[float]:
 
 
 def stop_loading(driver: Driver) -> list[str]:
-    """What is open after a scene was to be opened in place of the second, twice."""
+    """The open scenes after cancelling, twice, the loading of another in place of the second."""
     viewer, scenes = driver.viewer, []
     started, go_on = threading.Event(), threading.Event()
     for stop in (lambda: driver.key("BackSpace"), lambda: driver.click(viewer.panel.stop)):
@@ -79,7 +79,7 @@ def stop_loading(driver: Driver) -> list[str]:
             started.set()
             go_on.wait(60)
 
-        viewer.worker.submit("save", wait, print, print)  # what is to be stopped waits behind it
+        viewer.worker.submit("save", wait, print, print)  # keeps later work in the queue
         started.wait(60)
         viewer.loading.open(str(driver.folder / "a.ply"), 1)
         driver.tick(5)
@@ -93,7 +93,7 @@ def stop_loading(driver: Driver) -> list[str]:
 
 
 def octree(driver: Driver) -> dict:
-    """Depths that are chosen while the slider is dragged to its ends, and what is on the screen."""
+    """Depths chosen by dragging the slider to its ends, and the screen."""
     viewer, corner = driver.viewer, driver.viewer.window.os_frame
     driver.toggle("octree")
     first = driver.scenes(driver.rest())
@@ -122,7 +122,7 @@ def octree(driver: Driver) -> dict:
 
 
 def appearances(driver: Driver, before: np.ndarray) -> dict:
-    """What appearances and hidden Gaussians change of the panes, how far they are back without."""
+    """Changes of the panes by appearances and hidden Gaussians, and how far they revert."""
     viewer, found = driver.viewer, {}
     teal = (0.1, 0.5, 0.6)
     first = viewer.stage.scenes[0]
@@ -152,9 +152,9 @@ def appearances(driver: Driver, before: np.ndarray) -> dict:
 
 
 def pictures(driver: Driver) -> dict:
-    """What panes show after one was updated and the other got its first picture; MB left by many.
+    """The panes after one was updated and the other got its first picture; MB left by many.
 
-    Each of 24 pictures of other sizes, after 8, takes 6 MB.
+    After 8 pictures, each of 24 pictures of different sizes takes 6 MB.
     """
     stage = driver.viewer.stage
     first, other = (np.full((64, 64, 3), colour, np.float32) for colour in ((1, 0, 0), (0, 1, 0)))
@@ -164,7 +164,7 @@ def pictures(driver: Driver) -> dict:
     shown = [screen[f.y + f.height // 2, f.x + f.width // 2].tolist() for f in frames]
     before = 0.0
     for k in range(32):
-        if k == 8:  # the driver has what it needs
+        if k == 8:  # by now the driver has allocated its own memory
             before = resident()
         stage.panes[0].show_picture(np.full((600 + k, 600, 3), 0.5, np.float32))
         driver.tick(redraw=True)

@@ -1,6 +1,6 @@
-"""Uses what is around the panes by mouse and keys, flies and focuses; prints what came of it.
+"""Use everything around the panes with mouse and keys, fly and focus; print the results.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ def told(pose: Pose) -> dict:
 
 
 def middle(driver: Driver) -> tuple[int, int]:
-    """The middle of the first pane, pixels of the window."""
+    """The middle of the first pane, in window pixels."""
     frame = driver.viewer.stage.panes[0].widget.frame
     return frame.x + frame.width // 2, frame.y + frame.height // 2
 
 
 def flights(driver: Driver) -> dict:
-    """Poses before and after keys are held, with and without shift."""
+    """Poses before and after holding keys, with and without shift."""
     found = {}
     stage = driver.viewer.stage
     driver.move(*middle(driver))
@@ -71,7 +71,7 @@ def looks(driver: Driver) -> list:
 
 
 def focuses(driver: Driver) -> dict:
-    """What is in the middle after a double click beside it; what is seen after frame all."""
+    """The centre after a double click next to it; the view after framing all."""
     viewer, stage = driver.viewer, driver.viewer.stage
     x, y = middle(driver)
     before, size = stage.pose, stage.picture_size
@@ -113,7 +113,7 @@ def angles(driver: Driver) -> list[float]:
 
 
 def charts(driver: Driver) -> dict:
-    """What is shown below, and where clicks there lead."""
+    """The charts at the bottom, and the effect of clicks in them."""
     viewer, found = driver.viewer, {}
     driver.key("r")
     driver.key("k")
@@ -143,7 +143,7 @@ def charts(driver: Driver) -> dict:
 
 
 def histogram(driver: Driver) -> dict:
-    """The range that is selected by dragging in the histogram of opacities."""
+    """The range selected by dragging in the opacity histogram."""
     viewer = driver.viewer
     driver.wait(lambda: hasattr(viewer.dock.chart, "scenes"))
     driver.rest()
@@ -162,7 +162,7 @@ def histogram(driver: Driver) -> dict:
 
 
 def listed(driver: Driver) -> dict:
-    """The list of views by PSNR, and where a click on its second line leads."""
+    """The list of views by PSNR, and the effect of a click on its second line."""
     viewer, tab = driver.viewer, driver.viewer.panel.view
     tab.order.selected_index = 2
     tab.refresh()
@@ -177,7 +177,7 @@ def listed(driver: Driver) -> dict:
 
 
 def opens(driver: Driver) -> dict:
-    """What is shown after cameras, a report, photographs and a scene of before are opened."""
+    """The window after opening cameras, a report, photographs and the previous scene."""
     viewer, folder, found = driver.viewer, driver.folder, {}
     viewer.set_dock("nothing")
     entries = json.loads((folder / "cameras.json").read_text())[1:]

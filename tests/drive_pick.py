@@ -1,6 +1,6 @@
-"""Picks Gaussians in the viewer's window with a mouse, and colours centres; prints what came of it.
+"""Pick Gaussians in the viewer's window with a mouse, and colour centres; print the results.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from drive_viewer import Driver, tell
 from viewer.scenes.picked import Picker
 from viewer.window.pane import Pane
 
-#: Half the side of the part of a pane that has a mark, pixels.
+#: Half the side, in pixels, of the part of a pane that contains a mark.
 _AROUND = 64
 
 
 def click(driver: Driver, pane: Pane, right: int, down: int) -> list:
-    """Click at a place of a pane, from its middle; what is picked, and what should be."""
+    """Click in a pane, at an offset from its middle; return the picked and expected one."""
     stage, picking = driver.viewer.stage, driver.viewer.picking
     frame = pane.widget.frame
     x, y = frame.x + frame.width // 2 + right, frame.y + frame.height // 2 + down
@@ -37,7 +37,7 @@ def click(driver: Driver, pane: Pane, right: int, down: int) -> list:
 
 
 def marked(driver: Driver) -> list[int]:
-    """How many pixels the mark changes in each pane, and how many elsewhere; it is cleared."""
+    """Number of pixels that the mark changes in each pane, and elsewhere; then clear it."""
     viewer, stage = driver.viewer, driver.viewer.stage
     scene, row = viewer.picking.picked.scene, viewer.picking.hit.row
     place = stage.pose.project(scene.positions[row][None], *stage.picture_size)[0][0]
@@ -57,7 +57,7 @@ def marked(driver: Driver) -> list[int]:
 
 
 def colours(driver: Driver) -> dict:
-    """Captions, legends and scales of centres by their bits, the scale changed by a click."""
+    """Captions, legends and scales of centres coloured by bits; a click changes the scale."""
     viewer = driver.viewer
     viewer.choice.layers = {"centres"}
     found: dict = {"scales": [], "legends": []}
@@ -97,7 +97,7 @@ def run(folder: Path) -> dict:
     viewer.set_mode("side")
     viewer.panel.show("Scene")
     found["colours"] = colours(driver)
-    # With something picked, what asks to close still does; Esc would clear it first.
+    # Even with a Gaussian picked, requests to close still work; Esc would first clear the pick.
     viewer.choice.layers = {"splats"}
     viewer.refresh()
     driver.rest()

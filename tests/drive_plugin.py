@@ -1,6 +1,6 @@
-"""Drives an Open3D visualizer with our actions in it, and prints what came of it as JSON.
+"""Drive an Open3D visualizer with our actions, and print the results as JSON.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ import gs_codec
 import viewer
 from viewer.pictures.layers import error_legend, reason_colour
 
-#: Geometries that there may be.
+#: Possible geometries.
 NAMES = (
     "a.ply: centres", "a.ply: kept", "a.ply: pruned", "b.egs: error against a.ply", "a.ply: splats",
     "cameras.json: cameras",
 )  # fmt: skip
 
 
-#: Colours of legends: of the reason for pruning, and of errors.
+#: Legend colours: of the reason for pruning, and of errors.
 LEGENDS = np.array([reason_colour(0)]), error_legend("error").bar(256, 1)[0]
 
 
-#: Width of the scene beside the visualizer's panel, pixels.
+#: Width of the scene next to the visualizer's panel, in pixels.
 _WIDE = 320
 
 
 def coloured(
     actions: Any, visualizer: O3DVisualizer, shown: np.ndarray, legend: np.ndarray
 ) -> list:
-    """Pixels of the scene that have a colour of a legend, of how many that are not black."""
+    """Number of pixels in a legend colour, and of pixels that are not black."""
     frame = visualizer.content_rect
     bottom = frame.get_bottom()
     if actions._notes.frame is not None:
@@ -63,7 +63,7 @@ def run(folder: Path) -> dict:
     pictures: list[np.ndarray] = []
 
     def show() -> None:
-        """Add what the window shows once it is another picture than before, and at rest."""
+        """Store the window's image once it has changed and is stable."""
         equal, before = 0, None
         for _ in range(500):
             visualizer.post_redraw()
@@ -127,7 +127,7 @@ def run(folder: Path) -> dict:
 
 
 def told(action: Callable[[], object]) -> str:
-    """How an action fails."""
+    """The error message of an action."""
     try:
         action()
     except gs_codec.GsCodecError as error:
@@ -136,7 +136,7 @@ def told(action: Callable[[], object]) -> str:
 
 
 def look_from(folder: Path, visualizer: O3DVisualizer, number: int) -> None:
-    """Look from beside a camera."""
+    """Look from a point next to a camera."""
     camera = gs_codec.read_cameras(folder / "cameras.json")[number]
     right, down, forward = camera.rotation
     eye = camera.position + 0.1 * right
@@ -144,7 +144,7 @@ def look_from(folder: Path, visualizer: O3DVisualizer, number: int) -> None:
 
 
 def noted(actions: viewer.plugin.Actions, visualizer: O3DVisualizer, shown: np.ndarray) -> int:
-    """How many colours there are where the window of notes is, if it is open."""
+    """Number of colours at the position of the notes window, if it is open."""
     frame = actions._notes.frame
     if frame is None:
         return 0
@@ -154,7 +154,7 @@ def noted(actions: viewer.plugin.Actions, visualizer: O3DVisualizer, shown: np.n
 
 
 def splats(actions: viewer.plugin.Actions, path: Path) -> None:
-    """Open a scene as where a graphics card draws."""
+    """Open a scene as on a graphics card."""
     plugin = sys.modules["viewer.plugin"]
     kept, plugin.find_device = plugin.find_device, lambda: "gpu"
     actions.open(path)

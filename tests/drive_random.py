@@ -1,6 +1,6 @@
-"""Uses a window at random for some seconds: keys, mouse, sliders, loads, stops; prints memory.
+"""Use a window at random for some seconds: keys, mouse, sliders, loading; print memory.
 
-By hand, on a display of its own: ``python tests/drive_random.py FOLDER [SECONDS [SEED]]``, with
+Run by hand, on a separate display: ``python tests/drive_random.py FOLDER [SECONDS [SEED]]``, with
 a.ply, b.egs, cameras.json and report in the folder.
 """
 
@@ -20,10 +20,10 @@ from open3d.visualization import gui
 from viewer.window.dialogs import inside
 from viewer.window.keys import KEYS
 
-#: Keys that are pressed: all that do something but quit.
+#: Keys to press: all with an effect, except quit.
 _PRESSED = [(k.code, k.control) for k in KEYS if k.code is not None and k.name != "ctrl + Q"]
 
-#: Widgets of the panel that are clicked at random, without those that are text.
+#: Widgets of the panel to click at random, except text fields.
 _CLICKED = (gui.Checkbox, gui.Button, gui.Slider, gui.ListView, gui.Combobox)
 
 
@@ -33,7 +33,7 @@ class Monkey:
     Attributes
     ----------
     done : dict of str to int
-        How often each thing was done.
+        Number of times each thing was done.
     """
 
     def __init__(self, driver: Driver, seed: int) -> None:
@@ -41,7 +41,7 @@ class Monkey:
         self.done: dict[str, int] = {}
 
     def step(self) -> None:
-        """Do one thing, and let the window go on for some frames."""
+        """Do one random thing, and let the window run for some frames."""
         names = ["press", "click", "drag", "wheel", "click_panel", "load", "resize", "stop"]
         weights = np.array([5, 2, 4, 2, 5, 0.5, 0.3, 0.3])
         name = str(self.rng.choice(names, p=weights / weights.sum()))
@@ -52,7 +52,7 @@ class Monkey:
             self.driver.key(str(self.rng.choice(["Escape", "Return"])))
 
     def _place(self) -> tuple[int, int]:
-        """A pixel of the screen in the window."""
+        """A random screen pixel inside the window."""
         frame = self.driver.viewer.window.os_frame
         x, y = self.rng.uniform(0.02, 0.98, 2)
         return int(frame.x + x * frame.width), int(frame.y + y * frame.height)
@@ -125,17 +125,17 @@ def run(folder: Path, seconds: float, seed: int) -> dict:
         driver.tick(5)
     driver.rest()
     for edits in driver.viewer.editor.all:
-        edits.mark_saved(edits.scene)  # else closing would ask
+        edits.mark_saved(edits.scene)  # otherwise closing would ask to save
     return {"memory": memory, "done": monkey.done, "closes": closes(driver)}
 
 
 def closes(driver: Driver) -> bool:
-    """Whether the window closes when it is asked to, edits that are not saved being dropped."""
+    """Whether the window closes on request, discarding unsaved edits."""
     driver.viewer.window.close()
     for _ in range(100):
         if not driver.app.run_one_tick():
             return True
-        dialog = driver.viewer.modal.dialog  # not before, as the tick may have freed it
+        dialog = driver.viewer.modal.dialog  # not earlier, because the tick may have freed it
         buttons = [w for w in inside(dialog) if isinstance(w, gui.Button)] if dialog else []
         for button in buttons:
             if button.text.startswith("Discard"):
@@ -148,6 +148,6 @@ def closes(driver: Driver) -> bool:
 if __name__ == "__main__":
     faulthandler.enable()  # Open3D may end the process
     numbers = [float(each) for each in sys.argv[2:]]
-    os.chdir(sys.argv[1])  # where pictures are saved
+    os.chdir(sys.argv[1])  # pictures are saved there
     seconds, seed = [*numbers, *(20.0, 1.0)[len(numbers) :]]
     tell(run(Path(sys.argv[1]).absolute(), seconds, int(seed)))

@@ -1,6 +1,6 @@
-"""Encodes a scene in the viewer's window, in several ways, and prints what came of it.
+"""Encode a scene in the viewer's window, in several ways, and print the results.
 
-Run by test_viewer_more.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from viewer.scenes.opened import Progress
 from viewer.scenes.trial_list import Asked, Tries
 from viewer.scenes.view_request import Request
 
-#: Seconds that an encoding may take, on a busy machine that compiles kernels.
+#: Maximum seconds of an encode on a busy machine that compiles kernels.
 _PATIENCE = 240
 
 
@@ -53,12 +53,12 @@ class Rates:
         self.wait(lambda: len(self.begun) > before)
 
     def finish(self) -> None:
-        """Wait until all is encoded and measured."""
+        """Wait until everything is encoded and measured."""
         self.wait(lambda: self.encoding.doing is None)
         self.driver.rest()
 
     def choose(self, profile: str, wish: int, value: float | None = None) -> None:
-        """Choose how to encode, and leave the mouse out of it."""
+        """Set the options of an encode without the mouse."""
         self.tab.profile.selected_text, self.tab.wish.selected_index = profile, wish
         self.tab.refresh()
         if value is not None:
@@ -67,7 +67,7 @@ class Rates:
         self.driver.tick(3, redraw=True)
 
     def slide(self) -> None:
-        """Drag the slider from its left to a quarter of its width."""
+        """Drag the slider from its left end to a quarter of its width."""
         frame, corner = self.tab.slider.frame, self.driver.viewer.window.os_frame
         y = corner.y + frame.y + frame.height // 2
         self.driver.xdotool("mousemove", corner.x + frame.x + 10, y, "mousedown", 1)
@@ -85,17 +85,17 @@ class Rates:
         self.wait(lambda: self.tab.list.selected_index == line)
 
     def files(self) -> list[str]:
-        """Names of the files of tries."""
+        """Names of the trial files."""
         return sorted(path.name for path in self.encoding.tries.folder.iterdir())
 
     def state(self) -> dict[str, Any]:
-        """What is shown, and told."""
+        """The visible state, and messages."""
         names = [scene.name for scene in self.driver.viewer.stage.scenes]
         return {"names": names, "lines": self.tab.lines, "told": self.tab.told}
 
 
 def encodings(rates: Rates) -> dict:
-    """A profile; a size by the slider; one that is stopped; and one that is out of reach."""
+    """Encode with a profile; to a size set by the slider; stop one; and one out of reach."""
     driver, viewer = rates.driver, rates.driver.viewer
     found: dict = {"empty": rates.state()}
     rates.encode()
@@ -119,7 +119,7 @@ def encodings(rates: Rates) -> dict:
 
 
 def stop(rates: Rates) -> dict:
-    """What is drawn while a scene is encoded, and what is left after Cancel."""
+    """The display while a scene is encoded, and what is left after Cancel."""
     driver, visits, encode = rates.driver, rates.driver.viewer.visits, Tries.encode
     started, go_on = threading.Event(), threading.Event()
 
@@ -149,7 +149,7 @@ def stop(rates: Rates) -> dict:
 
 
 def history(rates: Rates) -> dict:
-    """Tries in both panes, one of them saved, and the source again."""
+    """Trials in both panes, one of them saved, and the source again."""
     driver, viewer = rates.driver, rates.driver.viewer
     found: dict = {}
     rates.select(2)
@@ -188,5 +188,5 @@ def run(folder: Path) -> dict:
 
 
 if __name__ == "__main__":
-    os.chdir(sys.argv[1])  # where it is saved
+    os.chdir(sys.argv[1])  # the trial is saved there
     tell(run(Path(sys.argv[1])))

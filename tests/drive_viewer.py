@@ -1,6 +1,6 @@
-"""Drives a real window of the viewer with a mouse and keys, and prints what came of it as JSON.
+"""Drive a real viewer window with a mouse and keys, and print the results as JSON.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_window.py, in a separate process and on a separate display.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from viewer.window.pane import Pane
 
 
 def grab(window: gui.Window) -> np.ndarray:
-    """What is on the screen of a window, RGB."""
+    """Screenshot of a window, RGB."""
     frame = window.os_frame
     box = (frame.x, frame.y, frame.get_right(), frame.get_bottom())
     return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
@@ -40,13 +40,13 @@ def resident() -> float:
 
 
 def tell(found: dict) -> NoReturn:
-    """Print what came of it and end, as Open3D has no orderly end outside Application.run."""
+    """Print the results and exit; Open3D cannot shut down properly outside Application.run."""
     print("RESULT " + json.dumps(found), flush=True)
     os._exit(0)
 
 
 def die(*error: Any) -> NoReturn:
-    """End after an exception; see `tell`."""
+    """Exit after an exception; see `tell`."""
     traceback.print_exception(*error)
     os._exit(1)
 
@@ -55,7 +55,7 @@ sys.excepthook = die
 
 
 def give_up(reason: str) -> NoReturn:
-    """End with what went wrong; see `tell`."""
+    """Exit with the reason of a failure; see `tell`."""
     traceback.print_stack()
     print(reason, file=sys.stderr, flush=True)
     os._exit(1)
@@ -86,27 +86,27 @@ class Driver:
         self.begun = False
 
     def tick(self, count: int = 1, pause: float = 0.01, redraw: bool = False) -> None:
-        """Let the window do what it has to, and draw frames that it does not need if asked."""
+        """Let the window process events; with `redraw`, force it to draw frames."""
         for _ in range(count):
             if redraw:
                 self.viewer.window.post_redraw()
             if not self.app.run_one_tick():
-                give_up("the window has closed")  # what is done with it now would crash
+                give_up("the window has closed")  # using a closed window would crash
             time.sleep(pause)
 
     def rest(self) -> np.ndarray:
-        """Tick until nothing moves any more; what is on the screen then."""
+        """Tick until the window is stable; return its screenshot."""
         before, equal = None, 0
         for _ in range(2000):
             if self.viewer.busy or not self.viewer.stage.panes:
                 self.tick()
                 before = None
                 continue
-            # Few frames: a software driver draws each for long.
+            # Few frames, because a software driver is slow.
             self.tick(1, pause=0.09, redraw=True)
             now = grab(self.viewer.window)
-            # A frame may be on its way: a software driver takes its time on a busy machine, and
-            # the most for the first.
+            # A frame may be pending: a software driver on a busy machine is slow, most of all with
+            # the first.
             self.begun = self.begun or np.ptp(self.scenes(now)) > 0
             same = self.begun and before is not None and np.array_equal(now, before)
             equal = equal + 1 if same else 0
@@ -116,8 +116,8 @@ class Driver:
         return give_up("the window never rests")
 
     def scenes(self, image: np.ndarray) -> np.ndarray:
-        """The part of the window that is not the panel, nor captions."""
-        right = self.viewer.panel.tabs.frame.x - 4  # its corners are round
+        """The part of the window without the panel and captions."""
+        right = self.viewer.panel.tabs.frame.x - 4  # exclude round corners
         return image[self.viewer.stage.caption_height :, :right]
 
     def xdotool(self, *arguments: object) -> None:
@@ -129,14 +129,14 @@ class Driver:
         self.xdotool("mousemove", frame.x + round(x), frame.y + round(y))
 
     def toggle(self, layer: str) -> None:
-        """Click on a layer's checkbox, and wait until that has come through."""
+        """Click on a layer's checkbox, and wait for its effect."""
         viewer = self.viewer
         wanted = viewer.choice.layers ^ {layer}
         self.click(viewer.panel.scene.boxes[layer])
         self.wait(lambda: viewer.choice.layers == wanted)
 
     def wait(self, done: Callable[[], bool]) -> None:
-        """Tick until what was clicked has come through."""
+        """Tick until the effect of a click is visible."""
         end = time.monotonic() + 60
         while time.monotonic() < end:
             if done():
@@ -145,7 +145,7 @@ class Driver:
         give_up("a click does not come through")
 
     def type_path(self, text: str) -> gui.TextEdit:
-        """Type a path into the dialog that comes; its field."""
+        """Type a path into the dialog that opens; return its field."""
         self.wait(lambda: self.viewer.modal.dialog is not None)
         field = next(w for w in inside(self.viewer.modal.dialog) if isinstance(w, gui.TextEdit))
         self.xdotool("type", text)
@@ -159,7 +159,7 @@ class Driver:
         self.xdotool("mouseup", 1)
 
     def drag(self, pane: Pane, button: int = 1, events: int = 5, back: bool = True) -> list:
-        """Drag from the middle of a pane by (60, 20) in so many events, and back; the cameras."""
+        """Drag a pane by (60, 20) from its middle, in `events` events, and back; return cameras."""
         frame, corner = pane.widget.frame, self.viewer.window.os_frame
         x, y = corner.x + frame.get_left() + frame.width // 2, corner.y + frame.height // 2
         steps = [
@@ -179,7 +179,7 @@ class Driver:
         return models
 
     def drags(self, numbers: tuple[int, ...], button: int = 1, key: str = "") -> list[list]:
-        """The cameras, and those after the same drag and back, in each number of events."""
+        """The cameras at first, and after the same drag forth and back in each number of events."""
         models = [[self.models()]]
         for events in numbers:
             if key:
@@ -200,7 +200,7 @@ class Driver:
 
 
 def outlined(driver: Driver, image: np.ndarray) -> list[float]:
-    """How much of the upper side of the frame's outline is seen in each picture."""
+    """Share of the upper side of the frame's outline that is visible in each picture."""
     stage, shares = driver.viewer.stage, []
     if driver.viewer.choice.mode == "side":
         frames = [pane.widget.frame for pane in stage.visible]
@@ -215,7 +215,7 @@ def outlined(driver: Driver, image: np.ndarray) -> list[float]:
 
 
 def slide(driver: Driver) -> float:
-    """Where a wipe is after its line was dragged 60 pixels to the right."""
+    """Position of a wipe after dragging its line 60 pixels to the right."""
     frame, corner = driver.viewer.stage.divider.widget.frame, driver.viewer.window.os_frame
     x, y = corner.x + frame.get_left() + frame.width // 2, corner.y + frame.get_bottom() - 20
     driver.xdotool("mousemove", x, y, "mousedown", 1)
@@ -227,7 +227,7 @@ def slide(driver: Driver) -> float:
 
 
 def views(driver: Driver, found: dict) -> None:
-    """Go through views, and flip two scenes."""
+    """Step through views, and flip two scenes."""
     viewer = driver.viewer
     driver.key("n")
     driver.rest()

@@ -1,4 +1,4 @@
-"""Writers of other formats, from what their specifications say; of one kind of file each."""
+"""Minimal writers of other formats, from their specifications."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PACKED_COLOURS = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
 
 
 def ply_file(elements: list[tuple[str, np.ndarray]], lines: str = "", end: str = "<") -> bytes:
-    """A binary PLY of elements, by hand."""
+    """A binary PLY of elements, written by hand."""
     codes = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint"}
     form = {"<": "little", ">": "big"}[end]
     header = f"ply\nformat binary_{form}_endian 1.0\n{lines}"
@@ -38,7 +38,7 @@ def ply_file(elements: list[tuple[str, np.ndarray]], lines: str = "", end: str =
 
 
 def packed_rows(count: int, seed: int, degree: int = 0) -> dict[str, np.ndarray]:
-    """Elements of a packed PLY, of any bits."""
+    """Elements of a packed PLY, with random bits."""
     rng = np.random.default_rng(seed)
     chunks = -(-count // 256)
     limits = np.sort(rng.normal(size=(chunks, 9, 2)).astype("<f4"), axis=2).reshape(chunks, 18)
@@ -59,7 +59,7 @@ def packed_rows(count: int, seed: int, degree: int = 0) -> dict[str, np.ndarray]
 
 
 def spz_streams(count: int, version: int, degree: int, seed: int) -> list[bytes]:
-    """Attributes of an `.spz` file, of any bits; version 1 has finite halves."""
+    """Attributes of an `.spz` file, with random bits; version 1 has finite halves."""
     rng = np.random.default_rng(seed)
     coefficients = (*SH_COEFFICIENTS, DEGREE_4)[degree]
     sizes = [9, 1, 3, 3, 3 if version < 3 else 4, 3 * coefficients]
@@ -79,7 +79,7 @@ def spz_file(
     extensions: bytes = b"",
     zipped: bool = True,
 ) -> bytes:
-    """An `.spz` file of attributes, and of what follows them."""
+    """An `.spz` file from its attributes and extensions."""
     fields = (b"NGSP", version, count, degree, bits, flags)
     if version < 4:
         data = struct.pack("<4sIIBBBB", *fields, 0) + b"".join(streams) + extensions
@@ -130,8 +130,11 @@ def ksplat_file(
     /,
     **changes: int,
 ) -> bytes:
-    """A `.ksplat` file of sections: SH degree, rows, size of full buckets, lengths of the others,
-    and the middles of all buckets, which are 4 wide; `changes` are other values in its header."""
+    """A `.ksplat` file of sections; `changes` override header values.
+
+    A section has: SH degree, rows, size of full buckets, lengths of the others, and the middles of
+    all buckets, which are 4 wide.
+    """
     total = sum(len(rows) for _, rows, *_ in sections)
     known = {"minor": 1, "number": len(sections), "count": total, "level": level} | changes
     head = struct.pack("<BBxx4IHxx", 0, known["minor"], known["number"], known["number"],
@@ -173,7 +176,7 @@ def png(pixels: np.ndarray) -> bytes:
 def sog_parts(
     count: int, version: int, degree: int, seed: int, palette: int = 70
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """`meta.json` and the pixels of the images of a SOG scene, of any values."""
+    """`meta.json` and image pixels of a SOG scene, with random values."""
     rng = np.random.default_rng(seed)
     side = 4 * -(-max(count, 1) // 16)
     names = ["means_l", "means_u", "quats", "scales", "sh0"]
@@ -219,7 +222,7 @@ def names_of(stems: str) -> list[str]:
 
 
 def sog_file(meta: dict[str, Any], images: dict[str, np.ndarray], folder: str = "") -> bytes:
-    """All in one zip."""
+    """A SOG scene as one zip."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
         archive.writestr(folder + "meta.json", json.dumps(meta))
@@ -229,7 +232,7 @@ def sog_file(meta: dict[str, Any], images: dict[str, np.ndarray], folder: str = 
 
 
 def sog_folder(folder: Path, meta: dict[str, Any], images: dict[str, np.ndarray]) -> Path:
-    """Files in a folder; the path of `meta.json`."""
+    """A SOG scene as files in a folder; returns the path of `meta.json`."""
     for name, pixels in images.items():
         (folder / name).write_bytes(webp(pixels))
     (folder / "meta.json").write_text(json.dumps(meta))

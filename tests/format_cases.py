@@ -34,12 +34,12 @@ def with_rows(scene, group, values):
 
 
 def far_apart(seed, count):
-    """Positions up to the largest float32, whose cells reach beyond it."""
+    """Positions up to the largest float32, whose cells extend beyond it."""
     scene = random_scene(count, seed=seed)
     largest = np.finfo(np.float32).max
     positions = scene.positions / np.abs(scene.positions).max() * largest
     positions[:, 0], positions[:, 1] = -largest, largest
-    # Large ones, as small ones would be far Gaussians.
+    # Large Gaussians, because small ones would be far.
     return replace(scene, positions=positions, log_scale=scene.log_scale + np.float32(80))
 
 
@@ -52,7 +52,7 @@ def identical(seed, count):
 
 
 def duplicated(seed, count):
-    """Each Gaussian several times, in any order."""
+    """Each Gaussian several times, in random order."""
     return random_scene(count // 8, seed=seed).take(
         np.random.default_rng(seed).integers(0, count // 8, count)
     )
@@ -63,7 +63,7 @@ def one_place(seed, count):
 
 
 def few_levels(seed, count):
-    """Opacities and scales of a few far-apart values, for which no parametric model is near."""
+    """Opacities and scales with few distinct values, which no parametric model fits."""
     rng = np.random.default_rng(seed)
     opacity = rng.choice(
         [-5.0, -1.3, 0.2, 4.0, 9.0], size=(1, count), p=[0.4, 0.1, 0.3, 0.15, 0.05]

@@ -1,4 +1,4 @@
-"""A small scene among cameras, its renders, and a version that is fitted to them."""
+"""A small scene among cameras, its renders, and a version to fit to them."""
 
 from __future__ import annotations
 
@@ -64,16 +64,16 @@ def psnr(scene: Scene, cameras, targets) -> float:
     return float(-10 * np.log10(np.mean(errors)))
 
 
-#: What all renders show, unless others are given.
+#: Default cameras of renders.
 CAMERAS = orbit()
 
-#: What is fitted, unless another is given.
+#: Default scene to fit.
 SCENE = changed(garden(1), 2)
 
 
 @cache
 def renders() -> list[np.ndarray]:
-    """What `SCENE` is to be fitted to; not drawn where tests are only collected."""
+    """Target images for fitting `SCENE`; not rendered while tests are only collected."""
     return views(garden(1), CAMERAS)
 
 

@@ -1,6 +1,6 @@
-"""gsplat's function (release 1.5) for one camera, of torch alone: every splat in every pixel.
+"""gsplat's rasteriser (release 1.5) for one camera, in plain torch: every splat in every pixel.
 
-Only its rule is stated here, in float64: for scenes of few Gaussians, in small views.
+It implements only the rule, in float64, for scenes of few Gaussians and small views.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ def rasterization(
     *, means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane, eps2d,  # noqa: N803
     sh_degree, packed, backgrounds, render_mode, rasterize_mode,
 ):  # fmt: skip
-    """Images (1, H, W, 3 or 4), alphas (1, H, W, 1), and what is asked of the rest."""
+    """Images (1, H, W, 3 or 4), alphas (1, H, W, 1), and the metadata that is used."""
     count = len(means)
     shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": ()}
     shapes["colors"] = ((sh_degree + 1) ** 2, 3)
@@ -51,7 +51,7 @@ def rasterization(
     q = (a * dx * dx + 2 * b * dx * dy + c * dy * dy) / determinant[:, None, None]
     alpha = (opacity * (-q / 2).exp()).clamp(max=MAX_ALPHA)
     alpha = torch.where(alpha >= MIN_ALPHA, alpha, 0)
-    # A pixel is done before the first splat that would leave it too little light.
+    # A pixel is done before the first splat that would leave too little light.
     alpha = torch.where(torch.cumprod(1 - alpha, 0) > STOP, alpha, 0)
     passed = torch.cumprod(1 - alpha, 0)
     weights = alpha * torch.cat([torch.ones_like(passed[:1]), passed])[:-1]
@@ -70,7 +70,7 @@ def rasterization(
 
 
 def _covariance(at, quats, scales, pose, lens, width, height):
-    """Covariance in the image, pixels, before the low-pass."""
+    """Covariance in the image, in pixels, before the low-pass."""
     w, x, y, z = (quats / quats.norm(dim=1, keepdim=True)).T
     turn = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -89,7 +89,7 @@ def _covariance(at, quats, scales, pose, lens, width, height):
 
 
 def _colours(sh, directions):
-    """Colours of SH (N, 1 + K, 3), not below 0."""
+    """Colours of SH (N, 1 + K, 3), at least 0."""
     coefficients = sh.shape[1] - 1
     basis = torch.zeros(15, len(sh), dtype=torch.float64)
     planes = list(basis)

@@ -1,4 +1,4 @@
-"""One scene done in tasks, in this process."""
+"""Encode one scene in tasks, in this process."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gs_codec.workers.serial import Serial
 
 
 class Lost(Exception):
-    """A worker, or what it is to do."""
+    """A worker or its task is lost."""
 
 
 class Here(Serial):
-    """Does tasks in this process, in any order; fails before a task, by its number of all."""
+    """Runs tasks in this process, in any order; can fail before the n-th task."""
 
     def __init__(self, seed: int = 0, fails_at: int = -1) -> None:
         super().__init__("")
@@ -34,7 +34,7 @@ class Here(Serial):
         yield from super().run(work, map(self.begun, self.random.sample(tasks, len(tasks))))
 
     def begun(self, task: Numbered) -> Numbered:
-        """A task to do, unless it is the one that fails."""
+        """A task to run; raises if it is the one that fails."""
         if not self.left:
             raise Lost
         self.left -= 1
@@ -45,7 +45,7 @@ class Here(Serial):
 def in_tasks(
     paths: list[Path], target: Path, config: Config, size: int, here: Workers | None = None
 ) -> tuple[bytes, dict]:
-    """The file, and the report without times."""
+    """The encoded file, and the report without times."""
     sources = open_sources(paths, config.chosen_extra())
     report = encode_with(Crew(here or Here()), sources, target, config, size)
     assert not target.with_name(f"{target.name}.parts").exists()
@@ -53,7 +53,7 @@ def in_tasks(
 
 
 def whole(path: Path, target: Path, config: Config) -> tuple[bytes, dict]:
-    """The same of `encode_file`."""
+    """The same with `encode_file`."""
     report = encode_file(path, target, config, overwrite=True)
     return target.read_bytes(), {**asdict(report), "seconds": None}
 

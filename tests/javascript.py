@@ -1,4 +1,4 @@
-"""The decoder in JavaScript, run by Node, and files for it."""
+"""The JavaScript decoder, run by Node, and files for it."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from scenes import (
 from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.scene import GROUPS, Scene
 
-#: Tests.
+#: Folder of the tests.
 HERE = Path(__file__).parent
 
-#: The program, None where it is missing.
+#: Path of Node; None if missing.
 NODE = shutil.which("node")
 
 #: Golden files of every version of the format.
 GOLDEN = sorted((HERE / "golden").glob("*.egs"))
 
-#: Gaussians of a file of five blocks, and of each of them.
+#: Number of Gaussians of a file of five blocks, and of each block.
 COUNT, BLOCK = 4700, 940
 
 
 def run(*jobs: dict) -> list[dict]:
-    """What came of decoding files, one after another, in one process of Node."""
+    """Decode files one after another in one Node process; return the results."""
     texts = [
         {**job, "bytes": base64.b64encode(job["bytes"]).decode()} if "bytes" in job else job
         for job in jobs
@@ -59,7 +59,7 @@ def digest(scene: Scene) -> str:
 
 
 def upto(scene: Scene, degree: int) -> Scene:
-    """A scene without what is above an SH degree."""
+    """The scene without SH above a degree."""
     kept = (degree + 1) ** 2 - 1
     planes = {group: getattr(scene, group) for group in GROUPS}
     coefficients = len(scene.f_rest) // 3

@@ -32,7 +32,7 @@ class Shaped:
 
     @classmethod
     def of(cls, scene: Scene, profile: str, guide=None, depths=None) -> Shaped:
-        """What the encoder makes of a scene before it codes."""
+        """Arrange and shape a scene like the encoder."""
         clean, _ = identity_for_zero(scene)
         config = Config(profile, depths or {})
         steps = guide(clean, config) if guide is not None and clean.count else None
@@ -45,7 +45,7 @@ class Shaped:
 
 
 def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
-    """Shapes are those of `shaped`; and all is within half a step of the original.
+    """Shapes equal those of `shaped`; everything is within half a step of the original.
 
     SH-AC are within `ac_steps` steps. Values beyond `LARGEST` are clamped.
     """
@@ -96,7 +96,7 @@ def colour_groups(scene: Scene, decoded: Scene, ac_steps: float):
 
 
 def assert_in_cells(shaped: Shaped, decoded: Scene, data: bytes) -> None:
-    """Positions are in the middle of cells as wide as the rule says, or narrower."""
+    """Positions are at the centres of cells as wide as the rule says, or narrower."""
     header, lattice = read_file(data).header, shaped.arranged.lattice
     shape, grid = shaped.shape, lattice.grid
     dropped = lattice.rules["position"].shifts(

@@ -17,12 +17,12 @@ from gs_codec.levels.adding import add_levels
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
 
-#: Gaussians of a block, fewer than may be asked for.
+#: Gaussians of a block, fewer than options allow.
 BLOCK = 8
 
 
 def encoded(scene: Scene, profile: str = "m", block: int = BLOCK, lod: bool = True) -> bytes:
-    """A file with levels, of small blocks."""
+    """A file with levels and small blocks."""
     config = SmallBlocks(profile, lod=lod, block_size=block)
     return b"".join(add_levels(*encode_parts(scene, config), config)[0])
 
@@ -34,18 +34,18 @@ def sample(count: int = 300, degree: int = 1, profile: str = "m") -> bytes:
 
 
 def camera(place: tuple[float, ...], focal: float = 100.0, name: str = "seen") -> Camera:
-    """One of 64 x 48 pixels that looks at the middle of the scenes."""
+    """A camera of 64 x 48 pixels that looks at the centre of the scenes."""
     position = np.array(place, np.float64)
     turn = facing(-position, np.array([0.0, -1.0, 0.2]))
     return Camera(name, 64, 48, focal, focal, 32.0, 24.0, turn, position)
 
 
-#: Cameras from which fewer levels are needed, one after another.
+#: Cameras that need fewer and fewer levels.
 FAR, NEAR, AWAY = camera((9.0, 1.0, -4.0)), camera((1.5, 0.2, -1.0)), camera((0.1, 0.0, -300.0))
 
 
 def in_level(data: bytes, change, level: int = 1) -> bytes:
-    """The file with the bytes of a level changed, and the checksum of its section right."""
+    """The file with the bytes of a level changed, and its section's checksum corrected."""
     return with_section(data, SectionId.LEVEL, change, level)
 
 
@@ -60,8 +60,7 @@ def errors_changed(value: float):
     return change
 
 
-#: What is no level of the sample, made of one that is.
-#: Changes to a level after which it is none.
+#: Changes to a level of the sample that make it invalid.
 NO_LEVELS = (
     lambda level: level[:-4],
     lambda level: level + bytes(4),
@@ -78,7 +77,7 @@ NO_LEVELS = (
 
 @cache
 def city(side: int = 3) -> bytes:
-    """A file of `side` x `side` generated scenes beside each other, in small blocks."""
+    """A file of `side` x `side` generated scenes side by side, in small blocks."""
     one = generate(3000, 1, 12)
     span = np.ptp(one.positions, axis=1)
     tiles = []

@@ -1,4 +1,4 @@
-"""Cameras around a scene, and what they see of it."""
+"""Cameras around a scene, and their renders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from samples.generate import orbit_cameras
 
 
 def cameras(count: int, width: int = 90, height: int = 60) -> list[Camera]:
-    """Cameras around the scenes of samples/generate.py; one in three is held out."""
+    """Cameras around the scenes of samples/generate.py; every third is held out."""
     return [
         Camera(
             f"{i}", width, height, c["fx"], c["fy"], width / 2, height / 2,
@@ -26,18 +26,18 @@ def cameras(count: int, width: int = 90, height: int = 60) -> list[Camera]:
 
 
 def quality(original: Scene, decoded: Scene, views: list[Camera]) -> float:
-    """PSNR in dB of a scene in views, to its original."""
+    """PSNR in dB of a scene in views, relative to its original."""
     return draw_reference_views(original, views, (0, 0, 0)).quality(decoded).psnr
 
 
 def orbit(views: int, seed: int = 0, distance: float = 5.0, side: int = 40) -> list[Camera]:
-    """Cameras all around that look at the origin."""
+    """Cameras all around, looking at the origin."""
     rng = np.random.default_rng(seed)
     return [facing(rng.normal(size=3), f"view {i}", distance, side) for i in range(views)]
 
 
 def facing(direction, name="facing", distance=5.0, side=40) -> Camera:
-    """A camera in a direction from the origin that looks at it."""
+    """A camera in a direction from the origin, looking at it."""
     forward = -np.asarray(direction, np.float64) / np.linalg.norm(direction)
     right = np.cross(np.roll(forward, 1) + np.array([0.1, 0.2, 0.3]), forward)
     right /= np.linalg.norm(right)
@@ -47,7 +47,7 @@ def facing(direction, name="facing", distance=5.0, side=40) -> Camera:
 
 
 def visible_scene(count: int, seed: int, sh_degree: int = 3, bright: float = 0.0) -> Scene:
-    """Large Gaussians of middling opacity, colours well above black for `bright` of 3."""
+    """Large Gaussians of medium opacity; `bright` of 3 channels are well above black."""
     scene = random_scene(count, sh_degree, seed)
     rng = np.random.default_rng(seed)
     return replace(
@@ -59,5 +59,5 @@ def visible_scene(count: int, seed: int, sh_degree: int = 3, bright: float = 0.0
 
 
 def images(scene: Scene, cameras: list[Camera]) -> np.ndarray:
-    """Renders of a scene, one a camera."""
+    """Renders of a scene, one per camera."""
     return np.array([render(scene, camera, device="cpu").colour for camera in cameras])

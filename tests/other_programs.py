@@ -1,4 +1,4 @@
-"""What other programs read from scene files: the numbers as stored, in the file's own system.
+"""What other programs read from scene files: stored numbers, in the file's coordinate system.
 
 `make peers` installs the programs.
 """
@@ -29,7 +29,7 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.tensors import NAMES, scene_of_tensors
 from gs_codec.scene import Scene, property_names
 
-#: Where `make peers` puts packages of Node.
+#: Folder of Node packages from `make peers`.
 PACKAGES = Path(sys.prefix) / "peers/node_modules"
 
 
@@ -40,13 +40,13 @@ class OtherProgram:
     Parameters
     ----------
     formats : str
-        What it reads: suffixes without their dots, `v4.spz` for version 4.
+        Formats that it reads: suffixes without dots, `v4.spz` for version 4.
     read : callable
-        The scene of each of some paths; `ModuleNotFoundError` or `MissingTool` if it is not
-        installed, and any other error if it refuses a file.
+        Reads the scene of each path. Raises `ModuleNotFoundError` or `MissingTool` if it is not
+        installed, and any other error if it rejects a file.
     exact : bool
-        Whether it keeps numbers as float32. If not, as Spark does: floats of 16 bits for scales,
-        colours and opacities; SH-AC in 255 steps of a power of two, which cuts what is larger.
+        Whether it keeps float32. If not (Spark): 16-bit floats for scales, colours and opacities;
+        SH-AC in 255 steps of a power of two, clamped.
     """
 
     formats: str
@@ -55,7 +55,7 @@ class OtherProgram:
 
 
 def scene_from(columns: dict[str, np.ndarray]) -> Scene:
-    """A scene of columns named as in a PLY, but for opacities, which are from 0 to 1."""
+    """A scene from columns named as in a PLY, except that opacities are 0 to 1."""
     columns = {**columns, "opacity": logits_of(columns["opacity"])}
     coefficients = sum(name.startswith("f_rest") for name in columns) // 3
     return Scene(
@@ -75,7 +75,7 @@ def read_by_gsply(paths: Sequence[Path]) -> list[Scene]:
 
     def scene(path: Path) -> Scene:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # its kernels warn of threads
+            warnings.simplefilter("ignore")  # its kernels warn about threads
             read = readers[path.suffix](path)
         assert (read.is_scales_ply, read.is_opacities_ply, read.is_sh0_sh) == (True, True, True)
         tensors = {name: getattr(read, name) for name in NAMES}
@@ -85,7 +85,7 @@ def read_by_gsply(paths: Sequence[Path]) -> list[Scene]:
 
 
 def read_by_spz(paths: Sequence[Path]) -> list[Scene]:
-    """By Niantic's library, which turns numbers to `RDF`; only signs change."""
+    """Read with Niantic's library, converted to `RDF`; only signs change."""
     peer = spz_peer("error")
     if isinstance(peer, AbsentPeer):
         raise MissingTool(peer.absent)
@@ -141,32 +141,32 @@ PROGRAMS = {
 
 
 def stored_numbers(path: Path) -> Scene:
-    """What our reader makes of a file, in the system of its format."""
+    """What our reader reads from a file, in the coordinate system of the format."""
     return turn_axes(read_scene(path), OWN_SYSTEMS.get(path.suffix, CONVENTION))
 
 
 def check(theirs: Scene, ours: Scene, form: str, exact: bool) -> None:
-    """Equal but for roundings of floats, and for what the program makes of a step of the format."""
+    """Equal, up to float rounding and the program's interpretation of the format."""
     assert theirs.count == ours.count
     if form in ("glb", "gltf"):
-        # PlayCanvas orders them anew.
+        # PlayCanvas reorders Gaussians.
         theirs, ours = (scene.take(np.lexsort(scene.positions)) for scene in (theirs, ours))
     near = np.testing.assert_allclose
     farthest = np.abs(ours.positions).max()
     near(theirs.positions, ours.positions, rtol=2e-6, atol=1e-7 * farthest)
     near(theirs.f_dc, ours.f_dc, rtol=1e-3 * (not exact), atol=1e-5 if exact else 2e-3)
     near(theirs.log_scale, ours.log_scale, rtol=1e-6 if exact else 1e-3, atol=1e-5)
-    # Our reader moves opacities of 0 and 1 by a quarter of a step of 8 bits.
+    # Our reader moves opacities of 0 and 1 by a quarter of an 8-bit step.
     shares = [sigmoid(scene.opacity.astype(np.float64)) for scene in (theirs, ours)]
     near(*shares, rtol=0, atol=0.251 / 255 + 5e-4 * (not exact))
     first, second = (unit_quaternions(scene.rot) for scene in (theirs, ours))
     second = second * np.copysign(1, (first * second).sum(axis=0))
-    # Some take 127.5 for the zero of .splat, not 128; Spark takes the angle from w alone.
+    # Some use 127.5 as the zero of .splat, not 128; Spark computes the angle from w alone.
     step = 1 / 128 if form == "splat" else 0
     turned = np.abs(second[0]) < (0.95 if step and not exact else np.inf)
     bound = step + (2e-4 if exact else 8e-3)
     near(first[:, turned], second[:, turned], rtol=0, atol=bound)
-    # A program may fill SH up to degree 3 with zeros.
+    # A program may pad SH with zeros up to degree 3.
     sh, wanted = (scene.f_rest.reshape(3, -1, scene.count) for scene in (theirs, ours))
     stored = wanted.shape[1]
     assert not sh[:, stored:].any()
@@ -174,6 +174,6 @@ def check(theirs: Scene, ours: Scene, form: str, exact: bool) -> None:
     if not exact and stored:
         limit = np.exp2(np.floor(np.log2(np.maximum(np.abs(wanted).max(axis=0), 2.0**-15))))
         bound = limit / 255
-    # PlayCanvas has 255 steps from -4 to 4 in a .compressed.ply, its own writer 256.
+    # PlayCanvas reads 255 steps from -4 to 4 in a .compressed.ply; its own writer uses 256.
     bound = bound + (0.5 / 32 if form == "compressed.ply" else 0)
     assert (np.abs(sh[:, :stored] - np.clip(wanted, -limit, limit)) <= bound).all()

@@ -1,4 +1,4 @@
-"""Waiting for other processes."""
+"""Wait for other processes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-#: Seconds that nothing here should ever take; what is waited for comes long before.
+#: Upper limit of any wait, in seconds; normal waits are much shorter.
 LIMIT = 600
 
-#: Nothing is to be given up on a machine that is busy.
+#: No timeouts on a busy machine.
 PATIENT = {
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "300s",
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "300s",
@@ -21,7 +21,7 @@ PATIENT = {
 
 
 def wait_for(condition: Callable[[], Any], process: subprocess.Popen) -> None:
-    """Wait until something is the case, which it has to be before a process ends."""
+    """Wait until a condition holds, which must happen before the process ends."""
     end = time.monotonic() + LIMIT
     while not condition():
         assert process.poll() is None, process.communicate(timeout=LIMIT)
@@ -30,6 +30,6 @@ def wait_for(condition: Callable[[], Any], process: subprocess.Popen) -> None:
 
 
 def finish(process: subprocess.Popen) -> tuple[int, str, str]:
-    """Wait for a process and all that it started, which hold its pipes."""
+    """Wait for a process and all its descendants, which hold its pipes open."""
     out, err = process.communicate(timeout=LIMIT)
     return process.returncode, out, err

@@ -1,6 +1,6 @@
-"""Profiles 0-2 of the reference decoder: Annex A and Annex B, without G-PCC.
+"""Profiles 0-2 of the reference decoder: Annexes A and B, without G-PCC.
 
-Written from FORMAT.md alone; it shares no code with the codec and is slow on purpose.
+Written only from FORMAT.md; shares no code with the codec, and favours clarity over speed.
 """
 
 from dataclasses import dataclass
@@ -128,7 +128,7 @@ def read_model(reader, size):
 
 
 def model_frequencies(content, size):
-    """Frequencies of `size` symbols by a model of kind 0 or 1, given as its bytes."""
+    """Frequencies of `size` symbols from a model of kind 0 or 1, given as bytes."""
     reader = Reader(content, "model")
     kind, precision, weights = read_model(reader, size)
     reader.finish()
@@ -202,7 +202,7 @@ def expected_sections(channels, torchac):
 
 
 def decode_block(channels, sections, count, torchac):
-    """Symbols of each channel that varies, by name."""
+    """Symbols of each varying channel, by name."""
     symbols = {}
     cells = [[0, 0, 0]] * count
     if GEOMETRY in sections:
@@ -351,7 +351,7 @@ def read_torchac_run(data, channel, count):
 
 
 def common(low, high):
-    """What step 3 takes from the three numbers, None if the next symbol follows."""
+    """The result of step 3 for the three numbers; None if the next symbol follows."""
     if low >= 1 << 31:
         return 1 << 31
     if high < 1 << 31:

@@ -1,6 +1,6 @@
 """Reference decoder of `.egs` files.
 
-Written from FORMAT.md alone; it shares no code with the codec and is slow on purpose.
+Written only from FORMAT.md; shares no code with the codec, and favours clarity over speed.
 """
 
 import math
@@ -29,7 +29,7 @@ LAYOUT = re.compile(r"[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]"
 
 @dataclass(frozen=True)
 class Header:
-    """Fields of the header, without those that follow from others."""
+    """Fields of the header, without derived ones."""
 
     minor: int
     count: int
@@ -67,7 +67,7 @@ class Entry:
 
 
 def read_file(data):
-    """Header, and the sections' bytes by (id, block), those of unknown ids too."""
+    """Header, and the sections' bytes by (id, block), including unknown ids."""
     data = bytes(data)
     header, at = read_header(data)
     check_table(header)
@@ -123,7 +123,7 @@ def coordinates_of(number):
 
 
 def is_system(text):
-    """Whether each axis of space is there once, and x points right or left."""
+    """Whether each axis of space occurs once, and x points right or left."""
     return (
         len(text) == 3
         and set(text) <= set("RLUDBF")
@@ -157,7 +157,7 @@ def check_table(header):
 
 
 def check_presence(header, sections, of_scene, of_blocks):
-    """Check that exactly these sections are there, beside comments and extra."""
+    """Check that exactly these sections are present, besides comments and extra."""
     if header.count:
         check((INDEX, 0) in sections, "section index is missing")
         size, expected = len(sections[INDEX, 0]), 48 * header.blocks
@@ -173,7 +173,7 @@ def check_presence(header, sections, of_scene, of_blocks):
 
 
 def check_size(header, size, extra):
-    """Refuse what section "Limits" lets a decoder refuse."""
+    """Reject files that a decoder may reject according to section "Limits"."""
     floats = 4 * header.count * (11 + 3 * (header.sh_degree + 1) ** 2)
     large = floats + extra > 1 << 30 and floats + extra > 1000 * size
     check(not large, "limits: the scene is too large for the file's size")
@@ -200,7 +200,7 @@ def check_index(content, values, header):
 
 
 def span_of(row):
-    """Least and greatest of the finite numbers; a zero is 0, not -0."""
+    """Minimum and maximum of the finite numbers; a zero is 0, not -0."""
     numbers = [number for number in row if math.isfinite(number)] or [0.0]
     return min(numbers) + 0.0, max(numbers) + 0.0
 
@@ -273,7 +273,7 @@ def decode(data):
     """Decode a file; raises ValueError if it is invalid.
 
     `values` has the floats of each property in stream order, `symbols` (profiles 0-2 only) the
-    symbols of each channel that varies, `extra` the properties beyond the layout.
+    symbols of each varying channel, `extra` the properties beyond the layout.
     """
     return decode_file(data) | {"levels": decode_levels(data)}
 
@@ -319,7 +319,7 @@ def level_counts(header):
 
 
 def decode_levels(data):
-    """What each level decodes to, with its `errors` and its `boxes`, the second of each block."""
+    """The decoded levels, each with `errors` and `boxes`, the second box of each block."""
     header, sections = read_file(data)
     numbers = sorted(block for section, block in sections if section == LEVEL)
     check(not numbers or 3 <= header.profile <= 5, "level: of another profile")
@@ -409,7 +409,7 @@ def select(data, view, tolerance, budget=None):
 
 
 def in_view(box, view):
-    """Whether no edge of a view has all eight corners of a box beyond it."""
+    """Whether no edge of a view has all eight corners of a box on its outer side."""
     beyond = [True] * 5
     for number in range(8):
         q = [box[3 * (number >> axis & 1) + axis] - view.position[axis] for axis in range(3)]
@@ -472,7 +472,7 @@ def joined(blocks, sh_degree):
 
 
 def decode_channels(header, sections):
-    """Symbols and values of a file of the profiles 0-2."""
+    """Symbols and values of a file of profiles 0-2."""
     check((CHANNELS, 0) in sections, "section channels is missing")
     channels = reference_channels.read_channels(sections[CHANNELS, 0], header.sh_degree)
     torchac = bool(header.features & TORCHAC)

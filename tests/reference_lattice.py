@@ -1,6 +1,6 @@
 """Profiles 3-5 of the reference decoder (section "Lattices").
 
-Written from FORMAT.md alone; it shares no code with the codec and is slow on purpose.
+Written only from FORMAT.md; shares no code with the codec, and favours clarity over speed.
 """
 
 import math
@@ -70,7 +70,7 @@ class Lattice:
 
 @dataclass
 class Gaussian:
-    """What is decoded of a Gaussian, in fixed point; 0 before that."""
+    """Decoded values of a Gaussian, in fixed point; initially 0."""
 
     shape: int = 0
     colour: int = 0
@@ -173,7 +173,7 @@ def open_stream(content, name):
 
 @dataclass
 class Pass:
-    """Decodes the symbols of a pass; the lanes take turns."""
+    """Decodes the symbols of a pass with lanes in rotation."""
 
     states: list
     done: int = 0
@@ -189,7 +189,7 @@ class Pass:
 
 
 def fixed_point(value):
-    """A value, if it is below 1600 in magnitude."""
+    """Check that a value is below 1600 in magnitude."""
     check(abs(value) < 1600 * ONE, "a value of 1600 or more")
     return value
 
@@ -202,7 +202,7 @@ def clamp(value, low, high):
 
 
 def decode_shapes(lattice, states, sections, count):
-    """Gaussians with all but positions and colours."""
+    """Gaussians with all attributes except positions and colours."""
     streams = {
         section: open_stream(sections[section], f"section {section}")
         for section in (CLASSES, OPACITY, SCALING, ROTATION)
@@ -223,7 +223,7 @@ def decode_shapes(lattice, states, sections, count):
 
 
 def decode_shape_value(lattice, coder, streams, gaussian, k, sum_before):
-    """Decode symbol k of a Gaussian; returns the class or the level in fixed point."""
+    """Decode symbol k of a Gaussian; return the class, or the level in fixed point."""
     tables, stream = lattice.tables[k], streams[SHAPE_STREAMS[k]]
     if k < 2:
         context = gaussian.shape if k else sum_before
@@ -293,7 +293,7 @@ def quaternion(gaussian):
 
 
 def decode_places(lattice, sections, gaussians):
-    """Places on the axes (section "Positions")."""
+    """Positions on the axes (section "Positions")."""
     axes = axes_of(lattice.bits)
     raw = RawBits(sections[LOW_BITS], "low-bits")
     places = []
@@ -314,7 +314,7 @@ def decode_places(lattice, sections, gaussians):
 
 
 def far_centres(sections, count):
-    """Centres of the last Gaussians of a block, those that are far (section "Far Gaussians")."""
+    """Centres of the last Gaussians of a block, which are far (section "Far Gaussians")."""
     if FAR_CENTRES not in sections:
         return []
     reader = Reader(sections[FAR_CENTRES], "far")
@@ -418,7 +418,7 @@ def sign(value):
 
 
 def decode_plane(coder, tables, stream, left, near, j, last):
-    """Levels of one coefficient; takes their magnitudes from `left`."""
+    """Levels of one coefficient; subtracts their magnitudes from `left`."""
     plane = []
     for i, neighbours in enumerate(near):
         if left[i] == 0:
@@ -440,7 +440,7 @@ ROOTS = tuple(1 / math.sqrt(number) for number in (3, 2, 6))
 
 
 def colours_of(planes):
-    """R, G, B in binary32, of Y, Co, Cg in fixed point."""
+    """R, G, B in binary32, from Y, Co, Cg in fixed point."""
     result = [[], [], []]
     for numbers in zip(*planes, strict=False):
         a, b, c = (number / ONE * root for number, root in zip(numbers, ROOTS, strict=False))

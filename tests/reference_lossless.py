@@ -1,6 +1,6 @@
 """Profile 6 of the reference decoder (section "Lossless").
 
-Written from FORMAT.md alone; it shares no code with the codec and is slow on purpose.
+Written only from FORMAT.md; shares no code with the codec, and favours clarity over speed.
 """
 
 import math
@@ -52,7 +52,7 @@ def read_column(data, count):
 
 
 def read_pcodec(data, result):
-    """Fill an array from a pcodec stream; returns the bytes read."""
+    """Fill an array from a pcodec stream; return the bytes read."""
     file, at = FileDecompressor.new(data)
     check(at < len(data), "column: truncated")
     check(data[at] & 15 == 0, "column: mode is not classic")
@@ -65,7 +65,7 @@ def read_pcodec(data, result):
 
 
 def read_columns(reader, counts):
-    """Columns of these numbers of integers, stored together."""
+    """Columns with these numbers of integers, stored together."""
     sizes = [reader.u32() for _ in counts]
     return [
         read_column(reader.take(size), count) for size, count in zip(sizes, counts, strict=False)
@@ -110,7 +110,7 @@ def binary64(patterns):
 
 
 def guess_w(x, y, z):
-    """Ordered integer of what w would be in a quaternion of length 1."""
+    """Ordered integer of the w that makes a unit quaternion."""
     rest = ((1 - x * x) - y * y) - z * z
     root = math.sqrt(rest) if rest > 0 else 0.0
     return ordered_of(int(numpy.float32(root).view(numpy.uint32)))
@@ -120,7 +120,7 @@ def guess_w(x, y, z):
 
 
 def read_triple(reader, coefficients, present):
-    """Bit patterns of R, G, B; `present` says by colour which Gaussians have it."""
+    """Bit patterns of R, G, B; `present` marks by colour which Gaussians have it."""
     red, green, blue = present
     greens = spread(read_stack(reader, coefficients, sum(green)), green)
     found = [None, greens, None]
@@ -131,7 +131,7 @@ def read_triple(reader, coefficients, present):
 
 
 def spread(columns, present):
-    """Columns of those Gaussians that are present, with 0 for the others."""
+    """Columns of the present Gaussians, with 0 for the others."""
     result = []
     for column in columns:
         values = iter(column)
@@ -140,7 +140,7 @@ def spread(columns, present):
 
 
 def read_mask(reader, count):
-    """By colour, which Gaussians have SH-AC."""
+    """Mask, by colour, of the Gaussians with SH-AC."""
     (masks,) = read_columns(reader, [count])
     check(all(mask <= 7 for mask in masks), "sh1: a mask above 7")
     return [[bool(mask >> colour & 1) for mask in masks] for colour in range(3)]

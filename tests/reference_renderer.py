@@ -1,7 +1,7 @@
 """Slow float64 renderer of 3DGS scenes: every pixel against every Gaussian, nearest first.
 
-It shares no code with ``gs_codec`` and has no tiles, lists or sorting keys. Pixels whose value
-hangs on a comparison closer than `MARGIN` are marked: rounding may decide them either way.
+It shares no code with ``gs_codec`` and has no tiles, lists or sorting keys. Pixels that depend on a
+comparison closer than `MARGIN` are marked, because rounding may decide it either way.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MARGIN = 1e-8
 
 @dataclass
 class Reference:
-    """An image and what each Gaussian did in it, with the pixels not to be relied on."""
+    """An image, the contribution of each Gaussian, and the unreliable pixels."""
 
     colour: np.ndarray
     alpha: np.ndarray
@@ -33,18 +33,18 @@ class Reference:
     squared_weight: np.ndarray
     transmittance: np.ndarray
     pixels: np.ndarray
-    stopped: np.ndarray  # (H, W): a Gaussian was left out because little would pass it
+    stopped: np.ndarray  # (H, W): a Gaussian was skipped because too little light would pass
     undecided: np.ndarray  # (H, W)
-    affected: np.ndarray  # (N,): reached at an undecided pixel
+    affected: np.ndarray  # (N,): touched an undecided pixel
 
 
 class Splat(NamedTuple):
-    """A Gaussian in the image; pixel (row j, column i) is at (i, j)."""
+    """A projected Gaussian; pixel (row j, column i) is at (i, j)."""
 
     mean: np.ndarray
-    covariance: np.ndarray  # with the low-pass
+    covariance: np.ndarray  # including the low-pass
     determinant: float
-    shrink: float  # what the low-pass took from the determinant, in antialiased mode
+    shrink: float  # factor on the determinant from the low-pass, in antialiased mode
     deviation: float  # along the long axis, pixels
 
 
@@ -61,11 +61,11 @@ def rotation_of(quaternion):
 
 
 def project(point, log_scale, quaternion, camera, antialiased):
-    """The splat of a Gaussian whose centre is at `point` before the camera, or None."""
+    """The splat of a Gaussian at `point` in camera axes; None if it is not drawn."""
     x, y, z = point
     if not z > NEAR:
         return None
-    # Beyond 0.3 half images outside, the linearisation would blow up.
+    # Beyond 0.3 half image sizes outside, the linearisation would diverge.
     beyond_x, beyond_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
     slope_x = np.clip(
         x / z, -camera.cx / camera.fx - beyond_x, (camera.width - camera.cx) / camera.fx + beyond_x
@@ -145,7 +145,7 @@ def colour_of(f_dc, f_rest, offset):
 
 
 def render_reference(scene, camera, background=(0.0, 0.0, 0.0), antialiased=False):
-    """The image of `scene`, as the rasteriser of INRIA's trainer defines it."""
+    """The image of `scene` as defined by the rasteriser of INRIA's trainer."""
     groups = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
     planes = {name: getattr(scene, name).astype(np.float64) for name in groups}
     finite = np.isfinite(np.concatenate(list(planes.values()))).all(axis=0)
@@ -165,7 +165,7 @@ def render_reference(scene, camera, background=(0.0, 0.0, 0.0), antialiased=Fals
 
 
 class Canvas:
-    """The pixels while Gaussians are added, nearest first."""
+    """The pixels, while Gaussians are added nearest first."""
 
     def __init__(self, count, camera):
         shape = (camera.height, camera.width)

@@ -1,6 +1,6 @@
 """Tools of the reference decoder: readers, checksum, entropy coders, tables, tree, neighbours.
 
-Written from FORMAT.md alone; it shares no code with the codec and is slow on purpose.
+Written only from FORMAT.md; shares no code with the codec, and favours clarity over speed.
 """
 
 import heapq
@@ -18,7 +18,7 @@ LARGEST_FLOAT = (2.0 - 2.0**-23) * 2.0**127
 
 
 def check(condition, text):
-    """Raise ValueError with this text unless the condition holds."""
+    """Raise ValueError with this text if the condition is false."""
     if not condition:
         raise ValueError(text)
 
@@ -28,7 +28,7 @@ def check(condition, text):
 
 @dataclass
 class Reader:
-    """Reads little-endian numbers from bytes, never past their end."""
+    """Reads little-endian numbers from bytes, never past the end."""
 
     data: bytes
     name: str = "data"
@@ -122,7 +122,7 @@ def rounded(numbers):
 
 @dataclass
 class BinaryCoder:
-    """Decodes decisions under adaptive contexts; all contexts are fresh at first."""
+    """Decodes decisions with adaptive contexts; initially, all contexts are fresh."""
 
     data: bytes
     contexts: int
@@ -179,7 +179,7 @@ class BinaryCoder:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Frequencies of symbols, and the slot where each begins."""
+    """Frequencies of symbols, and the first slot of each."""
 
     frequencies: list
     starts: list
@@ -193,7 +193,7 @@ def table_of(frequencies):
 
 
 def frequencies(weights, precision):
-    """The frequencies, of sum 2^precision, of symbols of these weights."""
+    """The frequencies, with sum 2^precision, of symbols with these weights."""
     total = sum(weights)
     positive = sum(weight > 0 for weight in weights)
     check(0 < positive <= 1 << precision, "table: no symbols, or too many")
@@ -273,7 +273,7 @@ def first_states(reader, count):
 
 
 def rans_symbol(states, lane, table, precision, words):
-    """Decode a symbol by a lane; words is a Reader of u16."""
+    """Decode a symbol with a lane; `words` is a Reader of u16."""
     state = states[lane]
     slot = state & ((1 << precision) - 1)
     symbol = table.symbol(slot)
@@ -293,7 +293,7 @@ def check_last_states(states):
 
 @dataclass(frozen=True)
 class Leaf:
-    """Points of one node without children: their code lacks the lowest bits."""
+    """Points of one node without children, whose codes lack the lowest bits."""
 
     prefix: int
     missing: int
@@ -335,7 +335,7 @@ def visit(coder, leaves, count, missing, prefix, lopsided):
 
 
 def split(coder, count, lopsided):
-    """How many points of a node have a next bit of 0."""
+    """Number of points of a node whose next bit is 0."""
     size = count - 2
     if count >= 10:
         size = 8
@@ -360,14 +360,14 @@ def split(coder, count, lopsided):
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Places in the block of up to 4 neighbours, nearest first, and their weights."""
+    """Indices within the block of up to 4 neighbours, nearest first, and their weights."""
 
     places: list
     weights: list
     total: int
 
     def predict(self, values):
-        """Prediction and sum of weighted differences from it; 0, 0 without neighbours."""
+        """Prediction, and sum of weighted differences from it; 0, 0 without neighbours."""
         if not self.places:
             return 0, 0
         pairs = [(weight, values[i]) for weight, i in zip(self.weights, self.places, strict=False)]

@@ -1,4 +1,4 @@
-"""Files that are refused: in one line that begins with the file."""
+"""Files that are rejected: in one line that begins with the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gs_codec.files.scenes import read_scene
 
 
 def assert_one_line(error: BaseException, path: Path | str) -> None:
-    """The message is one line that begins with the file and is short enough to be read."""
+    """The message is one line that begins with the file name and is short."""
     assert str(error).startswith(f"{path}: ")
     assert len(str(error).splitlines()) == 1
     assert len(str(error)) - len(str(path)) < 400

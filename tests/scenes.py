@@ -28,7 +28,7 @@ REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", 
 
 @dataclass(frozen=True)
 class SmallBlocks(Config):
-    """Options with blocks of any size; others hold 1024 Gaussians or more."""
+    """A configuration with blocks of any size; otherwise blocks have at least 1024 Gaussians."""
 
     block_size: int = option(16, "", kind=int, low=1, high=1 << 16)
 
@@ -53,7 +53,7 @@ def random_scene(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
 def with_far(scene: Scene, number: int, seed: int = 0, lowest: float = 1e3) -> Scene:
     """The scene with some centres moved away, in random directions, to `lowest` up to 1e9.
 
-    The first ones are as far away as floats go, and on one axis alone.
+    The first ones have the largest possible distance, some along a single axis.
     """
     rng = np.random.default_rng(seed)
     moved = rng.choice(scene.count, number, replace=False)
@@ -68,7 +68,7 @@ def with_far(scene: Scene, number: int, seed: int = 0, lowest: float = 1e3) -> S
 
 
 def edge_scenes() -> dict[str, Scene]:
-    """Scenes at the limits of what there can be, by name."""
+    """Extreme valid scenes, by name."""
     base = random_scene(500, 3, seed=1)
     flat = base.positions.copy()
     flat[1] = 0.25
@@ -105,7 +105,7 @@ def edge_scenes() -> dict[str, Scene]:
     }
 
 
-#: Attributes, and values of theirs that are damage; infinite opacities and scales of 0 are none.
+#: Attributes and damaged values; infinite opacities and scales of 0 are not damage.
 DAMAGE = [
     (group, value)
     for group in GROUPS
@@ -115,14 +115,14 @@ DAMAGE = [
 
 
 def assert_same_floats(first: Scene, second: Scene) -> None:
-    """All bits of all floats are the same."""
+    """All floats are equal bit for bit."""
     for group in GROUPS:
         a, b = getattr(first, group), getattr(second, group)
         np.testing.assert_array_equal(a.view(np.uint32), b.view(np.uint32), err_msg=group)
 
 
 def assert_same_bits(first: Scene, second: Scene) -> None:
-    """The same floats, comments and further properties."""
+    """The same floats, comments and extra properties."""
     assert_same_floats(first, second)
     assert (first.has_normals, first.comments) == (second.has_normals, second.comments)
     assert list(first.extra) == list(second.extra)
@@ -134,25 +134,25 @@ def assert_same_bits(first: Scene, second: Scene) -> None:
 
 
 def with_threads(number: int | None, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function gives with so many threads."""
+    """Call a function with this number of threads."""
     with using_threads(number):
         return function(*arguments)
 
 
 def antialiased(scene: Scene, wanted: bool = True) -> Scene:
-    """The scene as trained with opacity compensation, or without."""
+    """The scene marked as trained with opacity compensation, or without."""
     return replace(scene, comments=(ANTIALIASED,) if wanted else ())
 
 
-#: Step sizes of a scene for a profile.
+#: Makes step sizes of a scene for a profile.
 Guide = Callable[[Scene, Config], StepSizes]
 
 
 def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sensitivity:
-    """What views could say of a scene, drawn by chance.
+    """Random sensitivities, as if measured in views.
 
-    Sensitivities of a Gaussian go up and down together by ``exp(spread)``, so that there are
-    classes. Turns in the plane of two axes are seen less, the more alike these are.
+    The sensitivities of a Gaussian vary together by ``exp(spread)``, so that there are classes. The
+    more similar two axes are, the lower the sensitivity to turns in their plane.
     """
 
     rng = np.random.default_rng(seed)
@@ -169,21 +169,21 @@ def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sen
 def steps_for(
     scene: Scene, config: Config, sensitivity: Sensitivity, loss: float = 0.0
 ) -> StepSizes:
-    """Step sizes that follow from a sensitivity, to views of a thousand pixels a Gaussian."""
+    """Step sizes from a sensitivity, for views of a thousand pixels per Gaussian."""
     return told(scene, sensitivity, loss).steps(config.adaptive_profile())
 
 
 def told(scene: Scene, sensitivity: Sensitivity, loss: float = 0.0) -> Guidance:
-    """What views of a thousand pixels a Gaussian tell; they cannot compact or refit colours."""
+    """Guidance from views of a thousand pixels per Gaussian, without compaction or refitting."""
     nothing = ReferenceViews((), (), False, (0.0, 0.0, 0.0))
     adding, weights = steps_adding(scene, sensitivity), np.zeros((0, scene.count))
     return Guidance(adding, loss, 1000 * scene.count, nothing, weights)
 
 
 def made_up_guide(seed: int = 0, spread: float = 3.0, error: float | None = None) -> Guide:
-    """Step sizes by what views could say of a scene; see `made_up_sensitivity`.
+    """Step sizes from random sensitivities; see `made_up_sensitivity`.
 
-    They may add the error that the profile allows, unless another is given.
+    They add the error that the profile allows, unless `error` is given.
     """
 
     def guide(scene: Scene, config: Config) -> StepSizes:
@@ -195,7 +195,7 @@ def made_up_guide(seed: int = 0, spread: float = 3.0, error: float | None = None
 
 
 def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes:
-    """A scene encoded by a guide, if there is one and there is something to guide."""
+    """Encode a scene, with a guide if given and if the profile can use it."""
     steps = None
     if guide is not None and scene.count:
         steps = guide(clean_scene(scene, config)[0], config)
@@ -203,12 +203,12 @@ def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes
 
 
 def thorough(*values: Any) -> Any:
-    """Values of parameters for which the test is left to `make test-all`."""
+    """Parameter values that only `make test-all` tests."""
     return pytest.param(*values, marks=pytest.mark.thorough)
 
 
 def estimate_few_cameras(patch: pytest.MonkeyPatch) -> None:
-    """Estimated cameras are smaller, and from fewer views, which take the most of the time."""
+    """Estimate fewer and smaller cameras, to save most of the time."""
     for name in ("WIDTH", "HEIGHT", "SMALL", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
         patch.setattr(auto_cameras, name, getattr(auto_cameras, name) // 6)
     patch.setattr(auto_cameras, "_THUMB", (32, 21))
@@ -217,14 +217,14 @@ def estimate_few_cameras(patch: pytest.MonkeyPatch) -> None:
 
 
 def shared_scene_path(name: str) -> Path:
-    """Path of a real scene; skips the test where the shared scenes are not there."""
+    """Path of a real scene; skips the test if the shared scenes are missing."""
     path = SHARED / name
     if not path.exists():
         pytest.skip(f"shared scene {name} is not on this machine")
     return path
 
 
-#: Zeros, denormals, the least and the greatest normal, infinities, NaN quiet and signalling.
+#: Zeros, denormals, smallest and largest normal, infinities, quiet and signalling NaN.
 PATTERNS = np.array(
     [
         *(0x00000000, 0x80000000, 0x00000001, 0x80000001, 0x007FFFFF, 0x00800000),
@@ -236,7 +236,7 @@ PATTERNS = np.array(
 
 
 def any_bits(count: int, sh_degree: int, seed: int) -> Scene:
-    """Bit patterns of all kinds: NaN payloads, infinities, zeros of both signs, denormals."""
+    """Random bit patterns: NaN payloads, infinities, zeros of both signs, denormals."""
     rng = np.random.default_rng(seed)
     scene = random_scene(count, sh_degree, seed)
     for group in GROUPS:
@@ -248,7 +248,7 @@ def any_bits(count: int, sh_degree: int, seed: int) -> Scene:
 
 
 def rich_scene(count: int, degree: int) -> Scene:
-    """With comments, normals and extra properties."""
+    """A scene with comments, normals and extra properties."""
     rng = np.random.default_rng(7)
     extra = {"label": rng.integers(0, 200, count, np.uint8), "weight": rng.normal(size=count)}
     scene = random_scene(count, degree, seed=60)

@@ -1,7 +1,7 @@
-"""A stand-in for ``splat-transform``: its files are PLY files, and it fails as SPLAT_STAND_IN asks.
+"""A stand-in for ``splat-transform`` that writes PLY files, and fails according to SPLAT_STAND_IN.
 
-``SPLAT_STAND_IN=fail:.sog`` makes it fail at what ends so. It knows no more of the program than the
-options that it is called with.
+``SPLAT_STAND_IN=fail:.sog`` makes it fail for files with that suffix. It supports only the options
+that we use.
 """
 
 import os
@@ -14,7 +14,7 @@ VERSION = "splat-transform v0.1 (stand-in)"
 
 
 def hang(fifo: str) -> None:
-    """Go on for ever, and a process of its own too, both holding a FIFO."""
+    """Hang for ever, together with a child process; both hold a FIFO open."""
     os.set_inheritable(os.open(fifo, os.O_WRONLY), True)
     forever = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(1e5)"]
     subprocess.Popen(forever, close_fds=False)

@@ -1,4 +1,4 @@
-"""Gaussians and cameras that tests of rendering place themselves."""
+"""Hand-placed Gaussians and cameras for tests of rendering."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene
 #: A background, RGB.
 TEAL = (0.1, 0.7, 0.6)
 
-#: A GPU draws by the same rule, but not to these tolerances.
+#: Not on a GPU, which follows the same rule, but not within these tolerances.
 render = partial(renderer.render, device="cpu")
 
 
@@ -36,7 +36,7 @@ def straight(width=70, height=45, position=(0, 0, 0), fx=60.0, fy=60.0, cx=None,
 
 
 def turned(seed: int, width=70, height=45, **intrinsics) -> Camera:
-    """A camera anywhere, turned anyhow."""
+    """A camera at a random position with a random rotation."""
     rng = np.random.default_rng(seed)
     axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     rotation = axes * np.linalg.det(axes)
@@ -66,7 +66,7 @@ def splats(positions, **planes) -> Scene:
 
 
 def crowd(camera: Camera, count: int, sh_degree: int, seed: int, pixels: float = 4.0) -> Scene:
-    """Gaussians of about `pixels` in and around what `camera` sees, some of them behind it."""
+    """Gaussians of about `pixels` in and around the view of `camera`, some of them behind it."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(-0.3, 5, count)
     u = rng.uniform(-0.3, 1.3, count) * camera.width
@@ -84,7 +84,7 @@ def crowd(camera: Camera, count: int, sh_degree: int, seed: int, pixels: float =
 
 
 def real_cameras() -> list[Camera]:
-    """The views of the bonsai scene that it was not trained on."""
+    """The test views of the bonsai scene."""
     views = json.loads(shared_scene_path("bonsai/cameras.json").read_text())
     return [
         Camera(
@@ -104,6 +104,6 @@ def real_cameras() -> list[Camera]:
 
 
 def noise(camera: Camera, seed: int) -> np.ndarray:
-    """An image of a camera's size."""
+    """A random image of a camera's size."""
     rng = np.random.default_rng(seed)
     return rng.random((camera.height, camera.width, 3)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Scenes with ugly numbers: constant, huge, denormal, heavy-tailed, degenerate in space."""
+"""Scenes with extreme numbers: constant, huge, denormal, heavy-tailed, spatially degenerate."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def stress_scenes(count: int, copies: int) -> Iterator[tuple[str, Scene]]:
 
 
 def _usual(count: int) -> Planes:
-    """Planes like those of a scene."""
+    """Planes with typical values."""
     rng = np.random.default_rng(count)
     return {
         "positions": rng.normal(size=(3, count)),
@@ -45,7 +45,7 @@ def _scene(planes: Planes) -> Scene:
 
 
 def _values(count: int) -> Iterator[tuple[str, Planes]]:
-    """Distributions of values, in every channel alike."""
+    """Distributions of values, the same in every channel."""
     rng = np.random.default_rng([count, 1])
     usual = _usual(count)
 
@@ -99,7 +99,7 @@ def _places(count: int) -> Iterator[tuple[str, Planes]]:
 
 
 def _shapes(count: int) -> Iterator[tuple[str, Planes]]:
-    """Opacities, scales and quaternions at the ends of their ranges."""
+    """Opacities, scales and quaternions at the limits of their ranges."""
     usual = _usual(count)
     rot, sign = usual["rot"], np.sign(usual["log_scale"] + 5.0)
     infinite = np.where(usual["opacity"] > 0, np.inf, -np.inf)

@@ -1,4 +1,4 @@
-"""Pages opened in Chromium, a server of files for them, and pictures of what they show."""
+"""Open pages in Chromium, serve files to them, and compare screenshots."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 
-#: The project.
+#: Root folder of the project.
 ROOT = Path(__file__).parents[1]
 
-#: Scripts of tests that Node runs.
+#: Scripts that Node runs.
 HERE = Path(__file__).parent / "web"
 
-#: The programs, None where they are missing.
+#: Paths of the programs; None if missing.
 NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
 
 #: For tests that open pages.
@@ -36,20 +36,20 @@ in_browser = pytest.mark.skipif(
     reason="needs Node, Chromium, and npm ci in tests/web",
 )
 
-#: Pixels of a page, unless others are asked for.
+#: Default size of a page, in pixels.
 SIZE = WIDTH, HEIGHT = 300, 200
 
 
 @dataclass
 class Job:
-    """A page to open, and what to do in it."""
+    """A page to open, and the actions on it."""
 
     url: str
     steps: list[tuple]
     size: tuple[int, int] = SIZE
     before: str | None = None
-    panel: bool = False  # to open it, as is done by hand where there is little room
-    mobile: bool = False  # whether fingers are what it is used by
+    panel: bool = False  # open the panel, as a user does on a small screen
+    mobile: bool = False  # emulate a touch screen
 
     def shot(self, name: str) -> None:
         self.steps.append(("shot", name))
@@ -57,7 +57,7 @@ class Job:
 
 @dataclass
 class Opened:
-    """What came of it."""
+    """Result of a job."""
 
     values: list[Any] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
@@ -87,12 +87,12 @@ def open_pages(*jobs: Job) -> list[Opened]:
 
 
 def seen(path: str | Path) -> np.ndarray:
-    """A picture of a page, RGB, 0-1."""
+    """Screenshot of a page, RGB, 0-1."""
     return np.asarray(Image.open(path).convert("RGB"), np.float64) / 255
 
 
 def drawn(scene: Scene, camera: Camera, background: tuple = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """What our rasteriser draws, as a picture holds it."""
+    """Our renderer's image, quantised like a screenshot."""
     colour = render(scene, camera, background, device="cpu").colour
     return np.round(colour.clip(0, 1) * 255) / 255
 
@@ -103,7 +103,7 @@ def decibels(page: np.ndarray, ours: np.ndarray) -> float:
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
-    """A server that says nothing, and of `stalled.egs` sends half; the project is in `/project`."""
+    """A silent server that sends only half of `stalled.egs`; the project is at `/project`."""
 
     def translate_path(self, path: str) -> str:
         if path.startswith("/project/"):
@@ -127,7 +127,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 
 
 class serving:  # noqa: N801
-    """A server of a folder, on this machine alone."""
+    """A server of a folder, reachable only from this machine."""
 
     def __init__(self, folder: Path) -> None:
         handler = functools.partial(Handler, directory=str(folder))

@@ -1,4 +1,4 @@
-"""The decoder in JavaScript against Python's: both refuse a file, or both give the same floats."""
+"""Compare the JavaScript decoder with Python's: both reject a file, or return the same floats."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from gs_codec.scene import GROUPS, Scene
 HERE = Path(__file__).parent
 NODE = shutil.which("node")
 
-#: Most bytes of a decoded scene; MiB that Node may ever take; seconds for a file.
+#: Maximum bytes of a decoded scene; maximum MiB of Node; seconds per file.
 MOST, MEMORY, SECONDS = 1 << 22, 600, 20
 
-#: What the decoder in JavaScript refuses that Python reads.
+#: Features that only the Python decoder supports.
 _NOT_READ = ("profile lossless", "G-PCC", "torchac")
 
 
@@ -75,7 +75,7 @@ def _levels(data: bytes) -> dict | None:
 
 
 def compare(data: bytes) -> None:
-    """Decode a file by both; the first byte says whether its checksums are made right before."""
+    """Decode a file with both; its first byte says whether checksums are corrected first."""
     if not data:
         return
     stream = _with_all_checksums(data[1:]) if data[0] & 1 else data[1:]
@@ -94,14 +94,14 @@ def _check(found: dict, expected: dict | None, stream: bytes) -> None:
         assert "\n" not in found["message"], found
         assert expected is None, found
     elif expected is None:
-        # Extra properties are not read there, so nothing of them is refused.
+        # The JavaScript decoder ignores extra properties, so it does not reject them.
         assert any(section == SectionId.EXTRA for section, *_ in _sections(stream)), found
     else:
         assert found == expected
 
 
 def _sections(data: bytes) -> list[tuple[int, int, int]]:
-    """Identifier, position and size of the sections that a header lists, as far as it does."""
+    """Identifier, position and size of the sections listed in a header, if it can be parsed."""
     if len(data) < HEADER:
         return []
     count = min(struct.unpack_from("<I", data, SECTIONS)[0], (len(data) - HEADER) // ENTRY)
@@ -115,7 +115,7 @@ def _sections(data: bytes) -> list[tuple[int, int, int]]:
 
 
 def _with_all_checksums(data: bytes) -> bytes:
-    """The file with every checksum made right, of its levels, too."""
+    """The file with all checksums corrected, including those of its levels."""
     stream = bytearray(data)
     for section, position, size in _sections(data):
         if section == SectionId.LEVEL and HEADER < size <= len(data) - position:

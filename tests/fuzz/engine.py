@@ -1,4 +1,4 @@
-"""A process that a fuzzing engine drives: one target, until its time is over or it finds something.
+"""A process for a fuzzing engine: fuzz one target until time runs out or something is found.
 
 ``python tests/fuzz/engine.py TARGET [options of libFuzzer] CORPUS``
 """
@@ -18,7 +18,7 @@ PACKAGES = ("gs_codec", "plyfile", "PIL", "zipfile", "json")
 
 
 def kernel_modules() -> list[str]:
-    """Modules with kernels, which are compiled from code that must be as it is written."""
+    """Modules with kernels, whose code must not be instrumented."""
     spec = find_spec("gs_codec")
     assert spec is not None
     assert spec.origin is not None
@@ -39,7 +39,7 @@ def main() -> None:
         from targets import TARGETS
     target = TARGETS[name]
     for seed in target.seeds():
-        target.check(seed)  # what is compiled is compiled here
+        target.check(seed)  # compile all kernels now
     atheris.Setup([sys.argv[0], *sys.argv[2:]], target.check)
     atheris.Fuzz()
 

@@ -1,8 +1,8 @@
-"""Coverage-guided fuzzing of what reads files: needs ``pip install -e '.[fuzz]'``.
+"""Coverage-guided fuzzing of file readers; needs ``pip install -e '.[fuzz]'``.
 
-``python tests/fuzz/fuzz.py TARGET [--minutes 30] [--corpus FOLDER]`` prints a line of JSON: what
-was executed and what was found. A finding is kept in FOLDER/found, and the next is looked for; it
-becomes a test when it is copied to ``tests/fuzz/found/TARGET``.
+``python tests/fuzz/fuzz.py TARGET [--minutes 30] [--corpus FOLDER]`` prints a line of JSON with the
+executions and findings. Findings are saved in FOLDER/found, and fuzzing continues; copy one to
+``tests/fuzz/found/TARGET`` to make it a test.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent), str(HERE)]
 
-#: Longest input, bytes; seconds and MiB that one may take.
+#: Maximum bytes of an input; maximum seconds and MiB for an input.
 _LONGEST, _SECONDS, _MEMORY = 1 << 16, 60, 4096
 
 
 def run(name: str, minutes: float, corpus: Path) -> dict[str, object]:
-    """Fuzz a target for so long, whatever is found."""
+    """Fuzz a target for some minutes, whatever is found."""
     from targets import TARGETS
 
     inputs, found = corpus / "inputs", corpus / "found"

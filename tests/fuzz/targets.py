@@ -1,4 +1,4 @@
-"""What is fuzzed: readers of files, which may refuse an input, but by an error of ours alone."""
+"""Fuzzing targets: readers of files, which may reject an input only with our own errors."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import GROUPS, Scene
 from viewer.scenes.opened import read_pruned
 
-#: Most bytes of a decoded scene.
+#: Maximum bytes of a decoded scene.
 _MOST = 1 << 22
 
-#: Gaussians of the streams to start from.
+#: Number of Gaussians of the initial streams.
 _COUNT = 60
 
 _VIEW = Camera("seen", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0.0, 0.0, -4.0]))
@@ -59,21 +59,21 @@ _VIEW = Camera("seen", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0.0,
 
 @dataclass(frozen=True)
 class Target:
-    """A reader, and sound inputs to start from.
+    """A reader, and valid inputs to start from.
 
     Attributes
     ----------
     read : callable
-        ``read(data)``; raises `GsCodecError` where it refuses.
+        ``read(data)``; raises `GsCodecError` if it rejects the data.
     seeds : callable
-        Inputs that it takes.
+        Makes valid inputs.
     """
 
     read: Callable[[bytes], object]
     seeds: Callable[[], list[bytes]]
 
     def check(self, data: bytes) -> None:
-        """Read an input; what it refuses must be refused in one line."""
+        """Read an input; errors must have one line."""
         try:
             self.read(data)
         except GsCodecError as error:
@@ -82,7 +82,7 @@ class Target:
 
 
 def _from_file(read: Callable[[Path], object], suffix: str, data: bytes) -> object:
-    """Read an input from a file, in memory where the system has such."""
+    """Read an input from a file, which is in memory if the system supports it."""
     with tempfile.TemporaryDirectory(dir=_memory_folder()) as folder:
         path = Path(folder) / f"input{suffix}"
         path.write_bytes(data)
@@ -101,7 +101,7 @@ def _to_file(write: Callable[[Path], object], suffix: str) -> bytes:
 
 
 def _decode(data: bytes) -> None:
-    """Decode the whole or a part; the first byte says which, and what is made right before."""
+    """Decode all or a part; the first byte selects which, and whether checksums are corrected."""
     if not data:
         return
     stream = bytearray(data[1:])
@@ -125,7 +125,7 @@ def _decode(data: bytes) -> None:
 
 
 def _fit_last(stream: bytearray) -> None:
-    """Let the last section be as long as what is left for it."""
+    """Adjust the length of the last section to the remaining bytes."""
     if len(stream) < HEADER:
         return
     table = HEADER + ENTRY * struct.unpack_from("<I", stream, SECTIONS)[0]
@@ -153,7 +153,7 @@ def _streams() -> list[bytes]:
 
 
 def _levels() -> bytes:
-    """A stream with a coarser level, in blocks of fewer Gaussians than may be asked for."""
+    """A stream with a coarser level, in blocks smaller than options allow."""
     config = SmallBlocks("m", lod=True)
     parts = encode_parts(random_scene(_COUNT, 1, seed=4), config)
     return b"".join(add_levels(*parts, config)[0])
@@ -285,7 +285,7 @@ _USDS = ((0, ".usda"), (1, ".usda"), (0, ".usdc"), (0, ".usdz"))
 
 
 def _pcodec(data: bytes) -> None:
-    """A column of a lossless stream; the first byte is the number of its values."""
+    """A column of a lossless stream; the first byte is the number of values."""
     if data and data[0]:
         read_integers(memoryview(data)[1:], data[0], "column")
 
@@ -325,7 +325,7 @@ def _sog_metas() -> list[bytes]:
 
 
 def _lod_meta(folder: Path, data: bytes) -> object:
-    """A `lod-meta.json` beside the files of a scene."""
+    """A `lod-meta.json` next to the files of a scene."""
     from gs_codec.files.scenes import read_scene
 
     write_files(folder, {**_streamed(), STREAMED: data})
@@ -334,7 +334,7 @@ def _lod_meta(folder: Path, data: bytes) -> object:
 
 @cache
 def _ssogs() -> list[bytes]:
-    """Zips of streamed SOG as it is written, and with bundles in place of folders."""
+    """Zips of streamed SOG as written, and with bundles in place of folders."""
     plain, bundled = io.BytesIO(), io.BytesIO()
     files = _streamed()
     write_zip(plain, files)
@@ -366,7 +366,7 @@ def _checkpoints() -> list[bytes]:
 
 
 def _colmap(folder: Path, data: bytes) -> None:
-    """A binary model; its cameras end where the input says so."""
+    """A binary model; the first bytes of the input say where the cameras end."""
     end = int.from_bytes(data[:2], "little")
     (folder / "cameras.bin").write_bytes(data[2 : 2 + end])
     (folder / "images.bin").write_bytes(data[2 + end :])
@@ -387,7 +387,7 @@ def _models() -> list[bytes]:
 
 
 def _pruned(folder: Path, data: bytes) -> None:
-    """A report of what was pruned; its labels come first."""
+    """A pruning report; the labels come first."""
     end = int.from_bytes(data[:2], "little")
     (folder / "labels.npy").write_bytes(data[2 : 2 + end])
     (folder / "report.json").write_bytes(data[2 + end :])

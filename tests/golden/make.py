@@ -1,9 +1,9 @@
-"""Write golden files that are not there yet. Run by hand, when the format has something new.
+"""Write missing golden files. Run by hand after adding to the format.
 
     python tests/golden/make.py
 
-Each `.egs` comes with the floats it decoded to when it was made; tests/test_golden.py reads both
-and never writes.
+Each `.egs` is stored with the floats it decoded to when it was made. tests/test_golden.py only
+reads both.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from gs_codec.egs.levels import levels_of  # noqa: E402
 from gs_codec.levels.adding import add_levels  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 
-#: What tells the encoder of what views see, by name. The error is that of `m` when files of version
-#: 1 were written.
+#: Step sizes for the encoder, by name. The error is that of `m` when files of version 1 were
+#: written.
 GUIDES = {
     "v1-guided": made_up_guide(seed=103, error=2e-5),
     "v2-far-guided": made_up_guide(seed=107),
@@ -37,7 +37,7 @@ GUIDES = {
 
 
 def golden_scenes() -> dict[str, tuple[Scene, Config]]:
-    """Scenes and options that together use every part of the format, by the names of files."""
+    """Scenes and options that together use every part of the format, by file name."""
     return {f"v1-{name}": case for name, case in _golden_scenes().items()} | {
         "v2-far": (
             with_far(random_scene(1100, 3, seed=106), 11),
@@ -51,7 +51,7 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
 
 
 def _golden_scenes() -> dict[str, tuple[Scene, Config]]:
-    """Those of version 1."""
+    """Scenes of version 1."""
     plain = random_scene(1500, 3, seed=100)
     carried = replace(
         random_scene(40, 1, seed=101),
@@ -95,7 +95,7 @@ def _golden_scenes() -> dict[str, tuple[Scene, Config]]:
 
 
 def golden_levels() -> dict[str, Callable[[], bytes]]:
-    """Files with three levels of detail; how Gaussians merge may differ between machines."""
+    """Files with three levels of detail; merging may differ between machines."""
 
     def encode(scene: Scene) -> bytes:
         config = SmallBlocks("m", lod=True)

@@ -1,9 +1,8 @@
-"""Write the golden files of other formats, and what a program at home in each reads from it.
+"""Write the golden files of other formats, and what a native program of each format reads.
 
     python tests/golden/make_other.py
 
-Needs the programs that `make peers` installs; tests/test_golden.py reads the files and never
-writes.
+Needs the programs that `make peers` installs; tests/test_golden.py only reads the files.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from gs_codec.formats.splat import pack_splat  # noqa: E402
 from gs_codec.formats.spz.scene import pack_spz  # noqa: E402
 from gs_codec.scene import GROUPS  # noqa: E402
 
-#: The writer of each format, as fine as the format is, and what reads its golden file.
+#: The writer of each format, at its finest, and the native program that reads its golden file.
 HOME = {
     "spz": (pack_spz, "spz"),
     "v4.spz": (partial(pack_spz, version=4), "spz"),
@@ -38,19 +37,19 @@ HOME = {
     "glb": (pack_gltf, "playcanvas"),
 }
 
-#: Gaussians of a golden file; more than one chunk in a .compressed.ply.
+#: Number of Gaussians of a golden file; more than one chunk of a .compressed.ply.
 COUNT = 260
 
 
 def written(form: str, folder: Path) -> Path:
-    """The scene of the golden file, written to a folder."""
+    """Write the scene of the golden file to a folder."""
     target = folder / f"other.{form}"
     target.write_bytes(HOME[form][0](random_scene(COUNT, 3, seed=105))[0])
     return target
 
 
 def main() -> None:
-    """Write each file, have it read, and store what was read."""
+    """Write each file, let its program read it, and store the result."""
     for form, (_, program) in HOME.items():
         golden = HERE / f"other.{form}"
         if golden.exists():

@@ -27,6 +27,7 @@ from gs_codec.codecs.adaptive.lattice import (
     to_lattice,
 )
 from gs_codec.codecs.adaptive.rotation import likeness
+from gs_codec.codecs.adaptive.section import decode_marks, encode_marks
 from gs_codec.codecs.adaptive.step_sizes import (
     MAX_SLOPE,
     Sensitivity,
@@ -39,7 +40,6 @@ from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.count_tree import decode_tree, encode_tree
 from gs_codec.coding.fields import BitReader, BitWriter
 from gs_codec.coding.frequency_table import shannon_bits
-from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.morton import decode_morton
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg

@@ -25,12 +25,11 @@ from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
 from gs_codec.codecs.adaptive.lattice import PositionGrid, from_grid
-from gs_codec.codecs.adaptive.section import RULES, UNITS, read_lattice
+from gs_codec.codecs.adaptive.section import RULES, UNITS, encode_marks, read_lattice
 from gs_codec.codecs.adaptive.step_sizes import MAX_SLOPE, Sensitivity, StepSizes
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import identity_for_zero
-from gs_codec.coding.marks import encode_marks
 from gs_codec.coding.sent_tables import encode_tables
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.egs_file import SectionId, read_file

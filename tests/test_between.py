@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from splats import straight
 
-from gs_codec.cameras.between import cameras_between
 from gs_codec.cameras.camera import Camera
+from gs_codec.preparation.likely_views import cameras_between
 
 
 def ring(angles) -> list[Camera]:

@@ -11,7 +11,7 @@ from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.adaptive.arrange import arrange_scene
-from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
+from gs_codec.codecs.adaptive.step_conversion import as_deep, mean_octaves
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config, RateTarget

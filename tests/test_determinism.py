@@ -17,7 +17,7 @@ from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import decode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
-from gs_codec.levels.block_errors import Run
+from gs_codec.levels.building import Run
 from gs_codec.scene import GROUPS, Scene
 
 ROOT = Path(__file__).parents[1]

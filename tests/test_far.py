@@ -31,9 +31,9 @@ from gs_codec.codecs import decode_part, decode_scene, encode_scene, slabs
 from gs_codec.codecs.adaptive.arrange import arrange_scene
 from gs_codec.codecs.adaptive.costs import block_costs
 from gs_codec.codecs.adaptive.decode import Blocks
-from gs_codec.codecs.adaptive.depths import mean_octaves
 from gs_codec.codecs.adaptive.grid import choose_grid
 from gs_codec.codecs.adaptive.lattice import grid_codes, outside
+from gs_codec.codecs.adaptive.step_conversion import mean_octaves
 from gs_codec.codecs.gaussian_costs import describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.matching import GridOrder, order_of
@@ -42,7 +42,7 @@ from gs_codec.codecs.slabs import verify_file
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
-from gs_codec.egs.levels import levels_of, open_level
+from gs_codec.egs.index import levels_of, open_level
 from gs_codec.encoding.order import encode_by_plan, encode_camera_free, encode_planned
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file

@@ -20,8 +20,7 @@ from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
-from gs_codec.codecs.entropygs.gpcc import decode_points, encode_points
-from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.codecs.entropygs.gpcc import Tmc3, decode_points, encode_points
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES, Config

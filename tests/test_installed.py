@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gs_codec.bench import installed as module
-from gs_codec.bench.installed import installed
+from gs_codec.bench import host as module
+from gs_codec.bench.host import installed
 
 
 @pytest.fixture

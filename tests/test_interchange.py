@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import gs_codec
 from gs_codec.cli.main import app
 from gs_codec.codecs import encode_scene
-from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
+from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_steps
 from gs_codec.codecs.decode import decode_as
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ADAPTIVE_PROFILES, Config

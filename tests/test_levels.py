@@ -39,7 +39,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import verify_file
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
-from gs_codec.egs.levels import errors_of, levels_of, open_level
+from gs_codec.egs.index import errors_of, levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file

@@ -17,8 +17,7 @@ from gs_codec.cameras.image_files import write_png
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.metrics.image_quality import compare_images
-from gs_codec.metrics.lpips import LEAST, VARIABLE, load_lpips
+from gs_codec.metrics.image_quality import LPIPS_SIZE, LPIPS_VARIABLE, compare_images, load_lpips
 
 #: Backbones by the package's names: what they are called, their names in torchvision, and a layer
 #: as the package names it.
@@ -73,7 +72,7 @@ def folder(tmp_path, monkeypatch):
     for i in range(2):
         write_png(tmp_path / f"v{i}.png", np.full((32, 40, 3), 0.5))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(LPIPS_VARIABLE, raising=False)
     load_lpips.cache_clear()  # of files of the same name in another folder
     return tmp_path
 
@@ -97,7 +96,7 @@ def test_values_are_those_of_the_package_with_the_same_weights(tmp_path, monkeyp
     torch.save(features, tmp_path / "weights.pth")
     monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", lambda *_, **__: state)
     network = lpips.LPIPS(net=net, verbose=False)  # which loads what it thinks it has downloaded
-    a, b = np.random.default_rng(8).random((2, 40, LEAST, 3))
+    a, b = np.random.default_rng(8).random((2, 40, LPIPS_SIZE, 3))
     tensors = [torch.tensor(x.transpose(2, 0, 1)[None], dtype=torch.float32) for x in (a, b)]
     expected = network(*tensors, normalize=True).item()
     assert load_lpips(tmp_path / "weights.pth").backbone == name
@@ -109,7 +108,7 @@ def test_values_are_those_of_the_package_with_the_same_weights(tmp_path, monkeyp
 def test_backbone_is_told_by_its_weights(stand_in, tmp_path, net):
     path = stand_in(tmp_path / "weights.pth", net)
     assert load_lpips(path).backbone == BACKBONES[net][0]
-    image = np.zeros((LEAST, 40, 3))
+    image = np.zeros((LPIPS_SIZE, 40, 3))
     assert compare_images(image, image + 0.25, path).lpips == pytest.approx(0.75)
     assert compare_images(image, image + 0.25).lpips is None
     with pytest.raises(InvalidInput, match=r"40x30 pixels, expected at least 31 .* for LPIPS"):
@@ -180,10 +179,10 @@ def test_compare_names_the_backbone(stand_in, folder, monkeypatch):
     mean = {name: report["mean"][name]["lpips"] for name in ("between", "a", "b", "delta")}
     assert mean["between"] > 0
     assert mean["delta"] == pytest.approx(mean["b"] - mean["a"])
-    monkeypatch.setenv(VARIABLE, "weights.pth")
+    monkeypatch.setenv(LPIPS_VARIABLE, "weights.pth")
     again = json.loads(compare("--gt-images", ".", "--json").stdout)
     assert {name: again[name] for name in report} == report
     assert gs_codec.compare("a.ply", "b.ply", "cameras.json").backbone == "SqueezeNet 1.1"
-    monkeypatch.setenv(VARIABLE, "")
+    monkeypatch.setenv(LPIPS_VARIABLE, "")
     report = json.loads(compare("--json").stdout)
     assert (report["backbone"], report["mean"]["between"]["lpips"]) == (None, None)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene
 
-from gs_codec.cameras.between import cameras_between
 from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation import reference_views as targets_module
+from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prune import (
     importance,

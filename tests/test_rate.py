@@ -35,7 +35,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rate import trials
+from gs_codec.rate import search as searching
 from gs_codec.rate.allocate import encode_to_target
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import RateReport, RenderedLoss
@@ -164,7 +164,7 @@ def test_sizes_are_met_from_below(scene, target, profile, guided, monkeypatch):
     ply_bytes = vertex_rows(scene).nbytes
     guidance = told(scene, made_up_sensitivity(scene, seed=3))
     guidance.compact = guidance.recolour = unchanged
-    monkeypatch.setattr(trials, "guide", lambda *_: guidance)
+    monkeypatch.setattr(searching, "guide", lambda *_: guidance)
     plan = Plan(Steps(), cameras(1)) if guided else None
     data, report = to_target(scene, Config(profile), target, ply_bytes, plan)
     limit = target.limit(scene.count, ply_bytes)
@@ -338,7 +338,7 @@ def test_pruning_reaches_what_steps_do_not(crowded):
     counted = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            trials, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
+            searching, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
         )
         data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
     assert 8 * len(data) <= 14 * scene.count

@@ -26,8 +26,7 @@ from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import photographed
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.renderer import render
-from gs_codec.views.draw import write_views
+from gs_codec.rendering.renderer import render, write_views
 from gs_codec.views.find import find_cameras
 
 

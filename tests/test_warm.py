@@ -38,7 +38,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess:
 
 @pytest.mark.thorough
 def test_what_is_missing_is_compiled_once(tmp_path):
-    modules = "gs_codec.coding.quantise", "gs_codec.coding.marks"
+    modules = "gs_codec.coding.quantise", "gs_codec.codecs.adaptive.section"
     few = [tuple(entry) for entry in read_list() if entry.module in modules]
     assert len({module for module, *_ in few}) == 2
     told = []

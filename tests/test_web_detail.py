@@ -24,7 +24,7 @@ from gs_codec.codecs import decode_part
 from gs_codec.codecs.decode import choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
-from gs_codec.egs.levels import levels_of, open_level
+from gs_codec.egs.index import levels_of, open_level
 from gs_codec.files.sharing import share
 from gs_codec.scene import Scene
 

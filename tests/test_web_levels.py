@@ -17,7 +17,7 @@ from gs_codec.codecs.blocks_for_view import select_blocks
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.egs.egs_file import SectionId, read_file
-from gs_codec.egs.levels import levels_of, open_level
+from gs_codec.egs.index import levels_of, open_level
 
 pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node")
 

@@ -16,7 +16,7 @@ from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import system_of, turn_axes
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.metrics.lpips import VARIABLE
+from gs_codec.metrics.image_quality import LPIPS_VARIABLE
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.renderer import RenderedViews, Rendering
@@ -181,7 +181,7 @@ def compare(
         systems = system_of(stored[0]), system_of(stored[1])
         scenes = turn_axes(stored[0]), turn_axes(stored[1])
         views = find_cameras(cameras, scenes[0], split, width, progress=progress)
-        weights = os.environ.get(VARIABLE) or None if lpips is None else lpips
+        weights = os.environ.get(LPIPS_VARIABLE) or None if lpips is None else lpips
         seen = compare_views(
             *scenes, views, gt_images, images, background, device, progress, weights
         )

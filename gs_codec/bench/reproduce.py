@@ -17,8 +17,7 @@ from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, o
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
-from gs_codec.metrics.image_quality import Quality
-from gs_codec.metrics.lpips import VARIABLE
+from gs_codec.metrics.image_quality import LPIPS_VARIABLE, Quality
 from gs_codec.pages.tables import Table, escaped, number
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.prepare_report import PrepareReport, StepReport, coding_steps
@@ -42,8 +41,8 @@ _INTRODUCTION = (
     "The preset `entropygs` on each scene, beside the figures published for "
     "EntropyGS (arXiv 2508.10227; means over Mip-NeRF 360, on other machines). PSNR is that of "
     "views held out, against photographs where a scene has any, else against its own renders. "
-    f"LPIPS is measured where {VARIABLE} names weights. Times smaller count from the PLY, in the "
-    "ablation from its floats."
+    f"LPIPS is measured where {LPIPS_VARIABLE} names weights. Times smaller count from the PLY, in "
+    "the ablation from its floats."
 )
 
 
@@ -73,7 +72,7 @@ def reproduce(
     yield machine() | {"command": command, "iterations": iterations}
     steps = replace(_PRESET.steps, refine=iterations)
     for measured in scenes:
-        lpips = os.environ.get(VARIABLE) or None
+        lpips = os.environ.get(LPIPS_VARIABLE) or None
         plan = Plan(
             steps,
             cameras_beside(measured.path),

@@ -13,8 +13,7 @@ from typing import Any, TextIO
 from gs_codec.errors import printable
 from gs_codec.pages.tables import Table
 from gs_codec.report import Progress, RenderedLoss
-from gs_codec.runtime.warned import log_warnings
-from gs_codec.runtime.wording import as_typed, size_text
+from gs_codec.runtime.wording import as_typed, log_warnings, size_text
 
 #: How often progress is said where stderr is no terminal.
 SECONDS_A_LINE = 10

@@ -49,7 +49,7 @@ def command(
         check_folder(out, typed["overwrite"])
     from gs_codec.cameras.camera_files import write_cameras
     from gs_codec.files.scenes import read_scene
-    from gs_codec.views.draw import write_views
+    from gs_codec.rendering.renderer import write_views
     from gs_codec.views.find import find_cameras
 
     loaded = read_scene(scene, "drop", max_bytes=typed["max_bytes"])

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.egs.egs_file import EgsFile
 from gs_codec.egs.header import FANOUT
-from gs_codec.egs.index import index_of
-from gs_codec.egs.levels import check_errors, errors_of, within
+from gs_codec.egs.index import check_errors, errors_of, index_of, within
 
 
 @runtime_checkable

@@ -25,8 +25,7 @@ from gs_codec.egs.egs_file import (
     read_file,
 )
 from gs_codec.egs.header import Feature
-from gs_codec.egs.index import index_of
-from gs_codec.egs.levels import levels_of, open_level, within
+from gs_codec.egs.index import index_of, levels_of, open_level, within
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.formats.limits import most_bytes
@@ -37,7 +36,7 @@ from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, Scene, join_scenes, stated_comments
 
 if TYPE_CHECKING:
-    from gs_codec.codecs.entropygs.tmc3 import Tmc3
+    from gs_codec.codecs.entropygs.gpcc import Tmc3
 
 #: Maximum number of Gaussians decoded at once if there is a memory limit.
 _SLAB = 1 << 18

@@ -25,8 +25,7 @@ from gs_codec.egs.egs_file import (
     read_file,
     section_label,
 )
-from gs_codec.egs.index import Box, bounds_of
-from gs_codec.egs.levels import errors_of, levels_of, open_level
+from gs_codec.egs.index import Box, bounds_of, errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
 from gs_codec.scene import SH_COEFFICIENTS
 

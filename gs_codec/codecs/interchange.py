@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_steps
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
-from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
 from gs_codec.coding.clean import clean_scene, finite_ends
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ROUNDED_FORMATS, Config

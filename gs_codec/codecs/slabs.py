@@ -17,8 +17,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.coding.extent import box_text
 from gs_codec.config import check_threads
 from gs_codec.egs.egs_file import MAGIC, EgsFile
-from gs_codec.egs.index import bounds_of
-from gs_codec.egs.levels import check_errors, errors_of, levels_of, open_level, within
+from gs_codec.egs.index import bounds_of, check_errors, errors_of, levels_of, open_level, within
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import bounded

@@ -17,8 +17,7 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.coding.neighbours import Neighbours
 from gs_codec.edit.clouds import on_clouds
 from gs_codec.errors import InvalidInput
-from gs_codec.merging.pairs import Blobs, blobs_of, merge_pairs
-from gs_codec.merging.rounds import cheapest, colours_of, contrast
+from gs_codec.merging.pairs import Blobs, blobs_of, cheapest, colours_of, contrast, merge_pairs
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews

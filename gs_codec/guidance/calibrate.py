@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.codecs.adaptive.step_conversion import wanted_steps
 from gs_codec.codecs.adaptive.step_sizes import SH_RATIO, StepSizes, blind_coefficients
-from gs_codec.codecs.adaptive.wanted_steps import wanted_steps
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import ADAPTIVE_PROFILES, Config, options_of

@@ -16,7 +16,7 @@ from gs_codec.egs.egs_file import (
     section_sizes,
 )
 from gs_codec.egs.header import Header
-from gs_codec.egs.levels import level_header
+from gs_codec.egs.index import level_header
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.building import Level, build_levels

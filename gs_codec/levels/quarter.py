@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.morton import encode_morton
 from gs_codec.merging.moments import axes_of, logits
-from gs_codec.merging.pairs import OPAQUE, Blobs, areas_of, blobs_of, lone_errors, merge_moments
-from gs_codec.merging.rounds import cheapest, colours_of, contrast
+from gs_codec.merging.pairs import (
+    OPAQUE,
+    Blobs,
+    areas_of,
+    blobs_of,
+    cheapest,
+    colours_of,
+    contrast,
+    lone_errors,
+    merge_moments,
+)
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
+from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_steps
 from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.far import bring_nearer

@@ -1,4 +1,4 @@
-"""Extra viewing directions besides estimated cameras, weighted by the strength of SH-AC.
+"""Extra views: directions weighted by the strength of SH-AC, and cameras between given ones.
 
 Training changes the SH-AC of a Gaussian only in the directions of its cameras. Estimated cameras
 may miss some of these directions, such as part of an arc. So each run of Gaussians is also viewed
@@ -7,11 +7,14 @@ from all around, with the highest weight where its SH-AC are strongest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
@@ -103,3 +106,54 @@ def _add_shown(planes, scales, bases, shows):
                     colour += planes[channel, k, i] * bases[m, k]
                 power += colour * colour
             shows[m] += power / scales[i]
+
+
+#: Number of neighbours of each camera between which views are added.
+_NEIGHBOURS = 3
+
+#: Weight of a turn of one radian, in distances to the nearest camera.
+_TURN = 2.0
+
+#: Minimum cosine of the angle between the directions of two neighbours.
+_TOGETHER = 0.5
+
+
+def cameras_between(cameras: Sequence[Camera]) -> list[Camera]:
+    """A camera halfway between each camera and its three nearest neighbours in similar directions.
+
+    They show what is between a capture's views: with few views, a Gaussian that none of them needs
+    may be visible there. Distances include turns. The lens is that of one of the two.
+    """
+    if len(cameras) < 2:
+        return []
+    positions = np.array([camera.position for camera in cameras])
+    rotations = np.array([camera.rotation for camera in cameras])
+    forward = rotations[:, 2]
+    squares = ((positions[:, None] - positions) ** 2).sum(axis=2)
+    np.fill_diagonal(squares, np.inf)
+    spacing = max(float(np.median(squares.min(axis=1))), 1e-30)
+    cosines = forward @ forward.T
+    apart = squares / spacing + 2 * _TURN**2 * (1 - cosines)
+    # For turns above 120 degrees, the mean of two rotations is not meaningful.
+    traces = np.einsum("aij,bij->ab", rotations, rotations)
+    apart[(cosines < _TOGETHER) | (traces <= 0)] = np.inf
+    found: dict[tuple[int, int], Camera] = {}
+    for first, order in enumerate(np.argsort(apart, axis=1, kind="stable")[:, :_NEIGHBOURS]):
+        for second in order:
+            pair = min(first, int(second)), max(first, int(second))
+            if np.isfinite(apart[pair]) and pair not in found:
+                found[pair] = _halfway(cameras[first], cameras[second])
+    return list(found.values())
+
+
+def _halfway(first: Camera, second: Camera) -> Camera:
+    """The camera halfway between two, with the lens of the first."""
+    left, _, right = np.linalg.svd(first.rotation + second.rotation)
+    return replace(
+        first,
+        name=f"{first.name} to {second.name}",
+        rotation=left @ right,
+        position=(first.position + second.position) / 2,
+        split=None,
+        lens=None,
+    )

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.cameras.between import cameras_between
 from gs_codec.cameras.camera import Camera
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import Config
 from gs_codec.preparation.balance import Balance, StepsOf, profile_steps
 from gs_codec.preparation.compact_sh import compact_sh
+from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.prepare_report import LABELS, PrepareReport, StepReport, centres_checksum
 from gs_codec.preparation.prune import (

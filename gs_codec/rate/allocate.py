@@ -20,8 +20,15 @@ from gs_codec.preparation.pipeline import choose_views, guiding_views
 from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ViewSplit
 from gs_codec.preparation.steps import Plan
-from gs_codec.rate.search import COARSEST, FINEST, search, search_recoloured
-from gs_codec.rate.trials import RateSearch, Seen, Trials
+from gs_codec.rate.search import (
+    COARSEST,
+    FINEST,
+    RateSearch,
+    Seen,
+    Trials,
+    search,
+    search_recoloured,
+)
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 

@@ -1,9 +1,14 @@
-"""Wording of messages: numbers with nouns and units, arguments of Python or of a shell."""
+"""Words of messages: numbers with nouns and units, options as typed, other packages' warnings."""
 
 from __future__ import annotations
 
+import logging
 import re
-from typing import SupportsIndex
+import warnings
+from pathlib import Path
+from typing import SupportsIndex, TextIO
+
+log = logging.getLogger(__name__)
 
 #: Python arguments that messages of the library name: `overwrite=True`, `extra="drop"`.
 _ARGUMENT = re.compile(r'\b(overwrite|nonfinite|extra|cameras)=(?:True|"(\w+)")')
@@ -37,3 +42,21 @@ def as_typed(text: str) -> str:
 def _option(found: re.Match[str]) -> str:
     name, value = found.groups()
     return f"--{name}{'=' if value.startswith('-') else ' '}{value}" if value else f"--{name}"
+
+
+def log_warnings() -> None:
+    """From now on, log the warnings of Python, NumPy and other packages in this process."""
+    warnings.showwarning = _log
+
+
+def _log(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Replacement for `warnings.showwarning`."""
+    text = " ".join(str(message).split())
+    log.warning("%s (%s, line %d)", text, Path(filename).name, lineno)

@@ -15,7 +15,7 @@ from typing import Any
 
 from gs_codec.runtime.programs import how_ended
 from gs_codec.runtime.redaction import redact_process
-from gs_codec.runtime.warned import log_warnings
+from gs_codec.runtime.wording import log_warnings
 from gs_codec.workers.interface import (
     Done,
     Listener,

@@ -17,7 +17,7 @@ from damage import ENTRY, HEADER, SECTIONS, with_checksums
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.part import Part
 from gs_codec.egs.egs_file import SectionId, read_file
-from gs_codec.egs.levels import levels_of
+from gs_codec.egs.index import levels_of
 from gs_codec.errors import GsCodecError
 from gs_codec.scene import GROUPS, Scene
 

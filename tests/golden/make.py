@@ -24,7 +24,7 @@ from gs_codec.codecs import decode_part, decode_scene, encode_parts  # noqa: E40
 from gs_codec.codecs.part import Part  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
 from gs_codec.egs.egs_file import read_file  # noqa: E402
-from gs_codec.egs.levels import levels_of  # noqa: E402
+from gs_codec.egs.index import levels_of  # noqa: E402
 from gs_codec.levels.adding import add_levels  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 

@@ -12,8 +12,7 @@ from typing import Any
 
 from gs_codec.bench.device import measure_device
 from gs_codec.bench.geometry import measure_geometry
-from gs_codec.bench.host import machine
-from gs_codec.bench.installed import installed
+from gs_codec.bench.host import installed, machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
 from gs_codec.bench.processes import measure_scaling

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
 from gs_codec.codecs.adaptive.grid import Bounds, choose_grid
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
@@ -18,6 +17,7 @@ from gs_codec.codecs.adaptive.lattice import (
     PositionGrid,
     grid_codes,
 )
+from gs_codec.codecs.adaptive.step_conversion import as_deep, mean_octaves
 from gs_codec.codecs.adaptive.step_sizes import (
     COARSEST,
     SH_RATIO,

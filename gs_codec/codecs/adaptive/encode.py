@@ -23,8 +23,7 @@ from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.egs_file import Section, SectionId
 from gs_codec.egs.header import Feature, Header
-from gs_codec.egs.index import index_section
-from gs_codec.egs.levels import errors_section
+from gs_codec.egs.index import errors_section, index_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all

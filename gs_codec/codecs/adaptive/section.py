@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,17 +24,58 @@ from gs_codec.codecs.adaptive.lattice import (
 from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.step_sizes import MAX_SLOPE, SHAPE_RULES
 from gs_codec.codecs.adaptive.tokens import ALPHABET
+from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.coding.context_rans import PRECISION
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.frequency_table import FrequencyTable
-from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream
+from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS
+
+
+@kernel
+def _walk(marks, state, data, contexts):
+    """Code the marks of a list; the context of each is the one before."""
+    before = 0
+    for i in range(len(marks)):
+        before = 1 if code_bit(state, data, contexts, before, marks[i] != 0) else 0
+        marks[i] = before
+
+
+def encode_marks(lists: Sequence[NDArray[np.int64]]) -> bytes:
+    """Code lists of zeros and ones."""
+
+    def model(state: NDArray, data: NDArray) -> None:
+        contexts = new_contexts(2)
+        for marks in lists:
+            _walk(marks.copy(), state, data, contexts)
+
+    return encode_binary(model, 0)
+
+
+def decode_marks(data: memoryview, sizes: Sequence[int], where: str) -> list[NDArray[np.int64]]:
+    """Invert `encode_marks`, for lists of these sizes.
+
+    Raises
+    ------
+    CorruptStream
+        If the size of the stream does not match the lists.
+    """
+    lists = [np.zeros(size, np.int64) for size in sizes]
+
+    def model(state: NDArray, stream: NDArray) -> None:
+        contexts = new_contexts(2)
+        for marks in lists:
+            _walk(marks, state, stream, contexts)
+
+    decode_binary(model, data, where)
+    return lists
+
 
 _WHERE = "section 'lattice'"
 

@@ -8,10 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.entropygs.gpcc import decode_gpcc, is_gpcc
+from gs_codec.codecs.entropygs.gpcc import Tmc3, decode_gpcc, is_gpcc
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.entropygs.symbols import triple_depths
-from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import decode_stream, is_torchac
 from gs_codec.coding.count_tree import decode_geometry
 from gs_codec.coding.frequency_table import FrequencyTable

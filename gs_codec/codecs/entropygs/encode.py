@@ -8,10 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.entropygs.gpcc import encode_gpcc, tool_of, tool_section
+from gs_codec.codecs.entropygs.gpcc import Tmc3, encode_gpcc, tool_of, tool_section
 from gs_codec.codecs.entropygs.section import write_channels
 from gs_codec.codecs.entropygs.symbols import Coded, Ordered, order_scene, quantise_and_model
-from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import coder_section, encode_stream, require_torchac
 from gs_codec.coding.count_tree import encode_geometry
 from gs_codec.coding.extent import block_extent

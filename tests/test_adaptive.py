@@ -1,4 +1,4 @@
-"""Each module of the lattices by itself: tokens, rules, axes, colours, places, steps."""
+"""Unit tests of the lattice modules: tokens, rules, axes, colours, positions, step sizes."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def covariance(log_scale: np.ndarray, rot: np.ndarray) -> np.ndarray:
 
 
 def whole(vectors: np.ndarray) -> np.ndarray:
-    """Quaternions of their vector parts, in float64."""
+    """Quaternions from their vector parts, in float64."""
     real = np.sqrt(np.maximum(1 - np.sum(vectors**2, axis=0), 0))
     return np.concatenate([real[None], vectors])
 
@@ -210,7 +210,7 @@ def test_sorted_axes_are_the_same_gaussian_seed8():
 
 
 def test_all_24_ways_to_write_a_gaussian_are_one_seed9():
-    """Axes in any order, under any half turns; and the quaternion's sign and norm."""
+    """Axes in any order, with any half turns, and any sign and norm of the quaternion."""
     rng = np.random.default_rng(9)
     rot = rng.normal(size=4)
     log_scale = np.array([-1.0, -2.5, -4.0])
@@ -241,7 +241,7 @@ def test_all_24_ways_to_write_a_gaussian_are_one_seed9():
     matrices = covariance(written[1], whole(written[2]))
     expected = covariance(log_scale[:, None], rot[:, None])
     np.testing.assert_allclose(matrices, np.repeat(expected, 48, axis=0), atol=1e-6)
-    # Up to rounding of float32 there is one quaternion for all.
+    # Up to float32 rounding, all give the same quaternion.
     np.testing.assert_allclose(written[2], np.repeat(written[2][:, :1], 48, axis=1), atol=1e-6)
 
 

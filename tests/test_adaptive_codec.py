@@ -1,4 +1,4 @@
-"""Profiles l, m and s: what they decode to, parts of it, and files that are damaged."""
+"""Profiles l, m and s: decoded values, parts of scenes, and damaged files."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_steps_are_coarser_where_pruning_has_lost_more():
 
 
 def shaped_order(scene: Scene, shaped: Shaped) -> np.ndarray:
-    """Place in the stream of each Gaussian, told by its opacity."""
+    """Stream position of each Gaussian, identified by its opacity."""
     places = {value: i for i, value in enumerate(shaped.scene.opacity[0].tolist())}
     assert len(places) == scene.count
     return np.array([places[value] for value in scene.opacity[0].tolist()])
@@ -301,7 +301,7 @@ def test_every_flipped_bit_is_refused(guided):
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_flipped_bits_under_right_checksums_are_survived(guided):
     stream = small(guided)
-    for bit in range(int(guided), 8 * len(stream), 9):  # a bit of each byte: all take a minute
+    for bit in range(int(guided), 8 * len(stream), 9):  # one bit per byte: all take a minute
         damaged = bytearray(stream)
         damaged[bit >> 3] ^= 1 << (bit & 7)
         survive(with_checksums(damaged))
@@ -383,7 +383,7 @@ def test_hostile_lattice_is_refused(name, guided):
 
 
 def test_offsets_of_the_hostile_lattice_are_right():
-    """Else the test above would test something else."""
+    """Otherwise the test above would test something else."""
     content = read_file(small(False)).section(SectionId.LATTICE)
     lattice, models = read_lattice(content, 3)
     assert struct.unpack_from("<7I", content, UNIT) == tuple(lattice.units[u] for u in UNITS)
@@ -395,7 +395,7 @@ def test_offsets_of_the_hostile_lattice_are_right():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_hostile_rules_are_survived_seed(seed):
-    """Any numbers are rules; only what they make of the stream may be corrupt."""
+    """Any numbers are valid rules; they can only make the stream corrupt."""
     rng = np.random.default_rng(seed)
     for rule in range(len(RULES)):
         numbers = rng.choice([-(2**31), 2**31 - 1, 0, -1, 1 << 16, -(1 << 20)], 5)
@@ -479,7 +479,7 @@ def test_paper_profiles_have_no_lattices(profile, section_id):
 @pytest.mark.parametrize("profile", [*ADAPTIVE_PROFILES, *PROFILES])
 @pytest.mark.parametrize("count", [1 << 14, 1 << 40, (1 << 64) - 1])
 def test_a_false_count_does_not_allocate(profile, count):
-    """With blocks of one Gaussian, so that there would be as many."""
+    """With blocks of one Gaussian, so that the count would be consistent."""
     stream = encode_scene(random_scene(20, 1, seed=48), Config(profile))[0]
     data = bytearray(stream)
     struct.pack_into("<Q", data, COUNT, count)

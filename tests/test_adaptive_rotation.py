@@ -1,4 +1,4 @@
-"""Rotation as roll and tilts: the same Gaussian back, whatever its shape and wherever it points."""
+"""Rotation as roll and tilts: Gaussians of any shape and orientation are recovered."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ SHAPES = {
     "extreme": (LARGEST, 0.0, -LARGEST),
 }
 
-#: Shapes whose rotation can be seen.
+#: Shapes with a visible rotation.
 TURNED = [name for name in SHAPES if name != "round"]
 
-#: Quaternions wxyz of any norm: none, half and quarter turns, and those about corners.
+#: Quaternions wxyz of any norm: identity, half and quarter turns, and turns about diagonals.
 POSES = np.array(
     [
         *(v for v in itertools.product((0.0, 1.0, -1.0), repeat=4) if any(v)),
@@ -75,14 +75,14 @@ def matrices(rot: np.ndarray) -> np.ndarray:
 
 
 def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angles ``(3, N)`` between axes and their images, radians; an axis has no direction."""
+    """Angles ``(3, N)`` between axes and their images, in radians; axes have no direction."""
     along = np.einsum("nik,nik->kn", matrices(first), matrices(second))
     across = np.linalg.norm(np.cross(matrices(first), matrices(second), axis=1), axis=1).T
     return np.arctan2(across, np.abs(along))
 
 
 def lattice_of(unit: int, **rules: StepRule) -> Lattice:
-    """A lattice that rounds hardly anything but turns; all of them to `unit` without a rule."""
+    """A lattice that rounds hardly anything except turns; these with `unit`, or by rules."""
     fine = StepRule(0)
     known = dict.fromkeys(("opacity", "scale_0", "scale_1", "scale_2"), fine)
     turns = {name: StepRule(0, limit=0) for name in TURN_RULES}
@@ -96,7 +96,7 @@ def lattice_of(unit: int, **rules: StepRule) -> Lattice:
 def walked(
     lattice: Lattice, log_scale: np.ndarray, rot: np.ndarray
 ) -> tuple[Shape, ShapeQuantiser, np.ndarray, np.ndarray]:
-    """Shape and quantiser of Gaussians; quaternions as sorted, and as decoded."""
+    """Shape and quantiser of Gaussians; quaternions after sorting, and after decoding."""
     _, scales, vectors = sort_axes(log_scale, rot)
     count = rot.shape[1]
     quantiser = ShapeQuantiser(lattice, np.zeros(count), scales, vectors)
@@ -133,7 +133,7 @@ def test_turns_are_within_half_a_step(name, step):
     shape, quantiser, _, decoded = walked(lattice_of(round(step * ONE)), *posed(name))
     for target, turn in zip(quantiser.targets.values(), to_float(shape.turns), strict=True):
         assert np.abs(target - turn).max() <= 0.5 * step + 2.0**-20
-        # Within 45 degrees; of tilts, whatever the roll was rounded to.
+        # Within 45 degrees; for tilts, whatever the rounding of the roll.
         assert np.abs(target).max() <= HALF + 1e-12
     assert list(quantiser.targets) == list(TURNS)
     np.testing.assert_allclose(np.linalg.norm(decoded, axis=0), 1, atol=1e-6)
@@ -154,7 +154,7 @@ def test_steps_above_the_largest_are_not_coded():
 
 @pytest.mark.parametrize(("name", "pole"), [("needle", 0), ("disc", 2)])
 def test_a_pole_keeps_its_direction_whatever_its_roll(name, pole):
-    """The roll is not coded, where nobody can see it; the axis that is seen stays."""
+    """The invisible roll is not coded; the visible axis keeps its direction."""
     log_scale, rot = posed(name)
     uncoded = {f"turn_{pole}": StepRule(20 << 16, limit=20)}
     shape, _, before, decoded = walked(lattice_of(64, **uncoded), log_scale, rot)
@@ -166,9 +166,9 @@ def test_a_pole_keeps_its_direction_whatever_its_roll(name, pole):
 
 
 def turned_by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Small turns ``(3, N)`` between two rotations about the Gaussian's own axes, radians."""
+    """Small turns ``(3, N)`` between two rotations about the Gaussian's own axes, in radians."""
     between = np.einsum("nki,nkj->nij", matrices(before), matrices(after))
-    # Half turns apart, an axis points the other way.
+    # After a half turn, an axis points the other way.
     between *= np.sign(np.einsum("nii->ni", between))[:, None]
     return 0.5 * np.array([between[:, (k + 2) % 3, (k + 1) % 3] for k in range(3)]) - 0.5 * (
         np.array([between[:, (k + 1) % 3, (k + 2) % 3] for k in range(3)])
@@ -177,7 +177,7 @@ def turned_by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("pole", [0, 2])
 def test_turns_are_about_the_axes_of_the_gaussian_itself_seed72(pole):
-    """Whatever the pose, the axis of the coarsest steps is the roll's, then comes the tilt's."""
+    """In any pose, the axis with the coarsest steps gets the roll, the next one a tilt."""
     rng = np.random.default_rng(72)
     log_scale = np.repeat(np.array([[-1.0], [-3.0], [-5.0]], np.float32), 3000, axis=1)
     rot = rng.normal(size=(4, 3000)).astype(np.float32)
@@ -203,7 +203,7 @@ def test_turns_are_about_the_axes_of_the_gaussian_itself_seed72(pole):
     ],
 )  # fmt: skip
 def test_likeness_of_two_axes(apart, octaves):
-    """It belongs to the turn about the third; either may be longer."""
+    """It applies to the turn about the third axis; either axis may be longer."""
     for axis in range(3):
         scales = np.zeros((3, 2), np.int64)
         scales[(axis + 1) % 3] = 1600 * ONE - apart, apart - 1600 * ONE
@@ -221,13 +221,13 @@ def test_shifts_follow_rules_and_likeness_and_the_coarser_end_is_the_pole():
     scales = to_fixed(log_scales, LARGEST)[0]
     none = np.zeros(4, np.int64)
     shifts, poles = turn_shifts(rules, np.array([0, 1, 2, 0]), none, scales)
-    # About the longest: 3 - 1, 3 + 3 + 1, 3 + 2, cut to 9; about the shortest: 4, 5, 26, 24.
+    # About the longest: 3 - 1, 3 + 3 + 1, 3 + 2, clamped to 9; about the shortest: 4, 5, 26, 24.
     assert poles.tolist() == [2, 0, 2, 2]
     assert shifts.tolist() == [[4, 7, 26, 24], [1, 2, 3, 21], [2, 5, 5, 9]]
 
 
 def test_turns_beyond_the_range_still_give_unit_quaternions():
-    """A hostile stream may hold them."""
+    """A hostile stream may contain them."""
     rng = np.random.default_rng(73)
     turns = rng.normal(size=(3, 400)) * 10.0 ** rng.uniform(-3, 3, 400)
     turns[:, :4] = [[1, -1, 5, 0], [0, 1, 3, 1], [0, 0, 4, 0]]
@@ -239,7 +239,7 @@ def test_turns_beyond_the_range_still_give_unit_quaternions():
 
 
 def test_a_swing_is_the_same_in_any_frame():
-    """Tilts after a roll, turned back, are the swing."""
+    """Tilts after a roll, rotated back, equal the swing."""
     rng = np.random.default_rng(74)
     rot = rng.normal(size=(4, 500)).astype(np.float32)
     _, _, vectors = sort_axes(np.zeros((3, 500), np.float32), rot)

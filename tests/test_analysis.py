@@ -1,4 +1,4 @@
-"""The analysis of a scene: statistics on known distributions, and the report that tells them."""
+"""The analysis of a scene: statistics of known distributions, and the report on them."""
 
 from __future__ import annotations
 
@@ -55,19 +55,19 @@ def information_of(first, second, seed=0):
 
 
 def coded_of(scene, config) -> Coded:
-    """Symbols and models as `encode_scene` makes them."""
+    """Symbols and models, as in `encode_scene`."""
     depths = config.resolved_depths()
     order = order_scene(scene, depths).order
     return quantise_and_model(scene, order, config)
 
 
 def histograms_of(coded: Coded) -> dict[str, np.ndarray]:
-    """Histograms of the symbols of the channels that vary, by name."""
+    """Histograms of the symbols of varying channels, by name."""
     names = [channel.name for channel in coded.channels if channel.model]
     return dict(zip(names, map(np.bincount, coded.symbols), strict=True))
 
 
-#: Edge scenes that ask something of statistics.
+#: Edge scenes that are difficult for statistics.
 ODD = (
     "one",
     "two",
@@ -93,7 +93,7 @@ def test_independent_channels_tell_nothing_of_each_other(count):
     first, second = rng.laplace(size=(6, count)), rng.laplace(size=(8, count))
     found = information_of(first, second)
     assert found.corrected.shape == (6, 8)
-    # Uncorrected, they seem to; the correction leaves what chance moves either way.
+    # Without correction, they seem dependent; the correction leaves random noise of either sign.
     assert found.raw.min() > 0
     assert abs(found.corrected.mean()) < 0.2 * found.raw.mean()
     assert np.abs(found.corrected).max() < found.raw.max()
@@ -146,7 +146,7 @@ def test_bins_of_equal_widths_are_those_of_a_histogram():
     expected = np.histogram(inner, 16, (low, high))[0]
     assert counts.sum() == 20000
     assert np.array_equal(counts[1:-1], expected[1:-1])
-    # The few values beyond the quantiles are in the outermost bins.
+    # The few values beyond the quantiles fall into the outermost bins.
     assert np.all(counts[[0, -1]] == expected[[0, -1]] + [20, 20])
 
 
@@ -218,7 +218,7 @@ def test_maps_show_what_was_put_into_a_scene():
 def test_colours_stuck_at_black_are_told_apart():
     scene = random_scene(4000, 1, seed=7)
     rest = scene.f_rest.copy()
-    rest[:3, :1000] = 1e-6  # red of a quarter; some formats have no exact zero
+    rest[:3, :1000] = 1e-6  # a quarter of red is tiny, because some formats have no exact zero
     maps = maps_of(replace(scene, f_rest=rest), 8, 0)
     assert (maps["sh-ac"].gaussians, maps["sh-ac-coloured"].gaussians) == (4000, 3000)
     alike, other = (
@@ -412,7 +412,7 @@ def test_errors_over_the_mean_are_those_of_the_noise(measured):
             noise *= 0.1 * values.std(axis=1, keepdims=True)
             expected = np.mean(noise**2) / np.abs(values).mean()
             assert papers.errors[LEVELS.index(0.1)] == pytest.approx(expected, rel=0.05)
-        # The same points of the curve are marked.
+        # Reports mark the same points of the curve.
         unit = papers.errors[-1]
         assert papers.profile_error == pytest.approx(unit * ours.profile_error**2)
         if ours.tolerance is not None:
@@ -422,7 +422,7 @@ def test_errors_over_the_mean_are_those_of_the_noise(measured):
 def test_the_scale_decides_the_order(measured):
     scene, cameras, found, _ = measured
     assert found.ranked()[0].attribute == "positions"
-    # The unit of length changes errors over the mean, but not those in standard deviations.
+    # The unit of length changes absolute errors, but not errors in standard deviations.
     unit = np.float32(2**20)
     large = replace(
         scene, positions=scene.positions * unit, log_scale=scene.log_scale + np.log(unit)
@@ -525,7 +525,7 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
 
 @pytest.fixture
 def no_ink(monkeypatch):
-    """Figures are made, but become no pixels, which take longest: reports of all degrees do."""
+    """Make figures without rendering pixels, which takes longest."""
     monkeypatch.setattr(plots, "png_of", lambda plot, *args: plot(*args) and b"\x89PNG")
 
 

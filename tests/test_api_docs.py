@@ -1,4 +1,4 @@
-"""The public API is documented: pages render, tell all parameters, and their examples run."""
+"""The public API is documented: pages render, all parameters are described, examples run."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def sections(docstring: str) -> dict[str, str]:
 
 
 def described(body: str) -> list[str]:
-    """Names that a section lists, several on one line too."""
+    """Names listed in a section; there may be several on one line."""
     heads = re.findall(r"^(\S.*?)(?: : .+)?$", body, re.MULTILINE)
     return [name.lstrip("*") for head in heads for name in head.split(", ")]
 
@@ -75,14 +75,14 @@ def test_docstring_is_complete(module, name):
 def test_public_name_has_an_example_and_its_errors(module, name):
     each = object_of(module, name)
     told = sections(inspect.getdoc(each))
-    if "Parameters" in told or each is gs_codec.GsCodecError:  # reports are made by functions
+    if "Parameters" in told or each is gs_codec.GsCodecError:  # reports are created by functions
         assert ">>> " in told["Examples"]
     assert "Raises" in told or not inspect.isfunction(each) or name == "attach"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """What examples find where they run."""
+    """Files for the examples, in the folder where they run."""
     folder = tmp_path_factory.mktemp("examples")
     write_ply(folder / "scene.ply", generate(2000, 3, seed=1))
     encode_file(folder / "scene.ply", folder / "scene.egs")
@@ -163,7 +163,7 @@ def test_pages_render_without_warnings(tmp_path):
 
 @pytest.mark.parametrize("name", ["encode", "decode", "prepare"])
 def test_in_memory_and_file_to_file_arguments_are_the_same(name):
-    """In the same order, by the same names; files have a few more, by name alone."""
+    """Same names and order; the functions on files have a few more, keyword-only."""
     both = [gs_codec.__getattr__(each) for each in (name, f"{name}_file")]
     memory, files = (dict(inspect.signature(each).parameters) for each in both)
     assert next(iter(memory)) == next(iter(files)) == "source"

@@ -1,4 +1,4 @@
-"""Public functions and classes: what people type is taken, all else is one line of GsCodecError."""
+"""Public functions and classes: invalid arguments give one line of GsCodecError."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.formats.ply.writer import write_ply
 
-#: Values that no argument called `source`, `path` or `config` takes.
+#: Values that no argument named `source`, `path` or `config` accepts.
 WRONG = (None, 5, 1.5, ["a"], {"a": 1}, object(), True)
 
-#: What is needed beside the argument that is wrong, by functions' parameters.
+#: Valid arguments besides the wrong one, by parameter name.
 GOOD = {
     "path": "out.ply", "target": "out.egs", "cameras": [],
     "plan": gs_codec.Plan(cameras="none.json"),
@@ -58,7 +58,7 @@ def test_wrong_types_are_one_line(name):
     if "scene" in needed or "cloud" in needed:
         needed["scene" if "scene" in needed else "cloud"] = gs_codec.read("a.ply")
     if name.startswith("prepare") or name.endswith("distributed"):
-        needed["source"] = "none.ply"  # what is right would take seconds
+        needed["source"] = "none.ply"  # valid input would take seconds
     if name == "render":
         needed["cameras"] = "none.json"
     for wrong in parameters:
@@ -110,7 +110,7 @@ def test_wrong_types_of_fields_are_one_line(each):
         | {"fisheye": True, "coefficients": (0.0,) * 4},
     }
     needed = good.get(each, {})
-    # What cameras are is found out with the scene.
+    # Cameras are validated together with the scene.
     for name in inspect.signature(each).parameters.keys() - {"cameras"}:
         for value in (object(), {5: object()}, [object()]):
             with pytest.raises(GsCodecError) as error:
@@ -167,7 +167,7 @@ def test_paths_are_taken_where_people_type_them():
     ],
 )
 def test_what_errors_say(call, text):
-    if text is None:  # a name that is no parameter is Python's own error
+    if text is None:  # Python itself reports an unknown parameter
         with pytest.raises(TypeError, match="threads"):
             call()
         return

@@ -1,4 +1,4 @@
-"""Cameras that are chosen for a scene: where its own were, by what training left in it."""
+"""Estimated cameras are near those that a scene was trained with."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def still_life():
 
 @pytest.fixture
 def few_tried(monkeypatch):
-    """Fewer views are tried than find good ones, for what does not depend on how good they are."""
+    """Try fewer views than good cameras need, in tests that do not depend on their quality."""
     monkeypatch.setattr(module, "_OVERVIEWS", 8)
     monkeypatch.setattr(module, "_LEAST_TRIED", 24)
 
@@ -52,7 +52,7 @@ def test_auto_cameras_are_the_same_every_time(still_life):
 
 
 def trained(count: int, positions: np.ndarray, places: np.ndarray, seed: int) -> Scene:
-    """Gaussians whose SH-AC hold signal only in the directions from which places see them."""
+    """Gaussians with SH-AC only in the directions from which `places` see them."""
     rng = np.random.default_rng(seed)
     f_rest = np.zeros((3, 15, count))
     for place in places:
@@ -70,7 +70,7 @@ def trained(count: int, positions: np.ndarray, places: np.ndarray, seed: int) ->
 
 
 def table_upwards(sign: int) -> Scene:
-    """A ball on a floor, x up or down, seen from above and from one side only, that of y."""
+    """A ball on a floor, with x pointing up or down, seen from above and only from the y side."""
     rng = np.random.default_rng(51)
     ball = rng.standard_normal((3, 2500))
     ball = ball / np.linalg.norm(ball, axis=0) + np.array([[sign], [0.0], [0.0]])
@@ -116,7 +116,7 @@ def test_auto_cameras_are_upright(around):
 def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
     scene = table_upwards(sign)
     scene.f_rest[:, 2500:] = 0
-    scene.log_scale[1, :2500] = -3.4  # the normals of the ball are level
+    scene.log_scale[1, :2500] = -3.4  # the normals of the ball are horizontal
     scene.rot[:, :2500] = np.array([[1.0], [0.0], [0.0], [0.0]])
     found = gather_evidence(scene)
     assert found.telling
@@ -135,7 +135,7 @@ def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
 
 
 def flat_scene(planes: dict[int, int], places: np.ndarray) -> Scene:
-    """Planes through 0, so many Gaussians across each axis, and a small ball at 0."""
+    """Planes through 0, with a number of Gaussians across each axis, and a small ball at 0."""
     rng = np.random.default_rng(56)
     across = np.repeat(list(planes), list(planes.values()))
     count = len(across) + 500
@@ -150,7 +150,7 @@ def flat_scene(planes: dict[int, int], places: np.ndarray) -> Scene:
 
 
 def directions_near(axis: list[float], spread: float) -> np.ndarray:
-    """40 places, 4 from 0, about an axis."""
+    """40 positions at distance 4 from 0, around an axis."""
     rng = np.random.default_rng(58)
     places = np.array(axis) + spread * rng.standard_normal((40, 3))
     return 4 * places / np.linalg.norm(places, axis=1)[:, None]
@@ -169,7 +169,7 @@ def test_up_is_uncertain_before_what_may_be_a_wall(sign, table):
 @pytest.mark.thorough
 @pytest.mark.parametrize(("flat", "up"), [(3000, [0, -1, 0]), (4000, [1, 0, 0])])
 def test_of_two_axes_as_likely_up_is_that_of_captures(flat, up):
-    """With 3,000 Gaussians across x, that axis is a little likelier than y; with more, clearly."""
+    """With 3,000 Gaussians across x, that axis is slightly likelier than y; with more, clearly."""
     places = directions_near([1.0, -1.0, 0.0], 0.2)
     found = gather_evidence(flat_scene({0: flat, 1: 2000}, places))
     assert found.telling
@@ -178,7 +178,7 @@ def test_of_two_axes_as_likely_up_is_that_of_captures(flat, up):
 
 
 def slab(normal: np.ndarray, share: float) -> Scene:
-    """Gaussians without SH-AC, a share of them flat on a floor, the others turned anyhow."""
+    """Gaussians without SH-AC: a share flat on a floor, the others with random rotations."""
     rng = np.random.default_rng(54)
     count = 4000
     axes = np.linalg.svd(normal[None])[2]

@@ -1,4 +1,4 @@
-"""How far refinement prunes if nobody says: as long as coarser steps would cost more."""
+"""How far refinement prunes by default: as long as coarser steps would lose more."""
 
 from __future__ import annotations
 
@@ -70,10 +70,10 @@ def test_rounds_are_weighed_against_the_one_before(seen):
     assert sizes[0] == sizes[1]
     assert 0.4 < sizes[0][0] < 0.7
     assert sizes[0][1] == pytest.approx(0.13 * renders.error(half))
-    # Photographs hold what renders of the input lack.
+    # Photographs have information that renders of the input lack.
     assert not Balance(scene, renders, True, 500, step_error).pays(half)
     assert sizes[2][1] == pytest.approx(0.07 * renders.error(half))
-    # Many iterations win back more, few little.
+    # Many iterations recover more, few recover little.
     assert not Balance(scene, renders, True, 16000, step_error).pays(half)
     assert sizes[3][1] == pytest.approx(0.0175 * renders.error(half))
     assert not Balance(scene, renders, True, 1, step_error).pays(half)
@@ -103,7 +103,7 @@ def test_error_of_the_steps_of_a_size(seen):
     scene, plan = seen
     views = choose_views(scene, plan)
     found = [step_error_for(scene, 1, Config(), RateTarget(bits=bits), views) for bits in (60, 30)]
-    # Coarser for a smaller file; finer once Gaussians are gone.
+    # Coarser for a smaller file; finer once Gaussians are removed.
     assert found[1](1.0, 0.0) > found[0](1.0, 0.0) == pytest.approx(found[1](0.5, 0.0))
 
 

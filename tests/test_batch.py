@@ -1,4 +1,4 @@
-"""Batches: which scenes, which outputs, what is done again, and distrust of reports."""
+"""Batches: selection of scenes, outputs, resuming, and untrusted reports."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_ply(path, random_scene(200, seed, seed=seed))
     monkeypatch.setattr(run, "Pool", in_this_process)
-    # The memory of this one process is a store.
+    # The memory of this process serves as remote storage.
     monkeypatch.setattr(remote, "_OWN", "")
     monkeypatch.setattr(remote, "_OBJECTS", ("memory",))
     monkeypatch.chdir(tmp_path)
@@ -62,7 +62,7 @@ def records(path: str | Path = "out/report.jsonl") -> list[dict[str, Any]]:
 
 
 def encoded(path: str | Path, config: Config | None = None) -> bytes:
-    """What `encode` makes of a scene."""
+    """The result of `encode` for a scene."""
     encode_file(path, "one.egs", config)
     content = Path("one.egs").read_bytes()
     Path("one.egs").unlink()
@@ -133,9 +133,9 @@ def test_options_are_those_of_encode(folder):
 
 def test_batch_has_the_options_of_encode():
     of_encode, of_batch = (signature(x.command).parameters.keys() for x in (encode, batch))
-    # One file for one scene, or stdin.
+    # These are for a single scene, or for stdin.
     assert of_encode - {"checkpoint", "input_format"} <= of_batch
-    # `--dask` is no expert's of batch.
+    # `--dask` is not an expert option of batch.
     options = "checkpoint FILE|dask ADDRESS|input-format NAME"
     own = re.compile(rf"\n--({options}) .*?(?=\n--|\n\n)", re.DOTALL)
     without = own.sub("", encode.command.epilog)
@@ -150,7 +150,7 @@ def test_ratios_count_from_raw_floats_though_scenes_come_compressed(folder):
     (record,) = records()
     raw = encode_file("packed/a.splat", "one.egs").raw_bytes
     assert raw / record["output_bytes"] >= 3
-    # Which counts from the file itself would be far smaller.
+    # A ratio relative to the file itself would be much lower.
     assert record["input_bytes"] / record["output_bytes"] < 3
     assert record["ratio"] == raw / record["output_bytes"]
     out = folder.run("batch", "packed", "again", "--target-ratio", "3").out
@@ -300,7 +300,7 @@ def test_wrong_use_is_one_line(folder, arguments, text):
 
 
 def test_two_sources_of_one_output_are_refused(folder):
-    # Scenes that differ in their suffix alone keep it, which another may have as its name.
+    # Scenes that differ only in their suffix keep it, which may be the name of another.
     for name in ("in/a.PLY", "in/a.ply.ply"):
         Path(name).write_bytes(Path("in/a.ply").read_bytes())
     err = folder.refuse("batch", "in", "out")
@@ -464,7 +464,7 @@ def test_two_batches_leave_each_others_unfinished_outputs(folder, target, namele
     rename, statuses = os.rename, []
 
     def rename_late(begun: str, moved: str) -> None:
-        """As if the other batch came when an output is whole, but has no name yet."""
+        """Simulate another batch that arrives when an output is complete but not yet named."""
         if not statuses:
             statuses.append(None)
             other = run_batch(Batch("in/a.ply", target, Options(Config()), report="other.jsonl"))
@@ -634,7 +634,7 @@ def test_tasks_start_as_they_fit():
         def __init__(self, running: Task) -> None:
             self.task = running
 
-    assert pool._next() is large  # alone, since it never fits
+    assert pool._next() is large  # alone, because it never fits
     pool._busy.append(Busy(large))
     assert pool._next() is None
     pool._busy[:] = [Busy(task("other", 50))]
@@ -644,7 +644,7 @@ def test_tasks_start_as_they_fit():
     pool._busy.clear()
     assert pool._next() is middle
     pool._busy.append(Busy(middle))
-    assert pool._next() is None  # what is tried again runs alone
+    assert pool._next() is None  # retries run alone
     pool._busy.clear()
     assert pool._next() is lost
     assert pool._next() is None
@@ -658,7 +658,7 @@ def test_tasks_start_as_they_fit():
         (2, None, 99, (2, 4)),
         (None, 3, 99, (2, 3)),
         (None, 9, 99, (1, 9)),
-        (5, 4, 99, (5, 4)),  # as it was asked for
+        (5, 4, 99, (5, 4)),  # as requested
     ],
 )
 def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected):

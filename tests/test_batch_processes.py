@@ -1,4 +1,4 @@
-"""Batches whose processes are killed, interrupted, or on a cluster: nothing is lost."""
+"""Batches with killed or interrupted processes, and on a cluster: nothing is lost."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ BROKEN = {
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
-    """A folder of 16 scenes and 5 broken files, and what `encode` makes of the scenes."""
+    """A folder of 16 scenes and 5 damaged files, and the results of `encode` for the scenes."""
     folder, wanted = tmp_path_factory.mktemp("batch"), {}
     source, output = folder / "in", folder / "one.egs"
     for index in range(16):
@@ -58,7 +58,7 @@ def scenes(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
 
 
 class Place:
-    """A target's folder, its report, and a folder for temporary files."""
+    """Folders of the target and of temporary files, and the report."""
 
     def __init__(self, path: Path) -> None:
         self.target, self.report, self.temporary = path / "out", path / "report.jsonl", path / "tmp"
@@ -66,7 +66,7 @@ class Place:
         self.temporary.mkdir()
 
     def start(self, source: str | Path, *options: str, **environment: str) -> subprocess.Popen:
-        """Start the command in a group of processes of its own."""
+        """Start the command in a separate process group."""
         command = [sys.executable, str(TESTS / "batch_work.py"), "batch"]
         arguments = [str(source), str(self.target), "--report", str(self.report), *options]
         return subprocess.Popen(
@@ -87,7 +87,7 @@ class Place:
         return {str(path.relative_to(self.target)): path.read_bytes() for path in found}
 
     def begun(self) -> list[str]:
-        """Names of temporary files in the target's folders."""
+        """Names of temporary files in the folders of the target."""
         return [path.name for path in self.target.rglob(".*")]
 
     def records(self) -> list[dict[str, Any]]:
@@ -100,7 +100,7 @@ def place(tmp_path) -> Place:
 
 
 def check_whole(place: Place, wanted: dict[str, bytes]) -> None:
-    """All scenes are encoded, once; the broken files are failures."""
+    """All scenes are encoded exactly once; damaged files are failures."""
     assert place.outputs() == wanted
     records = place.records()
     done = [record["output"] for record in records if record["error"] is None]
@@ -120,7 +120,7 @@ def test_batch_killed_twice_is_resumed(scenes, place):
         )
         wait_for(place.held.exists, process)
         os.kill(process.pid, signal.SIGKILL)
-        # The pipes close when the workers have ended too.
+        # The pipes close when the workers have also ended.
         assert finish(process)[0] == -signal.SIGKILL
         place.held.unlink()
         assert lines(place.report) >= hold
@@ -194,7 +194,7 @@ main()
 def test_full_disk_is_an_error_of_the_scene_that_has_no_room(scenes, tmp_path):
     source = tmp_path / "in"
     source.mkdir()
-    for name in ("scene 3", "scene 15"):  # small, and larger than the disk
+    for name in ("scene 3", "scene 15"):  # a small one, and one larger than the disk
         (source / f"{name}.ply").write_bytes((scenes[0] / f"{name}.ply").read_bytes())
     done = subprocess.run(
         [sys.executable, "-c", SMALL_DISK, "batch", "in", "out", "--jobs", "1"],
@@ -222,9 +222,9 @@ with Client(sys.argv[1], timeout={LIMIT}) as client:
 
 @pytest.fixture
 def cluster(tmp_path, place):
-    """A function that starts a scheduler and two workers and returns their address and processes.
+    """A function that starts a scheduler and two workers, and returns their address and processes.
 
-    The second worker holds the first task that it gets.
+    The second worker holds its first task.
     """
     processes = []
 
@@ -294,7 +294,7 @@ def test_scheduler_that_is_not_there_is_one_line(scenes, place):
     assert err.splitlines()[-1].startswith("gs-codec: error: dask tcp://127.0.0.1:1: no scheduler")
 
 
-#: Knocks at ports as another user would: in plain text, and with a key of its own.
+#: Probe ports like another user: in plain text, and with a different key.
 STRANGER = """
 import socket, ssl, sys, tempfile
 from pathlib import Path
@@ -340,7 +340,7 @@ def test_local_cluster_talks_to_nobody_else(scenes, place):
             each for one in (own, *own.children(True)) for each in one.net_connections("inet")
         ]
         listening = [each.laddr for each in connections if each.status == psutil.CONN_LISTEN]
-        # A scheduler, and two workers with what restarts them.
+        # A scheduler, and two workers with their supervisors.
         assert [address.ip for address in listening] == ["127.0.0.1"] * 5
         ports = [str(address.port) for address in listening]
         knocked = subprocess.run(

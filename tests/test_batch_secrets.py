@@ -1,4 +1,4 @@
-"""Servers of the web: secrets of URLs are never said, and what means harm ends soon."""
+"""Web servers: secrets of URLs are never printed, and hostile servers are abandoned quickly."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LIMIT = 600
 
 PASSWORD, SIGNATURE, TOKEN = "pAss/w rd!", "sIg+n/a==tUre", "tOkEnOfRedirect"
 
-#: What gives a secret away, in whatever spelling.
+#: Strings that would reveal a secret, in various encodings.
 TRACES = (
     *("pAss", "w%20rd", "sIg", "tUre", TOKEN, "cDn"),
     base64.b64encode(f"user:{PASSWORD}".encode()).decode(),
@@ -37,7 +37,7 @@ TRACES = (
 
 
 class Handler(BaseHTTPRequestHandler):
-    """A folder for those who know the password, whose scenes are elsewhere."""
+    """A password-protected folder with links to scenes elsewhere."""
 
     def do_GET(self) -> None:
         path = urlsplit(self.path).path
@@ -63,7 +63,7 @@ class Handler(BaseHTTPRequestHandler):
         self.do_GET()
 
     def answer(self, status: int, content: bytes | None, **headers: str) -> None:
-        """Answer; without content, with no end."""
+        """Send a response; without content, it never ends."""
         self.send_response(status, f"no {self.path}" if status == 500 else None)
         for name, value in headers.items():
             self.send_header(name, value)
@@ -78,7 +78,7 @@ class Handler(BaseHTTPRequestHandler):
                     break
 
     def log_message(self, *arguments: object) -> None:
-        """Tests are quiet."""
+        """Keep tests quiet."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Batches from and to an SSH server, a real one on this machine."""
+"""Batches from and to a real SSH server on this machine."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Subsystem sftp internal-sftp
 
 
 class Server:
-    """A server, and a home folder whose key it knows."""
+    """A server, and a home folder with an authorised key."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.home = folder, folder / "home"
@@ -45,7 +45,7 @@ class Server:
             command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)]
             subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
         (folder / "config").write_text(CONFIG.format(folder=folder))
-        # Another process may take a port before the server does.
+        # Another process may take the port first.
         for _ in range(10):
             if self._listens():
                 break
@@ -91,7 +91,7 @@ class Server:
         )
 
 
-#: Where Debian has the server, which is not on everybody's path.
+#: Debian installs the server there, which is not on every user's PATH.
 PATH = os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin"
 
 
@@ -101,7 +101,7 @@ def server(tmp_path_factory):
         pytest.skip("no sshd on this machine")
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     if os.geteuid() == 0:
-        Path("/run/sshd").mkdir(mode=0o755, exist_ok=True)  # which sshd asks for then
+        Path("/run/sshd").mkdir(mode=0o755, exist_ok=True)  # required by sshd
     server = Server(tmp_path_factory.mktemp("server"))
     for seed, name in enumerate(("a", "sub/b #1", "sub/c?")):
         path = server.folder / f"in/{name}.ply"
@@ -126,7 +126,7 @@ def test_batch_from_server_to_server(server):
     for name in ("a", "sub/b #1", "sub/c?"):
         encode_file(server.folder / f"in/{name}.ply", one, overwrite=True)
         assert (server.folder / f"out/{name}.egs").read_bytes() == one.read_bytes()
-    # The report of places elsewhere is here.
+    # The report on remote scenes is local.
     found = sorted(record["input"] for record in records(server.folder))
     assert found == [f"{source}/{name}.ply" for name in ("a", "sub/b #1", "sub/c?")]
     again = server.run(*arguments, "--json")
@@ -162,7 +162,7 @@ def test_one_that_cannot_be_written_is_its_own_error(server):
 
 @pytest.mark.thorough
 def test_server_that_stops_is_an_error_of_each_scene_that_needs_it(server, tmp_path):
-    """Its processes for those that are connected stop too."""
+    """Its processes for open connections stop too."""
     own = Server(tmp_path)
     report = tmp_path / "report.jsonl"
     arguments = (str(server.folder / "in"), own.url(tmp_path / "out"), "--report", str(report))
@@ -199,7 +199,7 @@ def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known, chain):
 
 @pytest.mark.thorough
 def test_server_that_is_not_there_is_one_line(server, tmp_path):
-    with socket.socket() as taken:  # and nobody listens
+    with socket.socket() as taken:  # a port without a listener
         taken.bind(("127.0.0.1", 0))
         url = f"sftp://me:secret@127.0.0.1:{taken.getsockname()[1]}/in"
         done = server.run(url, str(tmp_path / "out"))

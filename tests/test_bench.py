@@ -1,4 +1,4 @@
-"""``bench run``: result lines are complete, and right where that can be checked."""
+"""``bench run``: result lines are complete, and correct where that can be checked."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gs_codec.rendering.renderer import render
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory) -> tuple[list[dict], str]:
-    """Lines and table of two profiles: a camera and its photograph."""
+    """Lines and table of two profiles, with a camera and its photograph."""
     folder = tmp_path_factory.mktemp("bench")
     scene = tile_scene(random_scene(800, 1, seed=70), 1000)
     write_ply(folder / "scene.ply", random_scene(800, 1, seed=70))
@@ -83,7 +83,7 @@ def test_error_and_memory_are_plausible(measured):
     assert error["matched_by"] == "stored order"
     assert {group["name"] for group in error["groups"]} >= {"positions", "rotation", "f_rest"}
     for way in ("encode", "decode"):
-        # Python, numpy and numba alone take more.
+        # Python, numpy and numba alone take more than the lower bound.
         assert 5e7 < memory[f"{way}_peak_bytes"] < 2e9
 
 
@@ -161,7 +161,7 @@ def test_a_process_of_its_own_is_measured(tmp_path):
     used = run_apart(["--version"])
     assert used.seconds > 0
     assert used.cpu_seconds > 0
-    # Small beside this process, from which it is started.
+    # Small compared with this process, which starts it.
     assert 5e6 < used.peak_bytes < 2e8
     with pytest.raises(GsCodecError, match=r"^.*no directory"):
         run_apart(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])

@@ -13,7 +13,7 @@ from gs_codec.preparation.likely_views import cameras_between
 
 
 def ring(angles) -> list[Camera]:
-    """Cameras on a circle that look at its centre, by degrees."""
+    """Cameras on a circle, looking at its centre; angles in degrees."""
     cameras = []
     for angle in angles:
         turn = Rotation.from_euler("y", angle, degrees=True).as_matrix().T

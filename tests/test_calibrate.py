@@ -1,4 +1,4 @@
-"""The coarseness that camera-free profiles need: the same loss in views of any scene."""
+"""Camera-free calibration: the same loss in views of any scene."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from gs_codec.views.find import find_cameras
 from samples.captures.capture import capture
 from samples.generate import generate, orbit_cameras
 
-#: Own PSNR, dB, of which a scene of 30 dB loses 0.026 to 0.078 dB; wanted is 0.05.
+#: PSNR of a scene against itself, in dB, at which a 30 dB scene loses 0.026 to 0.078 dB; the target
+#: is 0.05.
 LEAST, MOST = 47.4, 52.2
 
 
 def own_psnr(scene, cameras, config):
-    """PSNR of the decoded scene's views against its own, mean of the errors."""
+    """PSNR of the decoded scene's views against the original's, from the mean error."""
     decoded = decode_as(config, b"".join(encode_camera_free(scene, config)[0]))
     pairs = [[render(s, view, device="cpu").colour for s in (scene, decoded)] for view in cameras]
     return -10 * np.log10(np.mean([np.mean((a - b) ** 2, dtype=np.float64) for a, b in pairs]))
@@ -45,7 +46,7 @@ def views():
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("contrast", [0.2, 1.0])
 def test_m_loses_the_same_at_any_contrast(still_life, views, contrast):
-    """Steps of colours follow from nothing else, so those of faint colours would be too fine."""
+    """Only calibration sets colour steps; otherwise those of faint colours would be too fine."""
     scene = replace(
         still_life,
         f_dc=np.float32(contrast) * still_life.f_dc,
@@ -122,7 +123,7 @@ def test_few_gaussians_are_not_looked_at():
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", edge_scenes())
 def test_scenes_at_the_limits(name):
-    """Nothing is said, and the coarseness stays within two octaves."""
+    """Nothing is logged, and the coarseness stays within two octaves."""
     scene = edge_scenes()[name]
     many = scene.take(np.arange(6000) % max(scene.count, 1)) if scene.count else scene
     assert 0.25 <= calibrated(many, Config()).coarseness <= 4
@@ -140,7 +141,7 @@ def test_extreme_numbers(still_life, group, factor):
 def test_scenes_that_views_do_not_show_stay_as_they_are(still_life):
     clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
     assert calibrated(clear, Config()) == Config()
-    # Each would show all Gaussians: as many splats as there are, in every window.
+    # Every window would show all Gaussians.
     fog = replace(still_life, log_scale=np.full_like(still_life.log_scale, 5))
     assert calibrated(fog, Config()) == Config()
 

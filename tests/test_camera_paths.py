@@ -1,4 +1,4 @@
-"""Camera paths of nerfstudio, and poses of SuperSplat: conventions and bad files."""
+"""Camera paths of nerfstudio and poses of SuperSplat: conventions and invalid files."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_bad_path_is_refused_in_one_line(name, tmp_path):
 
 # SuperSplat
 
-#: SuperSplat's world has y up; a point of a scene (x, y, z) is at (-x, -y, z) in it.
+#: SuperSplat's world has y up; a scene point (x, y, z) is at (-x, -y, z) in it.
 TURN = np.array([-1, -1, 1])
 
 
@@ -124,8 +124,9 @@ def only(path: Path) -> Camera:
 @pytest.mark.parametrize("value", [project(pose()), settings(pose())], ids=["project", "settings"])
 def test_point_is_where_supersplat_shows_it(value, tmp_path):
     camera = only(write(tmp_path / "a.json", value))
-    # Its camera looks along -z, y up: a point at (1, 2, 0) of its world is 5 away, 1 to the right
-    # and 2 above. The field of view is that of the longer side, 640 pixels at a distance of 640.
+    # Its camera looks along -z with y up: the point (1, 2, 0) of its world is 5 away, 1 to the
+    # right and 2 above. The field of view is along the longer side: 640 pixels at a distance of
+    # 640.
     expected = (WIDTH / 2 + 640 * 1 / 5, HEIGHT / 2 - 640 * 2 / 5)
     np.testing.assert_allclose(pixel(camera, TURN * [1, 2, 0]), expected, atol=1e-9)
     np.testing.assert_array_equal(camera.position, [0, 0, 5])
@@ -133,7 +134,7 @@ def test_point_is_where_supersplat_shows_it(value, tmp_path):
 
 
 def test_cameras_that_supersplat_imported_come_back(tmp_path):
-    """Its import of cameras.json keeps position and direction of view (``loadCameraPoses``)."""
+    """Its import of cameras.json keeps position and viewing direction (``loadCameraPoses``)."""
     rng = np.random.default_rng(6)
     poses, forwards, positions = [], [], []
     for _ in range(20):
@@ -147,7 +148,7 @@ def test_cameras_that_supersplat_imported_come_back(tmp_path):
     for camera, position, forward in zip(cameras, positions, forwards, strict=True):
         np.testing.assert_allclose(camera.position, position, atol=1e-12)
         np.testing.assert_allclose(camera.rotation[2], forward, atol=1e-12)
-        # Upright in its world: right is level, and down has a part of y, which is down.
+        # Upright in its world: right is level, and down has a component along y, which is down.
         assert abs(camera.rotation[0, 1]) < 1e-12
         assert camera.rotation[1, 1] > 0
 
@@ -176,7 +177,7 @@ def test_field_of_view_is_the_poses_or_the_files_or_the_default(tmp_path):
     assert degrees(project(bare | {"fov": 40})) == 40
     assert degrees(project(bare)) == 75
     assert degrees(project(bare, camera={})) == FIELD_OF_VIEW
-    # Version 1 of the settings has none in its tracks.
+    # Tracks of version 1 of the settings have none.
     values = {"position": [0, 0, 5], "target": [0, 0, 0]}
     track = {"keyframes": {"times": [0], "values": values}}
     assert degrees({"camera": {"fov": 50}, "animTracks": [track]}) == 50

@@ -1,4 +1,4 @@
-"""Camera files: conventions by hand-computed pixels, bad files refused in one line."""
+"""Camera files: conventions against hand-computed pixels, invalid files rejected in one line."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_poses_are_those_of_rotated_vectors_seed2(suffix, tmp_path):
     }
     point = np.array([0.3, -0.7, 1.9])
     for image in images:
-        # v + 2 r x (r x v + w v) turns v by the unit quaternion (w, r).
+        # v + 2 r x (r x v + w v) rotates v by the unit quaternion (w, r).
         w, *r = np.array(image.quaternion) / np.linalg.norm(image.quaternion)
         turned = point + 2 * np.cross(r, np.cross(r, point) + w * point)
         camera = read[image.name]
@@ -157,7 +157,7 @@ def test_real_file_has_its_split():
     assert sum(camera.split == "test" for camera in cameras) == 37
     assert sum(camera.split == "train" for camera in cameras) == 255
     assert cameras[0].name == "DSCF5565"
-    # The cameras stand around a table and look at it: the middle of them all is before each.
+    # The cameras surround a table and look at it: the mean position is in front of each.
     middle = np.mean([camera.position for camera in cameras], axis=0)
     before = [(camera.rotation @ (middle - camera.position))[2] for camera in cameras]
     assert min(before) > 0
@@ -373,7 +373,7 @@ def test_points_are_passed_without_being_held(suffix, tmp_path):
     finally:
         tracemalloc.stop()
     assert [camera.name for camera in cameras] == ["a.jpg", "b.jpg"]
-    # One image's points are 2 MB of text and 5 MB of binary.
+    # One image's points take 2 MB as text and 5 MB in binary.
     assert peak < 1_000_000
 
 
@@ -470,7 +470,7 @@ def test_model_without_images_is_refused(suffix, tmp_path):
 
 
 def replaced(stem: str, old: str, new: str) -> tuple[str, Callable[[bytes], bytes]]:
-    """A file of a model, and what makes it have `new` for `old`."""
+    """Name of a model file, and a function that replaces `old` by `new` in it."""
 
     def make(good: bytes) -> bytes:
         assert old.encode() in good
@@ -626,7 +626,7 @@ def test_damage_is_refused_or_gives_valid_cameras_seed4(name, tmp_path):
     for _ in range(600):
         path.write_bytes(damaged(good, rng))
         read += read_damaged(given)
-    # Both happen: the damage is neither always seen nor ever out of sight.
+    # Both occur: some damage is detected, some is not.
     assert 0 < read < 600
 
 
@@ -646,7 +646,7 @@ def test_extreme_values_at_every_place_are_refused_or_valid(stem, special, tmp_p
 
 
 def kind(path: Path) -> float:
-    """The focal length of the first camera, by which these tests tell files apart."""
+    """The focal length of the first camera, which identifies files in these tests."""
     return read_cameras(path)[0].fx
 
 
@@ -716,7 +716,7 @@ def test_of_several_models_that_with_most_images_is_read(suffix, tmp_path, caplo
 def test_models_are_found_where_programs_put_them(place, tmp_path):
     write_kind(tmp_path / place, ".bin", 2.0)
     assert kind(tmp_path) == 2
-    # nerfstudio puts its own cameras above COLMAP's.
+    # nerfstudio prefers its own cameras to COLMAP's.
     write_json(tmp_path / "cameras.json", inria_entry(fx=1.0))
     assert kind(tmp_path) == (2 if place.startswith("sparse") else 1)
 
@@ -757,7 +757,7 @@ def test_path_without_cameras_is_refused_in_one_line(name, message, tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "scene.ply").write_bytes(b"ply\n")
     if hasattr(os, "mkfifo"):
-        # A pipe that nobody writes to would be waited for for ever.
+        # Reading a pipe without a writer would block for ever.
         os.mkfifo(tmp_path / "pipe.json")
     with pytest.raises(InvalidInput, match=message) as caught:
         read_cameras(tmp_path / name)

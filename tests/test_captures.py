@@ -1,4 +1,4 @@
-"""Captures: cameras stand as their style says, and scenes carry the traces of training."""
+"""Captures: cameras are placed according to the style, and scenes have traces of training."""
 
 import json
 from dataclasses import replace

@@ -1,7 +1,7 @@
-"""Twenty captures of different kinds: what `m` loses in held-out views, with cameras and without.
+"""Twenty captures of different kinds: the loss of `m` in held-out views, with and without cameras.
 
-known_losses.json lists the aims that captures miss, and by how many dB. It is to shrink: a capture
-fails that misses an aim by more than is listed, and so does one that meets an aim it is listed for.
+known_losses.json lists the targets that captures miss, and by how many dB. The list should shrink:
+a capture fails if it misses a target by more than listed, or meets a target it is listed for.
 """
 
 import json
@@ -23,16 +23,16 @@ from gs_codec.preparation.reference_views import draw_reference_views
 from samples.captures.capture import capture, write_capture
 from samples.captures.rigs import RIGS
 
-#: Style, seed and Gaussians: every style, and eight of them once more.
+#: Style, seed and number of Gaussians: every style, and eight styles once more.
 CAPTURES = [(style, 1, 12_000) for style in RIGS] + [
     (style, 2, 18_000)
     for style in ("wall", "corridor", "strip", "turntable", "sky", "arc", "room", "aerial")
 ]
 
-#: By how many dB each capture misses an aim (`misses_of`).
+#: By how many dB each capture misses a target (`misses_of`).
 KNOWN = json.loads((Path(__file__).parent / "known_losses.json").read_text())
 
-#: Losses differ by this much, dB, between machines that train a capture.
+#: Variation of losses between machines that train a capture, in dB.
 _NOISE = 0.004
 
 
@@ -108,7 +108,7 @@ def test_scene_without_held_out_cameras_is_refused(
 @pytest.mark.thorough
 @pytest.mark.parametrize(("style", "seed", "count"), CAPTURES)
 def test_capture_meets_the_aims(style: str, seed: int, count: int, tmp_path: Path) -> None:
-    """About a minute each; run with ``-s``, it prints the table's row."""
+    """Takes about a minute each; with ``-s``, it prints the row of the table."""
     folder = tmp_path / f"{style}-{seed}"
     write_capture(folder, capture(style, count, seed))
     [line] = losses.measure_losses([folder / "point_cloud.ply"])

@@ -13,7 +13,7 @@ SIZE = (700, 170)
 
 
 def colours(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
-    """Columns of pixels of a colour."""
+    """Pixel columns with a colour."""
     return np.flatnonzero((np.abs(255 * image - colour) < 1).all(axis=2).any(axis=0))
 
 
@@ -23,7 +23,7 @@ def test_bars_are_sorted_and_found_where_they_are_drawn():
     image = chart.draw(*SIZE)
     assert image.shape == (170, 700, 3)
     assert 0 <= image.min() < image.max() <= 1
-    bars = colours(image[:-25], (230, 159, 0))  # orange: those that are not shown
+    bars = colours(image[:-25], (230, 159, 0))  # orange: charts that are not shown
     assert {chart.view_at(x, SIZE[0]) for x in bars} == {0, 2}
     heights = [
         int((np.abs(255 * image[:, x] - (230, 159, 0)) < 1).all(axis=1).sum())

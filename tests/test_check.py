@@ -1,4 +1,4 @@
-"""What an encoding measures of itself, and does about it."""
+"""The measured loss of an encode, and the reaction to it."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def test_watched_values_are_those_that_a_decoder_returns(degree, guided, far):
     scene = with_far(random_scene(3000, degree, seed=5), far)
     config = Config("m", block_size=1024)
     index = np.flatnonzero(np.random.default_rng(6).random(3000) < 0.2)
-    index = np.union1d(index, np.arange(2990, 3000))  # where far ones are
+    index = np.union1d(index, np.arange(2990, 3000))  # including far Gaussians
     if not degree:
-        index = index[-3:]  # of other blocks none
+        index = index[-3:]  # none in other blocks
     watched = Watched(scene, index)
     steps = made_up_guide(seed=7)(scene, config) if guided else None
     parts, _ = encode_clean(scene, config, StageTimes(), steps=steps, watched=watched)
@@ -70,7 +70,7 @@ def test_watched_values_are_those_that_a_decoder_returns(degree, guided, far):
     assert len(rows[0]) == len(index)
     assert len(rows[0][0]) == len(names)
     assert set(map(tuple, rows[0])) <= set(map(tuple, rows[1]))
-    # In the order of the stream: next to where they were.
+    # In stream order, next to their previous positions.
     assert np.array_equal(np.sort(watched.index), index)
     assert np.array_equal(watched.find(watched.index[1:3]), np.arange(1, 3))
     index = watched.index
@@ -110,7 +110,7 @@ def test_both_ways_to_measure_agree(still_life):
         check.measure_watched(watched),
         check.measure(decode_as(config, b"".join(parts))),
     )
-    # A few others reach into a window once they are rounded.
+    # A few other Gaussians reach into a window after rounding.
     assert kept.loss == pytest.approx(decoded.loss, rel=0.05)
     assert kept.windows == decoded.windows
 
@@ -146,7 +146,7 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
 
 def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, caplog):
     def clipped(scene, config, times, *_, **__):
-        """As a format does that cannot hold such colours."""
+        """Like a format that cannot represent such colours."""
         return encode_clean(replace(scene, f_dc=np.minimum(scene.f_dc, 0)), config, times)
 
     monkeypatch.setattr(planned, "encode_clean", clipped)

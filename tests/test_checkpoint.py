@@ -31,7 +31,7 @@ from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
-#: Of the bytes of a scene as .pt and as .ckpt: the same on every machine.
+#: Digests of a scene as .pt and as .ckpt, the same on every machine.
 DIGESTS = ["534b0f52cb6333d9", "102bbd423f1d8983"]
 
 needs_torch = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
@@ -145,7 +145,7 @@ def test_splatfacto_loads_what_is_written(tmp_path):
     write_scene(tmp_path / "step-000000000.ckpt", scene, Config())
     loaded = torch.load(tmp_path / "step-000000000.ckpt", weights_only=True)
     assert list(loaded) == ["step", "pipeline", "optimizers", "schedulers", "scalers"]
-    # What nerfstudio does with it: tensors of any number of Gaussians into its model.
+    # nerfstudio loads tensors of any number of Gaussians into its model.
     shapes = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (1,)}
     shapes |= {"features_dc": (3,), "features_rest": (15, 3)}
     model = torch.nn.Module()
@@ -203,7 +203,7 @@ def test_a_checkpoint_of_splatfacto_is_read(prefix, tmp_path):
     state = {"step": 29999, "pipeline": model, "optimizers": {"means": optimizer.state_dict()}}
     torch.save(state | {"schedulers": {"means": schedule}, "scalers": {}}, tmp_path / "a.ckpt")
     assert_trained(read_scene(tmp_path / "a.ckpt"), splats)
-    # Without SH-AC splatfacto keeps colours before the sigmoid.
+    # Without SH-AC, splatfacto stores colours before the sigmoid.
     model[prefix + "features_rest"] = torch.zeros(30, 0, 3)
     torch.save(state, tmp_path / "b.ckpt")
     colours = 0.5 + SH_C0 * read_scene(tmp_path / "b.ckpt").f_dc.T
@@ -250,7 +250,7 @@ def test_keys_that_take_for_ever_to_compare_are_left_out():
 
 
 def test_large_integers_are_not_kept():
-    """As keys, they would be hashed again and again, and Python may refuse to print them."""
+    """As keys they would be hashed repeatedly, and Python may refuse to print them."""
     large = b"\x8b" + struct.pack("<i", 1 << 20) + b"\1" * (1 << 20) + b"q\0"
     assert parse_pickle(b"\x80\x02" + large + b".") is UNKNOWN
     items = b"".join(b"h\0N" for _ in range(100_000))
@@ -258,7 +258,7 @@ def test_large_integers_are_not_kept():
     assert parse_pickle(pickle.dumps({2**63: 2**64 - 1}, 2)) == {2**63: 2**64 - 1}
 
 
-LEAVES = b"K\x01" + b"".join(b"q%ch%c\x86" % (i, i) for i in range(60))  # 2^60 of them
+LEAVES = b"K\x01" + b"".join(b"q%ch%c\x86" % (i, i) for i in range(60))  # 2^60 references
 FOR_EVER = {
     "a size": b"ctorch._utils\n_rebuild_tensor_v2\n("
     b"(X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\0aNK\x06tQK\0" + LEAVES + b")tR.",
@@ -308,7 +308,7 @@ def test_a_zip_of_two_checkpoints_is_refused(tmp_path):
 
 
 def zipped(**changes: bytes | None) -> bytes:
-    """A checkpoint of 2 Gaussians with some of its entries changed, or removed."""
+    """A checkpoint of 2 Gaussians, with some entries changed or removed."""
     out = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         write_scene(Path(folder, "a.pt"), random_scene(2, 0), Config())
@@ -380,7 +380,7 @@ BAD = {
 
 
 def with_large_storage(method: int) -> bytes:
-    """A checkpoint of 2 Gaussians whose centres are the middle of a storage of 96 MB."""
+    """A checkpoint of 2 Gaussians whose centres are in the middle of a storage of 96 MB."""
     length, out = 24 << 20, io.BytesIO()
     means = stored(length=length, offset=length // 2)
     numbers = np.zeros(length, "<f4")

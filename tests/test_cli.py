@@ -1,4 +1,4 @@
-"""The command line: results on stdout, one line for every error, nothing left behind."""
+"""The command line: results on stdout, one line per error, no files left behind."""
 
 from __future__ import annotations
 
@@ -292,7 +292,7 @@ def test_name_that_is_not_text_can_be_printed(folder, trio):
 
 @pytest.fixture
 def lattice(folder) -> Folder:
-    """The folder with `l.egs` to `s.egs` beside the others."""
+    """The folder with `l.egs`, `m.egs` and `s.egs` added."""
     for profile in ADAPTIVE_PROFILES:
         encode_file("scene.ply", f"{profile}.egs", Config(profile, block_size=1024))
     return folder
@@ -429,7 +429,7 @@ def test_lattices_are_compared_with_their_original(lattice, profile):
 
 
 def resealed(data: bytes, position: int, patch: bytes) -> bytes:
-    """The stream with other header bytes and a header checksum that fits."""
+    """The stream with other header bytes, and a matching header checksum."""
     size = struct.unpack_from("<I", data, 12)[0]
     head = data[:position] + patch + data[position + len(patch) : size - 4]
     return head + struct.pack("<I", crc32c(head)) + data[size:]
@@ -504,7 +504,7 @@ def test_bit_of_the_last_section_is_refused(folder):
     "names", [["x"], ["two words"], [""], ["rot_3"], ["label", "label"]], ids=str
 )
 def test_egs_whose_properties_no_ply_can_have_is_refused(folder, names):
-    """The checksums of such a file hold: only its content is wrong."""
+    """The checksums of such a file are right; only its content is wrong."""
     good = read_file(Path("scene.egs").read_bytes())
     one = write_extra({"?": np.zeros(1500, np.uint8)}, np.arange(1500))[4:]
     columns = [bytes([len(name)]) + name.encode() + one for name in names]
@@ -868,7 +868,7 @@ for line in {commands}:
     ids=["import", "help", "files", "views"],
 )
 def test_heavy_packages_load_where_they_are_used(folder, run, loaded, absent):
-    python("-c", run, cwd=folder.path)  # compiles
+    python("-c", run, cwd=folder.path)  # compiles kernels
     status, _, err = python("-c", LOADED.format(run=run), cwd=folder.path)
     modules = set(err.split())
     assert status == 0

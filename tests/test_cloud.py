@@ -1,4 +1,4 @@
-"""Open3D clouds: attributes as documented, shared memory, and the public API on top of them."""
+"""Open3D clouds: documented attributes, shared memory, and the public API built on them."""
 
 from __future__ import annotations
 
@@ -267,7 +267,7 @@ def test_extra_attributes_of_every_type(dtype):
 
 @pytest.mark.parametrize("name", ["positions", "scale", "rot", "normals", "f_rest"])
 def test_extra_property_never_takes_the_place_of_an_attribute(name, caplog):
-    """A PLY may have a property ``scale``; the cloud's is the documented one."""
+    """A PLY may have a property ``scale``; the cloud's ``scale`` is the documented one."""
     scene = random_scene(40, 0)
     extra = {name: np.full(40, 5, np.float32)}
     cloud = to_cloud(replace(scene, extra=extra))

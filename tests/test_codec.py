@@ -1,4 +1,4 @@
-"""Scene to stream and back: bounds, order, determinism."""
+"""Scene to stream and back: error bounds, order, determinism."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ EDGES = edge_scenes()
 
 
 def assert_within_half_steps(original: Scene, data: bytes) -> Scene:
-    """Every value is within half a step (and float32's rounding) of what was quantised.
+    """Every value is within half a step (plus float32 rounding) of the quantised one.
 
-    SH-AC beyond the Laplace range are compared after rectification, as FORMAT.md says.
+    SH-AC beyond the Laplace range are compared after rectification.
     """
     decoded, channels = decode_scene(data), inspect_bytes(data).channels
     assert decoded.count == original.count

@@ -1,4 +1,4 @@
-"""SH energy compaction: its equations by brute force, what must not change, and edges."""
+"""SH energy compaction: its equations against brute force, invariants, and edge cases."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def test_what_is_clamped_at_black_costs_nothing():
 
 
 def test_channels_at_black_follow_the_others():
-    """Then Y alone varies, and nobody sees a difference."""
+    """Then only Y varies, without visible difference."""
     scene, cameras = visible_scene(50, 9, bright=3.0), orbit(12)
     f_rest = scene.f_rest.reshape(3, 15, -1).copy()
     f_rest[0], f_rest[2] = f_rest[1], 0.0

@@ -1,4 +1,4 @@
-"""``gs-codec convert``: what is kept, what is lost and said, and coordinate systems."""
+"""``gs-codec convert``: what is kept, lost and reported; and coordinate systems."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from gs_codec.scene import Scene, coordinates_comment
 
 
 def run(*arguments: object) -> tuple[str, str]:
-    """Standard output and error of a command that succeeds."""
+    """Standard output and error of a successful command."""
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == 0, result.output
     return result.stdout, result.stderr
@@ -310,7 +310,7 @@ def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, t
     _, err = run("convert", spz, target, "--coordinates", "RDF:RDF", "--overwrite")
     assert "coordinates unchanged (RDF)" in err
     np.testing.assert_array_equal(read_ply(target).positions, stored.positions)
-    # Where a file is sorted by places that are others then, its comment goes.
+    # If coordinates change, the comment on the sort order is dropped.
     encode_file(spz, tmp_path / "a.egs")
     convert_file(tmp_path / "a.egs", target, coordinates="LUF", overwrite=True)
     assert read_ply(target).comments == ("SplatRenderMode: mip", "CoordinateSystem: LUF")

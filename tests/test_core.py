@@ -1,4 +1,4 @@
-"""Files are handled without Open3D, scipy and what else gs-codec-core goes without."""
+"""Files are processed without Open3D, scipy and other packages that gs-codec-core lacks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from command_line import python
 
 from gs_codec.cli.main import NAMES, _Commands
 
-#: Packages that other distributions of gs-codec bring, or that Open3D does.
+#: Packages that other distributions of gs-codec, or Open3D, install.
 ABSENT = ("open3d", "plotly", "dash", "scipy", "skimage", "sklearn", "matplotlib", "pandas")
 
 WITHOUT = """
@@ -44,7 +44,7 @@ print(json.dumps([run(main, "gs-codec", *line.split()) for line in {lines}]), fi
 
 
 def without(script: str, folder, **values) -> tuple[str, list[str]]:
-    """What a script prints where the packages are absent, and its lines on stderr."""
+    """Output of a script in a process without these packages, and its lines on stderr."""
     text = WITHOUT.format(absent=ABSENT) + script.format(**values)
     status, out, err = python("-c", text, cwd=folder.path)
     assert status == 0, err
@@ -128,7 +128,7 @@ status = run(main, "gs-codec", *{line!r}.split())
 print(status, *sorted(sys.modules), file=sys.stderr)
 """
 
-#: What starts a command, and what its options are made from.
+#: Modules that start a command, and that define its options.
 STARTED = {
     "cli", "cli.*", "config", "edit", "edit.actions", "errors", "files", "files.suffixes",
     "preparation", "preparation.presets", "preparation.steps", "report", "runtime", "runtime.*",
@@ -139,7 +139,7 @@ DECODED = {
     "formats.*", "scene",
 }  # fmt: skip
 
-#: Modules of these packages that only encoding, or other profiles and formats, need.
+#: Modules of these packages needed only for encoding, or for other profiles and formats.
 NOT_DECODED = {
     "codecs.entropygs", "codecs.lossless", "codecs.interchange", "codecs.encode", "codecs.pairing",
     "codecs.adaptive.encode", "formats.registry", "formats.gltf", "formats.sog", "formats.usd",
@@ -158,7 +158,7 @@ NOT_DECODED = {
 def test_a_command_loads_what_it_needs(folder, line, ours, absent):
     folder.run("encode", "scene.ply", "scene.egs", "--overwrite")
     script = "import sys\n" + WITHOUT[WITHOUT.index("def run") : WITHOUT.index("sys.meta")]
-    for _ in range(2):  # the first compiles
+    for _ in range(2):  # the first run compiles
         status, _, err = python("-c", script + LOADED.format(line=line), cwd=folder.path)
         assert status == 0, err
         (folder.path / "out.ply").unlink(missing_ok=True)
@@ -169,9 +169,9 @@ def test_a_command_loads_what_it_needs(folder, line, ours, absent):
     assert names.isdisjoint(NOT_DECODED)
     packages = {name.partition(".")[0] for name in modules}
     assert packages.isdisjoint(absent | {"open3d", "sklearn", "pandas", "matplotlib", "plotly"})
-    # numba loads scipy itself, and nothing of it.
+    # numba imports scipy itself, but none of its submodules.
     assert not {"scipy.linalg", "scipy.special", "scipy.sparse", "scipy.spatial"} & set(modules)
-    if tuple(map(int, version("typer").split(".")[:2])) < (0, 28):  # as pyproject.toml asks
+    if tuple(map(int, version("typer").split(".")[:2])) < (0, 28):  # pyproject.toml requires it
         assert "pydantic" not in packages
 
 

@@ -1,4 +1,4 @@
-"""Bits of single Gaussians: they add up to the file, and to the sections that they are in."""
+"""Bits of single Gaussians: they add up to the file and its sections."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_bits_add_up_to_the_file(profile, block_size):
 @pytest.mark.parametrize("sh_degree", range(4))
 @pytest.mark.parametrize("profile", ["l", "s"])
 def test_symbols_take_what_their_sections_do(profile, sh_degree):
-    """To the words that the coder leaves unfilled: every pass is counted, with its tables."""
+    """Up to the coder's partly filled words: every pass is counted, including tables."""
     scene = random_scene(6000, sh_degree, seed=4)
     file = read_file(encode_scene(scene, Config(profile))[0])
     own = block_costs(Blocks(file, sh_degree), 0).bits
@@ -51,13 +51,13 @@ def test_symbols_take_what_their_sections_do(profile, sh_degree):
     assert names == bands | {"low-bits", "classes", "opacity", "scaling", "rotation", "sh-dc"}
     coded = {name: 8 * file.sizes[SectionId.of_stream(name), 0] for name in names}
     assert sum(own.values()).sum() == pytest.approx(sum(coded.values()), rel=0.003)
-    for name in names - {"classes"}:  # which have next to nothing
-        # Streams of a pass share the states of the coder, which move bits between them.
+    for name in names - {"classes"}:  # which have almost no bits
+        # Streams of a pass share coder states, which shifts bits between them.
         assert own[name].sum() == pytest.approx(coded[name], rel=0.03)
 
 
 def test_symbols_of_sh_are_of_the_gaussian_whose_levels_they_are():
-    """By going through the symbols as FORMAT.md lists them."""
+    """By walking the symbols in the order of FORMAT.md."""
     rng = np.random.default_rng(6)
     levels = np.rint(rng.laplace(scale=0.4, size=(3, 15, 40))).astype(np.int32)
     levels[:, :, ::3] = 0
@@ -105,7 +105,7 @@ def test_streams_of_gaussians_add_up_to_those_of_the_file(profile):
 
 @pytest.mark.parametrize("guide", [None, made_up_guide()], ids=["camera-free", "guided"])
 def test_values_are_multiples_of_their_steps(guide):
-    """And steps are among those that `inspect` tells, and follow the classes."""
+    """Steps are among those that `inspect` reports, and depend on the classes."""
     scene = random_scene(1500, 1, seed=8)
     file = read_file(encode_by(scene, Config("m", block_size=1024), guide))
     decoded = decode_scene(bytes(file.data))
@@ -145,7 +145,7 @@ def test_classes_are_those_that_were_asked_for():
 
 
 def test_what_is_richer_takes_more():
-    """The Gaussians whose SH-AC were set to 0 take fewer bits than the others."""
+    """Gaussians whose SH-AC were set to 0 take fewer bits than the others."""
     scene = random_scene(4000, 3, seed=5)
     f_rest = scene.f_rest.copy()
     f_rest[:, ::2] = 0

@@ -1,4 +1,4 @@
-"""Killed, interrupted, or without room: what was there stays, or the new file is there whole."""
+"""After a kill, interrupt or full disk: the old file remains, or the new file is complete."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def folder(tmp_path) -> Path:
 
 
 def in_child(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess:
-    """Run Python in a process of its own that finds gs_codec."""
+    """Run Python in a separate process that can import gs_codec."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=cwd,
@@ -60,7 +60,7 @@ def in_child(*arguments: str, cwd: Path, **environment: str) -> subprocess.Compl
 def test_killed_at_any_moment_leaves_the_old_file_or_the_new_one(
     folder, command, existing, pytestconfig
 ):
-    """Nothing else either, but for one moment where a file is replaced."""
+    """Nothing else is left, except for one moment when a file is replaced."""
     target = command.split()[-1]
     if existing:
         (folder / target).write_bytes(b"precious")
@@ -139,7 +139,7 @@ def test_folders_that_cannot_be_synced_do_not_matter(tmp_path, monkeypatch):
 
 @pytest.fixture
 def small_disk(tmp_path) -> Iterator[Path]:
-    """A disk with 8 kB left."""
+    """A disk with 8 kB free."""
     disk = tmp_path / "disk"
     disk.mkdir()
     options = ["-t", "tmpfs", "-o", "size=8k", "none", str(disk)]
@@ -151,7 +151,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
-#: Commands that write, and what they write to: `{}` is a folder.
+#: Commands that write, and their outputs; `{}` is a folder.
 WRITING = {
     "encode": "encode scene.ply {}/out.egs -p lossless",
     "decode": "decode scene.egs {}/out.ply",
@@ -166,7 +166,7 @@ WRITING = {
 
 
 def refused(command: str, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Run what must fail, and return the one line that it says."""
+    """Run a command that must fail; return its one line."""
     monkeypatch.setattr(sys, "argv", ["gs-codec", *command.split()])
     capsys.readouterr()
     with pytest.raises(SystemExit) as stop:
@@ -208,7 +208,7 @@ def test_a_folder_without_permission_is_one_line(folder, name, capsys, monkeypat
     def access(path: str | Path, mode: int, **named: bool) -> bool:
         return allowed(path, mode) and not (Path(path).name == "locked" and mode & os.W_OK)
 
-    # As it is for others than root.
+    # Like a user other than root.
     monkeypatch.setattr(os, "access", access)
     Path("locked").mkdir()
     line = refused(WRITING[name].format("locked"), capsys, monkeypatch)
@@ -230,7 +230,7 @@ def test_a_folder_without_permission_is_one_line(folder, name, capsys, monkeypat
 def test_a_file_that_is_truncated_while_it_is_read_is_one_line(
     folder, command, reads, capsys, monkeypatch
 ):
-    """A mapped file would end the process by SIGBUS."""
+    """A memory-mapped file would end the process with SIGBUS."""
     monkeypatch.chdir(folder)
     if "splat" in command:
         write_scene("scene.splat", random_scene(200, 0, seed=70), Config())
@@ -249,7 +249,7 @@ def test_a_file_that_is_truncated_while_it_is_read_is_one_line(
     said = (
         f"truncated while it was read: {size} bytes, expected",
         "was changed while it was read",
-        "not a readable PLY file",  # opened again
+        "not a readable PLY file",  # opened again by plyfile
     )
     assert any(f"{source}: {each}" in line for each in said)
     assert line.count(source) == 1

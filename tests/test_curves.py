@@ -1,4 +1,4 @@
-"""Curves of rate over quality: interpolation, ends, BD-rate of curves of known shape."""
+"""Rate-quality curves: interpolation, ends, BD-rate of curves of known shape."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gs_codec.bench.suite.results import Curve, Rate, bd_rate, curve_of
 
 
 def _line(psnrs, factor=1.0) -> Curve:
-    """One bit for each 6 dB, times a factor."""
+    """One bit per 6 dB, times a factor."""
     return Curve((psnr, factor * 2 ** (psnr / 6)) for psnr in psnrs)
 
 

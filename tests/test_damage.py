@@ -1,4 +1,4 @@
-"""Damaged and hostile files: always a clean refusal, never a crash or wrong data."""
+"""Damaged and hostile files: always a clean error, never a crash or wrong data."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.sections import write_extra
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 
-#: Flips under right checksums that each file gets in a round; ten rounds are all.
+#: Bit flips per file and round, with corrected checksums; ten rounds cover all bits.
 FLIPS = 1500
 
 
@@ -69,7 +69,7 @@ def test_flipped_bits_under_right_checksums_are_survived(profile, pytestconfig):
     number = min(FLIPS * pytestconfig.getoption("rounds"), 8 * len(stream))
     bits = np.linspace(0, 8 * len(stream) - 1, number).astype(int)
     taken = sum(survive(with_checksums(flipped(stream, int(bit)))) for bit in bits)
-    # Many bits are of values, and every value is one of some scene.
+    # Many bits are values, and any value gives a valid scene.
     assert 0 < taken < number
 
 
@@ -99,7 +99,7 @@ def test_memory_is_bounded(profile, max_bytes, seed):
     rng = np.random.default_rng([seed, 2])
     data = bytearray(sample(profile, 1500, int(rng.integers(0, 4)), 1024))
     if seed % 2:
-        # Numbers that sizes follow from: of Gaussians, of those in a block.
+        # Fields that determine sizes: the number of Gaussians, and of those in a block.
         struct.pack_into("<Q", data, COUNT, int(2.0 ** rng.uniform(8, 24)))
         struct.pack_into("<I", data, BLOCK_SIZE, int(2.0 ** rng.uniform(8, 16)))
     data = with_checksums(changed(data, rng))
@@ -109,7 +109,7 @@ def test_memory_is_bounded(profile, max_bytes, seed):
 
 
 def with_extra(stream: bytes, extra: bytes) -> bytes:
-    """The stream with another section `extra`."""
+    """The stream with another `extra` section."""
     file = read_file(stream)
     sections = [
         Section(SectionId(number), block, extra if number == SectionId.EXTRA else data)
@@ -120,7 +120,7 @@ def with_extra(stream: bytes, extra: bytes) -> bytes:
 
 @pytest.mark.parametrize("profile", SAMPLES)
 def test_extra_properties_count_towards_the_limit(profile):
-    """Each of many properties is small where it is deflated, and all zeros."""
+    """Each property is small when deflated, because it is all zeros."""
     count = 1500
     names = {f"zero{i}": np.zeros(count, "<f8") for i in range(100)}
     extra = write_extra(names, np.arange(count))
@@ -139,7 +139,7 @@ def test_extra_properties_count_towards_the_limit(profile):
 
 @pytest.mark.thorough
 def test_a_table_of_many_sections_is_bounded():
-    """Sections that are not known, empty, and optional."""
+    """Unknown, empty, optional sections."""
     data = sample("m")
     sections, number = struct.unpack_from("<I", data, SECTIONS)[0], 50_000
     end = HEADER + ENTRY * sections
@@ -178,7 +178,7 @@ def test_a_false_count_does_not_allocate(stream, count):
 
 
 def blocks_of_one(data: bytes, count: int) -> bytes:
-    """The stream with as many Gaussians, each in a block of its own."""
+    """The stream with `count` Gaussians, each in its own block."""
     hostile = bytearray(data)
     struct.pack_into("<Q", hostile, COUNT, count)
     struct.pack_into("<I", hostile, BLOCK_SIZE, 1)
@@ -189,7 +189,7 @@ def blocks_of_one(data: bytes, count: int) -> bytes:
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 @pytest.mark.parametrize("count", [1, 20])
 def test_more_blocks_than_in_the_index_are_refused_at_once(profile, part, count):
-    """Of one Gaussian, all channels of paper profiles are constant, so that blocks are empty."""
+    """With a single Gaussian, all channels of paper profiles are constant, so blocks are empty."""
     scene = random_scene(count, 0, seed=63)
     data = blocks_of_one(encode_scene(scene, Config(profile))[0], 1 << 24)
 
@@ -201,7 +201,7 @@ def test_more_blocks_than_in_the_index_are_refused_at_once(profile, part, count)
 
 
 def test_unknown_sections_are_skipped_only_if_optional(stream):
-    """A section 99 appended by a later writer."""
+    """Section 99, appended by a later writer."""
     for flags, accepted in ((1, True), (0, False), (3, False)):
         sections = struct.unpack_from("<I", stream, SECTIONS)[0]
         table_end = HEADER + ENTRY * sections

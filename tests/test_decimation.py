@@ -54,7 +54,7 @@ def opacity(scene: Scene, i: int) -> float:
 
 
 def area(matrix: np.ndarray) -> float:
-    """Root mean square over directions of the projected area, over 2 pi, by drawing directions."""
+    """Root mean square of the projected area over random directions, divided by 2 pi."""
     n = np.random.default_rng(0).normal(size=(200_000, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     adjugate = np.linalg.inv(matrix) * np.linalg.det(matrix)
@@ -76,7 +76,7 @@ def test_a_merge_keeps_mass_mean_and_covariance(seed, sh_degree):
     masses = np.array([opacity(scene, i) * area(matrices[i]) for i in range(2)])
     shares, centres = masses / masses.sum(), scene.positions.T.astype(np.float64)
     mean = shares @ centres
-    # The sum of second moments about the origin, less the mean's.
+    # The sum of second moments about the origin, minus the mean's.
     moment = sum(
         w * (m + np.outer(c, c)) for w, m, c in zip(shares, matrices, centres, strict=True)
     )
@@ -103,7 +103,7 @@ def test_two_equal_gaussians_give_one_that_is_twice_as_opaque():
 
 
 def splat(scene: Scene, i: int, axis: int, grid: np.ndarray) -> np.ndarray:
-    """A Gaussian's alpha where it is projected along an axis."""
+    """Alpha of a Gaussian projected along an axis."""
     seen = [axis, (axis + 1) % 3]
     matrix = np.linalg.inv(covariance(scene, i)[np.ix_(seen, seen)])
     apart = grid - scene.positions[seen, i].astype(np.float64)
@@ -206,7 +206,7 @@ def test_properties_are_those_of_the_heavier():
         )
         left = decimate(twins, 1)
         assert left.extra["number"].tolist() == [4.5 + 2 * heavier]
-        # Merged: none of both is as opaque.
+        # They were merged: neither twin is as opaque.
         assert opacity(left, 0) == pytest.approx(opacity(twins, 0) + opacity(twins, 1), rel=1e-5)
 
 

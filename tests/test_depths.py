@@ -1,4 +1,4 @@
-"""Depths with profiles l, m and s: means of steps as in paper profiles, whatever else is asked."""
+"""Depths with profiles l, m and s: mean steps equal those of paper profiles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.rate.allocate import encode_to_target
 from gs_codec.scene import Scene
 
-#: Passes whose steps tell those of a group.
+#: Passes whose steps represent a group.
 STREAMS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
 
 
@@ -30,7 +30,7 @@ def scene() -> Scene:
 
 
 def finest_steps(data: bytes) -> dict[str, float]:
-    """By stream; of positions, the grid's."""
+    """Finest step of each stream; for positions, the grid's."""
     info = inspect_bytes(data)
     steps = {item.stream: item.finest_step for item in info.passes if item.stream in STREAMS}
     assert info.grid is not None

@@ -1,4 +1,4 @@
-"""The same bytes and floats whenever, wherever and by however many threads."""
+"""The same bytes and floats on every run and machine, with any number of threads."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from gs_codec.scene import GROUPS, Scene
 
 ROOT = Path(__file__).parents[1]
 
-#: Modules whose floats decide the bytes of a file.
+#: Packages whose floats determine the bytes of a file.
 DECIDING = ("codecs", "coding", "egs")
 
 
 def digests(threads: int | None) -> dict[str, str]:
-    """Digest of the bytes, and of the floats, of each profile."""
+    """Digests of the bytes and floats of each profile."""
     scene, found = random_scene(3000, 2, seed=90), {}
     for profile in PROFILE_CHOICES:
         config = Config(profile, threads=threads, block_size=1024)
@@ -44,7 +44,7 @@ def floats(scene: Scene) -> bytes:
 
 
 def digest_of_levels() -> str:
-    """Digest of the floats of merged Gaussians, of any shape and of balls."""
+    """Digest of the floats of merged Gaussians, of random shapes and spheres."""
     scene = random_scene(160, 1, seed=91)
     scene.log_scale[:, ::3] = scene.log_scale[0, ::3]
     merged = Run(scene).merged(0.1)
@@ -52,7 +52,7 @@ def digest_of_levels() -> str:
 
 
 def run_alone(call: str, environment: dict[str, str]) -> str:
-    """What a process of its own makes of a function of this module."""
+    """Result of a function of this module in a separate process."""
     environment = os.environ | environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
     script = f"import json, test_determinism as t; print(json.dumps(t.{call}))"
     done = subprocess.run(
@@ -72,7 +72,7 @@ def test_threads_and_runs_do_not_matter():
 @pytest.mark.thorough
 @pytest.mark.parametrize("blas_threads", ["1", "2"])
 def test_processes_do_not_matter(blas_threads):
-    """With another seed of hashes each, and as many threads of other libraries."""
+    """Each with another hash seed, and other thread counts of libraries."""
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
     environment = dict.fromkeys(names, blas_threads) | {"PYTHONHASHSEED": blas_threads}
     assert run_alone("digests(2)", environment) == digests(1)
@@ -80,7 +80,7 @@ def test_processes_do_not_matter(blas_threads):
 
 @pytest.mark.thorough
 def test_processors_do_not_matter_to_levels():
-    """Nor compilers: kernels run as Python, numpy and BLAS as on the oldest processor."""
+    """Nor do compilers: kernels run as Python, numpy and BLAS as on the oldest processor."""
     features = np.show_config(mode="dicts")["SIMD Extensions"]["found"]  # type: ignore[index]
     environment = {
         "NPY_DISABLE_CPU_FEATURES": " ".join(features),
@@ -111,7 +111,7 @@ def sources() -> list[Path]:
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_no_sum_is_left_to_blas(path):
-    """BLAS and LAPACK round as the processor and the number of threads have it."""
+    """Rounding of BLAS and LAPACK depends on the processor and the number of threads."""
     forbidden = {"dot", "vdot", "inner", "matmul", "tensordot", "einsum", "linalg"}
     for node in ast.walk(ast.parse(path.read_text())):
         assert not isinstance(node, ast.MatMult), f"{path}: @"
@@ -120,7 +120,7 @@ def test_no_sum_is_left_to_blas(path):
 
 
 def test_kernels_round_as_they_are_written():
-    """Fast mathematics and parallel sums would round by the machine."""
+    """Rounding of fast maths and parallel sums would depend on the machine."""
     for path in (ROOT / "gs_codec").rglob("*.py"):
         text = path.read_text()
         assert not any(word in text for word in ("fastmath=", "parallel=", "prange"))

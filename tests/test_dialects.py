@@ -1,4 +1,4 @@
-"""PLY files as other programs write them: what is read, and what one line says."""
+"""PLY files in the dialects of other programs: what is read, and what is logged."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_properties_in_an_egs_follow_the_same_rule(tmp_path, caplog):
 
 
 def mip_filtered(scene: Scene, deviations: np.ndarray) -> Scene:
-    """The scene as `save_fused_ply` of Mip-Splatting writes it, in float64."""
+    """The scene as written by `save_fused_ply` of Mip-Splatting, in float64."""
     squares = np.exp(2 * scene.log_scale.astype(np.float64))
     wide = squares + deviations.astype(np.float64) ** 2
     opacity = 1 / (1 + np.exp(-scene.opacity.astype(np.float64)))
@@ -138,7 +138,7 @@ def test_coordinates_of_a_texture_are_no_time(tmp_path, caplog):
 
 
 def rewritten(path: Path, *pairs: tuple[bytes, bytes]) -> Path:
-    """A file of which some bytes are replaced once."""
+    """A file with some byte strings replaced, once each."""
     data = path.read_bytes()
     for old, new in pairs:
         assert old in data
@@ -198,7 +198,7 @@ def test_2d_gaussians_are_as_flat_after_encoding(profile):
 
 
 def test_steps_do_not_follow_the_rounding_of_a_thickness():
-    """Two scales that differ by the same in all Gaussians, but for their last bits."""
+    """Two scales whose difference is the same in all Gaussians, except for the last bits."""
     scene = random_scene(3000, 0)
     scene.log_scale[2] = scene.log_scale[:2].min(axis=0) - 10
     steps = steps_adding(scene, made_up_sensitivity(scene))(1e-3)

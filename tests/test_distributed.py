@@ -1,4 +1,4 @@
-"""One scene done in tasks gives the file that it gives as a whole, whatever tasks and failures."""
+"""A scene encoded in tasks gives the same file as in one go, whatever the tasks and failures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ BLOCK = 1024
 
 @pytest.fixture(scope="module")
 def still_life() -> Scene:
-    """A scene that windows show."""
+    """A scene that is visible in windows."""
     return generate(6000, 1, 1)
 
 
@@ -124,7 +124,7 @@ def test_what_leaves_no_gaussian_is_an_error_in_tasks_too(tmp_path):
 
 @pytest.fixture
 def aiming(monkeypatch):
-    """Makes encoders aim at a share of the error, and take what helps so much."""
+    """Make encoders target a share of the error."""
 
     def aim(share: float, helps: float = 0.8) -> None:
         monkeypatch.setattr(checked, "wanted_error", lambda config: share * wanted_error(config))

@@ -1,4 +1,4 @@
-"""One scene on a cluster whose processes are killed at any moment: the same command goes on."""
+"""One scene on a cluster whose processes are killed at any moment: the same command resumes it."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from gs_codec.formats.ply.writer import write_ply
 
 COUNT = 60_000
 
-#: How long a client looks for a scheduler that is gone.
+#: Timeout of a client whose scheduler is gone.
 SOON = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s"}
 
 
 class Machines:
-    """A scheduler and two workers, and clients of them."""
+    """A scheduler, two workers, and their clients."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.running = folder, dict[str, subprocess.Popen]()
         self.logs = folder / "log"
 
     def start(self, name: str, *command: str) -> subprocess.Popen:
-        """Start a module of Python in a group of processes of its own, in place of one before."""
+        """Start a Python module in a separate process group, replacing a previous one."""
         self.kill(name)
         with open(self.logs, "ab") as log:
             self.running[name] = subprocess.Popen(
@@ -48,14 +48,14 @@ class Machines:
         return self.running[name]
 
     def kill(self, name: str) -> None:
-        """Kill a program, if it runs, with all that it started."""
+        """Kill a program with all its descendants, if it runs."""
         process = self.running.pop(name, None)
         if process is not None:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
 
     def complete(self) -> str:
-        """Start what is not running; the address of the scheduler."""
+        """Start what is not running; return the address of the scheduler."""
         file = self.folder / "scheduler.json"
         alive = "scheduler" in self.running and self.running["scheduler"].poll() is None
         if not alive:
@@ -86,7 +86,7 @@ def machines(tmp_path):
 
 @pytest.fixture(scope="module")
 def wanted(tmp_path_factory) -> Path:
-    """A folder with a scene, what `encode` makes of it, and what `decode` makes of that."""
+    """A folder with a scene, its `encode` result, and the `decode` result of that."""
     folder = tmp_path_factory.mktemp("whole")
     write_ply(folder / "scene.ply", random_scene(COUNT, 2, seed=8))
     encode_file(folder / "scene.ply", folder / "scene.egs", Config("m", block_size=1024))

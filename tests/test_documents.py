@@ -1,4 +1,4 @@
-"""JSON documents of commands: the same keys in all, null where there is nothing."""
+"""JSON documents of commands: the same keys in all, null for missing values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gs_codec.report import SCHEMA, finite
 
 VIEWS = ["--cameras", "cameras.json"]
 
-#: Arguments of each command that prints a document, and what it says: input, output, Gaussians.
+#: Arguments of each command that prints a document, and its input, output and Gaussians.
 COMMANDS = {
     "encode": (["scene.ply", "a.egs"], "scene.ply", "a.egs", 1500),
     "encode spz": (["scene.ply", "a.spz"], "scene.ply", "a.spz", 1500),
@@ -41,7 +41,7 @@ COMMANDS = {
     "analyze": (["scene.ply", "--sample", "300"], "scene.ply", None, 1500),
 }  # fmt: skip
 
-#: Keys of Python's reports and of older documents, which would be second names of the same thing.
+#: Keys of Python reports and older documents, which would be second names for the same values.
 OTHER_NAMES = {"count", "file", "file_bytes", "a", "b", "systems", "source", "scene"}
 
 
@@ -52,7 +52,7 @@ def document(folder, *arguments: str) -> dict:
 
 
 def test_each_command_is_tried():
-    """`share` and `warm` take long, `bench` prints lines."""
+    """Except `share` and `warm`, which take long, and `bench`, which prints lines."""
     assert {case.split()[0] for case in COMMANDS} == set(NAMES) - {"share", "bench", "warm"}
 
 

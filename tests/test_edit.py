@@ -1,4 +1,4 @@
-"""Scenes edited: each action against what plain arithmetic says, and actions in their order."""
+"""Edits: each action against plain arithmetic, and sequences of actions."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 
 def act(scene: Scene, *actions: str) -> Scene:
-    """The scene after actions, each as it is typed."""
+    """The scene after actions, typed as text."""
     typed = [action.split(" ", 1) for action in actions]
     return edit_scenes([scene], [Action(*each) for each in typed])[0]
 
 
 def refused(*actions: str, scene: Scene | None = None) -> str:
-    """The message that refuses actions."""
+    """The message that rejects actions."""
     with pytest.raises(InvalidInput) as error:
         act(random_scene(9, 1) if scene is None else scene, *actions)
     return as_typed(str(error.value))
 
 
 def assert_chosen(scene: Scene, chosen: list[bool], edited: Scene) -> None:
-    """That an edited scene has the Gaussians that were chosen, in their order."""
+    """An edited scene has the chosen Gaussians, in their order."""
     assert 0 < sum(chosen) < scene.count
     assert_same_bits(edited, scene.take(np.array(chosen)))
 
@@ -73,7 +73,7 @@ def sigmoid(logit: float) -> float:
     return 1 / (1 + math.exp(-logit))
 
 
-#: Conditions, and what they are of a Gaussian with these numbers.
+#: Conditions, and whether they hold for a Gaussian with these values.
 CONDITIONS = {
     "opacity>0.05": lambda g: sigmoid(g["opacity"]) > 0.05,
     " opacity <= 5e-1 ": lambda g: sigmoid(g["opacity"]) <= 0.5,
@@ -112,7 +112,7 @@ def test_nan_fulfils_no_condition(scene, compared):
     scene.opacity[0, 3] = 0.0
     left = act(scene, f"filter opacity{compared}0.5", "filter opacity<2")
     assert not np.isnan(left.opacity).any()
-    # Logits of this size have an opacity that is 0 or 1 in float64.
+    # The opacity of logits this large is 0 or 1 in float64.
     scene.opacity[0, :2] = [np.inf, -np.inf]
     assert act(scene, "filter opacity>=1").count == act(scene, "filter opacity<=0").count == 1
 
@@ -411,7 +411,7 @@ def test_what_rules_actions_out(actions, plan, limited, coded, said):
     assert said in as_typed(str(error.value))
 
 
-#: Functions on clouds, and the actions that do the same.
+#: Functions on clouds, and the equivalent actions.
 FUNCTIONS = {
     "crop-box -1,-1,-1,1,1,1": lambda cloud: edit.crop_box(cloud, (-1, -1, -1), (1, 1, 1)),
     "crop-sphere 0,0,0,1": lambda cloud: edit.crop_sphere(cloud, (0, 0, 0), 1),

@@ -1,4 +1,4 @@
-"""Actions on the command line: in the order typed, of `convert`, `encode` and `batch`."""
+"""Actions on the command line, in the order typed, with `convert`, `encode` and `batch`."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_results_are_the_same_below_a_memory_limit(folder, monkeypatch, source, 
 
 
 def test_editing_below_a_limit_takes_files_and_not_memory(tmp_path, monkeypatch):
-    """Arrays that grow with the scene are in files, from the reader to the writer."""
+    """Arrays that grow with the scene are in files, from reader to writer."""
     write_ply(tmp_path / "scene.ply", random_scene(3000, 3, seed=2))
     monkeypatch.setattr(arrays, "_LARGE", 0)
     held: list[bool] = []

@@ -1,4 +1,4 @@
-"""Entropy coders: lossless under any table, close to the entropy, clean on damage."""
+"""Entropy coders: lossless with any table, close to the entropy, clean errors on damage."""
 
 from __future__ import annotations
 

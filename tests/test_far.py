@@ -1,4 +1,4 @@
-"""Far Gaussians: which are, that they keep their centres, and that they cost the others nothing."""
+"""Far Gaussians: selection, exact centres, and no cost for the other Gaussians."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ from samples.generate import generate
 
 LARGEST = float(np.finfo(np.float32).max)
 
-#: Log2 of the steps that are wanted in the table below: 0.001.
+#: Log2 of the wanted step sizes in the table below: 0.001.
 WANTED = -10.0
 
 
@@ -66,7 +66,7 @@ def normal(count: int, seed: int = 0) -> np.ndarray:
 
 
 def far_away(count: int, share: float) -> np.ndarray:
-    """Some centres near the origin, a share of them in all directions, up to 1e9 away."""
+    """Some centres near the origin, and a share of them in random directions, up to 1e9 away."""
     places, rng = normal(count, 1), np.random.default_rng(2)
     moved = rng.random(count) < share
     away = places[:, moved] / np.linalg.norm(places[:, moved], axis=0)
@@ -75,7 +75,7 @@ def far_away(count: int, share: float) -> np.ndarray:
 
 
 def beside(*clusters: tuple[int, float, float, float]) -> np.ndarray:
-    """Clusters, each of so many centres around a place."""
+    """Clusters, each of a number of centres around a position."""
     return np.concatenate(
         [normal(n, k) + np.array([place]).T for k, (n, *place) in enumerate(clusters)], axis=1
     )
@@ -87,7 +87,7 @@ def one_at(place: tuple[float, float, float], count: int = 2000) -> np.ndarray:
     return places
 
 
-#: Centres, and the least and the largest share of them that may be far.
+#: Centres, and the minimum and maximum share of them that may be far.
 CHOICES = {
     "none": (normal(2000), 0, 0),
     "one in x": (one_at((1e6, 0, 0)), 1 / 2000, 1 / 2000),
@@ -99,7 +99,7 @@ CHOICES = {
     "UTM": (normal(2000) + 5e5, 0, 0),
     "UTM and the origin": (beside((2000, 5e5, 4e6, 100.0), (3, 0, 0, 0)), 3 / 2003, 3 / 2003),
     "two clusters": (beside((900, 0, 0, 0), (600, 1e8, 1e8, 1e8)), 0.4, 0.4),
-    # Most of them are at 1e8 in x, and most at 0 in y, but few at both.
+    # Most are at 1e8 in x, and most at 0 in y, but few at both.
     "three clusters": (
         beside((800, 0, 0, 0), (600, 1e8, 0, 0), (600, 1e8, 1e8, 0)), 0.6, 0.6,
     ),
@@ -130,7 +130,7 @@ def test_which_are_far(name):
     positions, grid, unit = chosen(places)
     far = outside(positions, grid)
     if not grid.has_far:
-        far[:] = False  # but for rounding
+        far[:] = False  # up to rounding
     assert least <= far.mean() <= most + 1e-9
     assert grid.has_far == far.any()
     assert max(grid.bits) <= 21
@@ -148,11 +148,11 @@ def test_which_are_far(name):
 
 
 def test_coarser_steps_are_weighed_against_far_ones():
-    """A city coarsens where the few far ones of a scene would be stored as they are."""
+    """A city uses a coarser grid where a scene with a few outliers would store far centres."""
     _, grid, unit = chosen(CHOICES["a city"][0])
     assert WANTED < unit <= WANTED + 3
     assert not grid.has_far
-    # Finer steps that few Gaussians want are not worth a file that older readers refuse.
+    # A few Gaussians that need finer steps do not justify a file that older readers reject.
     wanted = np.where(np.arange(2000) < 20, WANTED, 0.0)
     positions = one_at((5e4, 0, 0)).astype(np.float32)
     bounds = positions.min(axis=1), positions.max(axis=1)
@@ -162,7 +162,7 @@ def test_coarser_steps_are_weighed_against_far_ones():
 
 
 def test_steps_finer_than_floats_gain_nothing():
-    """At 1e6, the last bit of a float32 is 1/16: a grid of an eighth is as good as any."""
+    """At 1e6, the last bit of a float32 is 1/16, so a grid of 1/8 is as good as any."""
     places = np.random.default_rng(5).uniform(1e6, 1e6 + 2.0**18, (3, 4000)).astype(np.float32)
     bounds = places.min(axis=1), places.max(axis=1)
     grid, _ = choose_grid(bounds, places, np.full(4000, -40.0))
@@ -277,7 +277,7 @@ def test_far_ones_do_not_change_how_coarse_a_scene_may_be():
 def shown(
     scene: Scene, moved: np.ndarray, encode: Callable[[Scene], bytes], held_out: Sequence[Camera]
 ) -> tuple[list[float], list[int]]:
-    """Quality of views, and size: of a scene, and of it without what was moved."""
+    """Quality of views and size, of a scene and of the scene without the moved Gaussians."""
     both = scene, scene.take(np.flatnonzero(~moved))
     files = [encode(each) for each in both]
     found = [quality(a, decode_scene(b), held_out) for a, b in zip(both, files, strict=True)]
@@ -290,7 +290,7 @@ def shown(
 @pytest.mark.parametrize("number", [1, 60])
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_views_and_sizes_are_nearly_those_without_far_ones(number, profile, guided, monkeypatch):
-    """In so small a scene, moving any few Gaussians changes views by up to 3 dB."""
+    """In such a small scene, moving any few Gaussians changes views by up to 3 dB."""
     monkeypatch.setattr("gs_codec.encoding.retry._MOST_ENCODINGS", 1)
     near, config, views = generate(6000, 1, 5), Config(profile), cameras(12)
     plan = Plan(Steps(), views) if guided else None
@@ -321,7 +321,7 @@ def test_views_and_sizes_of_a_real_scene_are_those_without_far_ones(share):
 
 @pytest.mark.thorough
 def test_cameras_can_be_estimated_and_targets_met():
-    # Nearer ones may be inside the grid, if steps are coarse.
+    # Nearer ones may be inside the grid if steps are coarse.
     scene = with_far(generate(6000, 1, 5), 60, lowest=1e4)
     data = encode_planned(scene, Config("m"), Plan(Steps()))[0]
     assert inspect_bytes(data).far >= 60
@@ -341,11 +341,11 @@ def test_keys_of_far_ones_are_the_last_and_they_are_beside_their_neighbours():
     away = scene.positions[:, arranged.order[far]].astype(np.float64)
     away /= np.linalg.norm(away, axis=0)
     along = np.sum(away[:, 1:] * away[:, :-1], axis=0)
-    assert along.mean() > 0.5  # of directions by chance: 0
+    assert along.mean() > 0.5  # with random directions: 0
 
 
 def many(profile: str = "m", degree: int = 2) -> tuple[Scene, bytes]:
-    """Three blocks of near ones, one of both, one of far ones."""
+    """Three blocks of near Gaussians, one mixed, and one of far ones."""
     scene = with_far(random_scene(5000, degree, seed=75), 1500)
     return scene, encode_scene(scene, Config(profile, block_size=1024))[0]
 
@@ -444,7 +444,7 @@ def test_levels_have_far_ones_or_not():
 
 
 def test_levels_of_a_file_without_far_ones_have_none():
-    """Even if their own step sizes asked for them."""
+    """Even if their own step sizes suggested them."""
     data = in_levels(0)
     level = bytes(read_file(in_levels()).read().sections[SectionId.LEVEL, 1])
     damaged = in_level(data, lambda _: level)
@@ -459,7 +459,7 @@ def test_levels_of_a_file_without_far_ones_have_none():
 
 
 def with_bits(content: bytes) -> bytes:
-    """The section `lattice` with 21 bits an axis."""
+    """The section `lattice` with 21 bits per axis."""
     return content[:16] + b"\x15\x15\x15" + content[19:]
 
 
@@ -478,7 +478,7 @@ DAMAGED = {
 
 @pytest.fixture(scope="module")
 def small() -> bytes:
-    """A single block."""
+    """A file with a single block."""
     return encode_scene(with_far(random_scene(40, 1, seed=78), 20), Config("m"))[0]
 
 

@@ -1,4 +1,4 @@
-"""Far Gaussians: which are far, and what orders and writers make of the others."""
+"""Far Gaussians: which are far, and how orders and writers treat the others."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COUNT = 3000
 DISTANCES = [1e3, 1e6, 1e9]
 SHARES = [0.0, 0.01]
 
-#: Formats that store centres in a grid, and formats of floats.
+#: Formats that store centres in a grid, and formats with floats.
 GRIDS = {
     "spz": Config(format="spz"),
     "spz 4": Config(format="spz", spz_version=4),
@@ -44,8 +44,8 @@ GRIDS = {
 }
 FLOATS = {"splat": Config(format="splat"), "glb": Config(format="glb")}
 
-#: How many times as large as without far Gaussians errors of centres may be: `.sog` has larger
-#: steps. Up to 255 centres of a packed PLY share a chunk with far ones.
+#: Maximum ratio of errors of centres to those without far Gaussians: `.sog` has larger steps. Up to
+#: 255 centres of a packed PLY share a chunk with far ones.
 FACTORS = {"sog": 1.7}
 CHUNK = 256
 
@@ -56,9 +56,9 @@ def scene() -> Scene:
 
 
 def moved_away(scene: Scene, distance: float, share: float = 0.0) -> tuple[Scene, np.ndarray]:
-    """The scene with one Gaussian, or a share of them, at a distance in random directions.
+    """Move one Gaussian, or a share of them, to a distance in random directions.
 
-    Also which they are ``(N,)``.
+    Also returns which ones ``(N,)``.
     """
     rng = np.random.default_rng(0)
     which = rng.choice(scene.count, max(1, round(share * scene.count)), replace=False)
@@ -71,7 +71,7 @@ def moved_away(scene: Scene, distance: float, share: float = 0.0) -> tuple[Scene
 
 
 def coded(scene: Scene, config: Config) -> tuple[Scene, tuple[str, ...]]:
-    """A scene decoded, with the comment that states its order, and what was lost."""
+    """A decoded scene, with the comment that states its order, and the losses."""
     data, report = encode_scene(scene, config)
     if config.format != "egs":
         return decode_interchange(data, config), report.lost
@@ -196,7 +196,7 @@ def test_dots_fade_unless_the_scene_has_them_compensated(scene):
     assert (drawn.opacity[:, far] <= moved.opacity[:, far]).all()
     kept, _ = bring_nearer(antialiased(moved))
     np.testing.assert_array_equal(kept.opacity, moved.opacity)
-    # A pixel: 0.5 mrad.
+    # One pixel: 0.5 mrad.
     sizes = np.where(far, np.float32(np.log(500.0)), moved.log_scale)
     drawn, _ = bring_nearer(replace(moved, log_scale=sizes))
     shares = [1 / (1 + np.exp(-s.opacity[0, far].astype(np.float64))) for s in (moved, drawn)]
@@ -246,7 +246,7 @@ def test_of_those_as_large_as_can_be_only_the_centres_and_scales_change(scene, l
 @pytest.mark.parametrize("height", [1e20, -3.4e38])
 @pytest.mark.parametrize("also_along", [False, True])
 def test_a_scene_without_thickness_far_from_the_origin(scene, height, also_along):
-    """No other coordinate is near: the box is flat, too."""
+    """All other coordinates are far from 0, and the box is flat too."""
     moved, far = moved_away(scene, 1e9, 0.01)
     positions = moved.positions.copy()
     positions[2] = height
@@ -300,7 +300,7 @@ def test_near_centres_are_as_good_as_without(scene, name, distance, share):
     bound = FACTORS.get(name, 1.0) * usual.max() * (1 + 1e-3)
     late = error[near] > bound
     assert late.sum() < (CHUNK if name == "compressed.ply" else 1)
-    # The companions in a chunk have a step of the scene's extent.
+    # Near Gaussians in such a chunk have steps of the scene's extent.
     assert error[near].max() <= max(bound, np.ptp(plain.positions, axis=1).max() / 1023)
     assert np.abs(second.positions).max() < 200
     (line,) = moved_lines(lost)
@@ -336,7 +336,7 @@ def test_spz_moves_only_what_it_cannot_hold(scene):
     np.testing.assert_allclose(
         np.abs(decoded.positions).max(), np.abs(moved.positions).max(), atol=0.01
     )
-    # Not rounded beyond what 24 bits hold.
+    # Not rounded beyond the range of 24 bits.
     assert not any("clipped" in line and "centres" in line for line in lost)
     for distance in DISTANCES:
         _, lost = coded(moved_away(scene, distance, 0.01)[0], GRIDS["spz"])
@@ -352,7 +352,7 @@ def test_streamed_sog(scene):
 
 
 def test_a_file_of_full_range_is_matched(scene, monkeypatch):
-    """As earlier versions wrote it."""
+    """As written by earlier versions."""
     moved, _ = moved_away(scene, 1e3, 0.01)
     monkeypatch.setattr(entropygs, "bring_nearer", lambda scene: (scene, ()))
     decoded, lost = coded(moved, GRIDS["paper-l"])

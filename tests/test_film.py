@@ -1,4 +1,4 @@
-"""Films: where their cameras go, what they show, and how they are written."""
+"""Films: their camera paths, content and files."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from viewer.scenes.viewpoints import Views, choose_views, given_views
 ROOT = Path(__file__).parent.parent
 UP = np.array([0.0, -1.0, 0.0])
 
-#: Of the ball of Gaussians.
+#: Centre of the ball of Gaussians.
 MIDDLE = np.array([1.0, 2.0, 3.0])
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
-    """A scene, its encoding, and places to look from."""
+    """A scene, its encoding, and camera positions."""
     folder = tmp_path_factory.mktemp("film")
     scene = random_scene(300, 0, seed=310)
     write_ply(folder / "a.ply", scene)
@@ -54,7 +54,7 @@ def files(tmp_path_factory) -> Path:
 
 
 def at(azimuth: float, height: float = 0.0, distance: float = 4.0) -> np.ndarray:
-    """A place around the origin; the azimuth is in degrees, the height in distances."""
+    """A position around the origin; azimuth in degrees, height in units of the distance."""
     angle = np.radians(azimuth)
     return distance * np.array([np.sin(angle), -height, -np.cos(angle)])
 
@@ -64,7 +64,7 @@ def views_of(poses: list[Pose]) -> Views:
 
 
 def azimuths(poses: list[Pose], middle: np.ndarray) -> np.ndarray:
-    """Degrees around the middle from pose to pose, unwrapped."""
+    """Azimuths, in degrees, from pose to pose around the middle, unwrapped."""
     away = np.array([pose.position for pose in poses]) - middle
     return np.degrees(np.unwrap(np.arctan2(away[:, 0], -away[:, 2])))
 
@@ -114,9 +114,9 @@ def test_it_goes_once_around_the_middle_of_what_cameras_see(ball):
         pixels, depth = pose.project(MIDDLE[None], 90, 60)
         np.testing.assert_allclose(pixels[0], (45, 30), atol=2)
         assert depth[0] > 0
-        assert pose.rotation[0] @ UP == pytest.approx(0, abs=1e-9)  # a level horizon
+        assert pose.rotation[0] @ UP == pytest.approx(0, abs=1e-9)  # level horizon
         assert (pose.focal, pose.frame) == (cameras[0].focal, (90, 60))
-    assert np.linalg.norm(places[0] - places[-1]) < 1.5  # the next would be the first
+    assert np.linalg.norm(places[0] - places[-1]) < 1.5  # the next pose would be the first
 
 
 def test_it_begins_with_the_view_asked_for(ball):
@@ -174,7 +174,7 @@ def test_it_sways_within_what_cameras_of_one_side_saw(ball):
     heights = -np.array([pose.position[1] - MIDDLE[1] for pose in poses]) / 4
     assert 0.05 < heights.min() < heights.max() < 0.55
     moves = np.linalg.norm(np.diff([p.position for p in [*poses, poses[0]]], axis=0), axis=1)
-    assert moves.max() < 3 * np.median(moves)  # a loop
+    assert moves.max() < 3 * np.median(moves)  # a closed loop
 
 
 def test_scenes_that_show_nothing_have_a_path():
@@ -187,7 +187,7 @@ def test_scenes_that_show_nothing_have_a_path():
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared scenes are absent")
 @pytest.mark.parametrize("name", ["bonsai", "mouse"])
 def test_real_scenes_look_from_around_as_their_cameras_do(name):
-    """A circle is as far and as high as cameras, and shows what they see."""
+    """A circle with the distance and height of the cameras, which shows what they see."""
     scene = open_scene(SHARED / name / "point_cloud.ply")
     views = given_views(gs_codec.read_cameras(SHARED / name / "cameras.json"))
     poses, told = turntable(scene, views, views.up_axis("cameras"), None, 6)
@@ -290,7 +290,7 @@ def test_a_turntable_without_cameras_begins_with_the_first_picture(files, tmp_pa
 
 def test_existing_frames_are_kept_unless_they_may_go(files, tmp_path, run_viewer):
     folder = tmp_path / "frames"
-    folder.mkdir()  # an empty one is used
+    folder.mkdir()  # an empty folder is accepted
     asked = files / "a.ply", "--width", "64", "--height", "64", "--turntable", folder
     assert run_viewer(*asked, "--frames", "5")[0] == 0
     inode = folder.stat().st_ino
@@ -351,7 +351,7 @@ def ffmpeg():
 
 
 def pictures(count: int, size: tuple[int, int]) -> list[Image.Image]:
-    """Smooth pictures in full colours, each another."""
+    """Smooth, colourful pictures, all different."""
     x, y = np.meshgrid(*(np.linspace(0, 1, side) for side in size))
     images = [np.stack([x, y, 0 * x + k / count], axis=-1) for k in range(count)]
     return [Image.fromarray(np.rint(255 * image).astype(np.uint8)) for image in images]
@@ -375,7 +375,7 @@ def test_an_mp4_has_all_frames_in_true_colours(tmp_path, ffmpeg):
     assert sorted(os.listdir(tmp_path)) == ["again.mp4", "film.mp4"]
     data = (tmp_path / "film.mp4").read_bytes()
     assert data == (tmp_path / "again.mp4").read_bytes()
-    assert data.index(b"moov") < data.index(b"mdat")  # browsers can begin before they have all
+    assert data.index(b"moov") < data.index(b"mdat")  # browsers can start playing early
     program = ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "film.mp4", "-f", "rawvideo"
     read = subprocess.run([*program, "-pix_fmt", "rgb24", "-"], capture_output=True, check=True)
     assert re.search(rb"Video: h264 .*yuv420p\(tv, bt709.* 98x66.* 12 fps", read.stderr)

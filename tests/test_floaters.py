@@ -1,4 +1,4 @@
-"""Floaters and clusters against brute force: what floats goes, what only lies far out stays."""
+"""Floaters and clusters against brute force: floaters are removed, backgrounds kept."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def made(points, sigma, opacity=0.9, flat=1.0) -> Scene:
 
 
 def disc(size, radius, depth=0.0) -> np.ndarray:
-    """The points of a grid of ``size * size`` within a circle in the plane z = depth."""
+    """Points of a `size` x `size` grid inside a circle in the plane z = depth."""
     x, y = np.meshgrid(*[np.linspace(-radius, radius, size)] * 2)
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, depth)], axis=1)
     return points[x.ravel() ** 2 + y.ravel() ** 2 <= 1.02 * radius**2]
 
 
 def wall_and_thing() -> Scene:
-    """A fine disc, and far behind it a wall of few large flat Gaussians."""
+    """A fine disc, and far behind it a wall of a few large flat Gaussians."""
     return join_scenes([made(disc(40, 1.0), 0.03, flat=0.1), made(disc(8, 20.0, 15.0), 3.0)])
 
 
 def ring(count, distance=4.0, width=96) -> list[Camera]:
-    """Cameras in front of the origin that look at it, from a cone of directions."""
+    """Cameras in front of the origin, looking at it from a cone of directions."""
     angles = 2 * np.pi * np.arange(count) / count
     places = [distance * np.array([0.5 * np.cos(a), 0.5 * np.sin(a), -1.0]) for a in angles]
     size = width, width * 3 // 4
@@ -60,14 +60,14 @@ def ring(count, distance=4.0, width=96) -> list[Camera]:
 
 
 def sizes_by_hand(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Largest standard deviation and geometric mean, to powers of two."""
+    """Largest standard deviation and geometric mean, rounded to powers of two."""
     octaves = scene.log_scale.astype(np.float64) / np.log(2)
     largest, mean = octaves.max(axis=0), scene.log_scale.mean(axis=0, dtype=np.float64) / np.log(2)
     return 2.0 ** np.rint(largest), 2.0 ** np.rint(mean)
 
 
 def all_ratios(scene: Scene) -> np.ndarray:
-    """Distances in units of sizes between all pairs ``(N, N)``, a row for each first one."""
+    """Distances in units of sizes between all pairs ``(N, N)``; rows are the first Gaussians."""
     points = scene.positions.T.astype(np.float64)
     length, width = sizes_by_hand(scene)
     apart = np.sqrt(((points[:, None] - points[None]) ** 2).sum(axis=2))
@@ -77,7 +77,7 @@ def all_ratios(scene: Scene) -> np.ndarray:
 
 
 def sparse_and_dense(seed: int) -> Scene:
-    """Clumps and loose ones, of sizes over four orders: large ones are near from afar."""
+    """Clumps and single Gaussians, with sizes over four orders of magnitude."""
     scene = random_scene(700, 0, seed)
     rng = np.random.default_rng(seed)
     sizes = rng.normal(-4.0, 1.5, (1, 700)) + rng.normal(0, 0.7, (3, 700))
@@ -186,7 +186,7 @@ def test_far_outside_goes_and_unseen_nearby_stays():
 
 @pytest.mark.parametrize("before", [True, False], ids=["before cameras", "behind what they see"])
 def test_before_cameras_less_is_isolated(before):
-    """A ring of eight around one is farther from it than usual, but not by much."""
+    """A ring of eight around one is farther from it than usual, but only slightly."""
     angles = 2 * np.pi * np.arange(8) / 8
     ring_of = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     thing = made(disc(60, 1.0), 0.03)
@@ -293,7 +293,7 @@ def test_threads_make_no_difference():
 
 
 def cluster_by_hand(scene: Scene) -> np.ndarray:
-    """The cluster of the most Gaussians, by links of all pairs."""
+    """The cluster with the most Gaussians, from links between all pairs."""
     ratios = all_ratios(scene)
     linked = ratios <= np.quantile(np.sort(ratios, axis=1)[:, 7], 0.9)
     linked |= linked.T
@@ -320,7 +320,7 @@ def test_the_largest_cluster_by_brute_force(seed):
 
 
 def test_knots_of_many_in_one_place_hang_together():
-    """The nearest neighbours of each are in its own knot, which a search of the nearest splits."""
+    """The nearest neighbours of each are in its own knot, so nearest-neighbour links split it."""
     knots = np.repeat(disc(10, 1.0), 12, axis=0)
     jitter = np.random.default_rng(0).normal(0, 0.01, knots.shape)
     jitter[::12] *= 9

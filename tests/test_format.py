@@ -1,4 +1,4 @@
-"""FORMAT.md against the codec: the reference decoder written from the text gives the same bits."""
+"""FORMAT.md against the codec: a reference decoder, written from the text, gives the same bits."""
 
 import struct
 from pathlib import Path
@@ -41,7 +41,7 @@ ROWS = {
 
 
 def assert_same(data):
-    """Reference decoder and codec agree on every bit of a file; returns the reference's."""
+    """Reference decoder and codec agree on every bit of a file; return the reference's result."""
     ours, reference = decode_scene(data), decode(data)
     assert (ours.count, ours.sh_degree) == (reference["count"], reference["sh_degree"])
     assert list(other_comments(ours.comments)) == reference["comments"]
@@ -120,7 +120,7 @@ def test_extra_of_lattices_is_carried_seed15():
 
 
 def test_lattice_cases_have_classes_shifts_and_shared_tables():
-    """What the text says of these is only tested where they differ."""
+    """The text on these is only tested where they vary."""
     scene, guide = scene_of(5, 1500), made_up_guide(seed=5)
     data = encode_by(scene, lattice_config("m"), guide)
     header, sections = read_file(data)
@@ -158,7 +158,7 @@ def test_random_mixture_gives_the_same_table(seed):
 
 @pytest.mark.parametrize("seed", range(60, 80))
 def test_random_weights_give_the_same_table(seed):
-    """Weights from 0 to 2^32, most of them far too small for a share of their own."""
+    """Weights from 0 to 2^32, most of them far too small for a slot of their own."""
     rng = np.random.default_rng(seed)
     weights = (2 ** rng.uniform(0, 32, 256)).astype(np.int64) * rng.integers(0, 2, 256)
     told = frequencies(weights.tolist(), 8)

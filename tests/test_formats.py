@@ -1,4 +1,4 @@
-"""Formats of others: read as their formulas say, told apart by content, refused in one line."""
+"""Other formats: values according to their formulas, recognition by content, errors in one line."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene
 
 
 def logit(byte: int) -> float:
-    """Of an opacity in 255ths; 0 and 1 are a quarter of a step off."""
+    """Logit of an opacity in 255ths; 0 and 1 are moved by a quarter of a step."""
     share = min(max(byte, 0.25), 254.75) / 255
     return math.log(share / (1 - share))
 
 
 def quaternion(three: list[float], largest: int) -> list[float]:
-    """The fourth component put where it was left out."""
+    """Insert the omitted fourth component."""
     rest = math.sqrt(max(0.0, 1 - sum(value * value for value in three)))
     return [*three[:largest], rest, *three[largest:]]
 
@@ -283,7 +283,7 @@ def test_degree_4_of_spz_is_left_out(version, tmp_path, caplog):
 @pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize("more", [0, 7, 1 << 21])
 def test_flags_of_spz_that_are_not_known_are_reported(more, version, tmp_path, caplog):
-    """What they stand for may follow the attributes."""
+    """Unknown flags may announce data after the attributes."""
     streams = foreign.spz_streams(20, version, 1, seed=1)
     expected = read_scene(written(tmp_path / "b.spz", foreign.spz_file(streams, 20, version, 1)))
     after = {"extensions": bytes(more)} if version < 4 else {}
@@ -295,7 +295,7 @@ def test_flags_of_spz_that_are_not_known_are_reported(more, version, tmp_path, c
 
 
 LEVELS_OF_SPARK = {
-    # Children of each Gaussian, and where they begin: 0 is the root, 2 and 4 to 6 are leaves.
+    # Children of each Gaussian, and their start: 0 is the root, 2 and 4 to 6 are leaves.
     "a tree": ([2, 3, 0, 0, 0, 0, 0], [1, 3, 0, 0, 0, 0, 0], [2, 3, 4, 5, 6], False),
     "a part": ([2, 3, 0, 0, 0, 0, 0], [1, 6, 0, 0, 0, 0, 0], [2, 3, 4, 5, 6], True),
     "leaves alone": ([0] * 7, [0] * 7, [0, 1, 2, 3, 4, 5, 6], False),
@@ -332,7 +332,7 @@ def patched(data: bytes, at: int, new: bytes) -> bytes:
 
 
 def lying_frame(size: int) -> bytes:
-    """A zstd frame that says it holds so many bytes."""
+    """A zstd frame that claims to contain `size` bytes."""
     return bytes.fromhex("28b52ffd") + bytes([0xE0]) + struct.pack("<Q", size) + b"\x01\x00\x00"
 
 
@@ -426,14 +426,14 @@ def test_splat_is_read_as_its_formula_says(tmp_path):
 def test_splat_that_is_read_is_written_the_same(tmp_path):
     rows = foreign.splat_rows(256, seed=4)
     rows["c"] = np.arange(256)[:, None]
-    rows["r"][:, 0] = 255  # a quaternion near to one of norm 1
+    rows["r"][:, 0] = 255  # nearly a unit quaternion
     rows["r"][:, 1:] = np.arange(384).reshape(-1, 3)[:128].repeat(2, axis=0) % 8 + 124
     scene = read_scene(written(tmp_path / "a.splat", rows.tobytes()))
     again = np.frombuffer(pack_splat(scene)[0], rows.dtype)
     np.testing.assert_array_equal(again["p"], rows["p"])
     np.testing.assert_array_equal(again["c"], rows["c"])
     np.testing.assert_allclose(again["s"], rows["s"], rtol=1e-6)
-    # Its negative, where 1 would have to be 256.
+    # The negated quaternion, where 1 would have to be 256.
     old, new = rows["r"].astype(int), again["r"].astype(int)
     assert (new[:, 0] < 2).any()
     np.testing.assert_allclose(np.where(new[:, :1] < 2, 256 - new, new), old, atol=1)
@@ -516,7 +516,7 @@ def ksplat_gaussian(level: int, degree: int, i: int) -> dict[str, list[float]]:
     if level == 2:
         low, high = foreign.KSPLAT_BOUNDS
         sh = [byte / 255 * (high - low) + low for byte in sh]
-    # Red, green and blue of degree 1, then those of degree 2.
+    # Red, green and blue of degree 1, then of degree 2.
     rest = {0: [], 1: sh, 2: [v for c in range(3) for v in sh[3 * c :][:3] + sh[9 + 5 * c :][:5]]}
     missing = 3 * SH_COEFFICIENTS[degree]
     return {
@@ -544,7 +544,7 @@ def test_ksplat_is_read_as_its_formula_says(degree, level, tmp_path):
 @pytest.mark.parametrize("stated", ["most", "loaded", "both"])
 @pytest.mark.parametrize("of", ["file", "sections", "all"])
 def test_ksplat_may_state_one_of_its_two_counts(of, stated, tmp_path):
-    """How many a file or a section has room for, or has; writers leave out either."""
+    """The capacity or the size of a file or section; writers omit either."""
     data = ksplat(1, 1)
     sections = range(int.from_bytes(data[4:8], "little"))
     places = [(12, 16)] * (of != "sections")
@@ -647,10 +647,10 @@ def test_sog_is_read_as_its_formula_says(degree, version, tmp_path):
 
 
 def sog_with(*more: str, twice: str = "") -> bytes:
-    """A sound SOG scene in a folder of a zip, of which files are there again under other names."""
+    """A valid SOG scene in a folder of a zip, with some files duplicated under other names."""
     data = io.BytesIO(foreign.sog_file(*foreign.sog_parts(30, 2, 0, seed=2), "a/"))
     with zipfile.ZipFile(data, "a") as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that a name is there already
+        warnings.simplefilter("ignore")  # duplicate name in the zip
         for name in more:
             archive.writestr(name, archive.read(f"a/{name.rpartition('/')[2]}"))
         if twice:
@@ -677,7 +677,7 @@ def test_a_zip_that_may_mean_two_things_is_refused(case, tmp_path):
 
 @pytest.mark.parametrize("degree", [0, 2])
 def test_images_of_sog_may_be_png(degree, tmp_path):
-    """By another suffix, or by that of WebP; in a zip and in a folder."""
+    """With suffix .png or .webp; in a zip and in a folder."""
     meta, images = foreign.sog_parts(30, 2, degree, seed=1)
     text = json.dumps(meta).replace(".webp", ".png")
     with zipfile.ZipFile(tmp_path / "a.sog", "w") as archive:
@@ -742,7 +742,7 @@ def test_sog_rotation_that_says_nothing_is_reported(tmp_path, caplog):
 
 
 def bad_sog(change=None, image=None, drop: str = "", degree: int = 1, version: int = 2) -> bytes:
-    """A sound SOG scene whose `meta.json` and images are changed."""
+    """A valid SOG scene with changed `meta.json` and images."""
     meta, images = foreign.sog_parts(30, version, degree, seed=2)
     if change:
         change(meta)
@@ -753,7 +753,7 @@ def bad_sog(change=None, image=None, drop: str = "", degree: int = 1, version: i
 
 
 def setting(*path, value):
-    """Changes one member of `meta.json`."""
+    """Change one member of `meta.json`."""
 
     def change(meta):
         for key in path[:-1]:
@@ -868,7 +868,7 @@ def test_bad_sog_is_refused_in_one_line(name, tmp_path):
 
 
 def test_images_that_would_be_huge_are_not_opened(tmp_path):
-    """16,384 x 16,384 pixels, in a header alone."""
+    """16,384 x 16,384 pixels, in a header only."""
     meta, images = foreign.sog_parts(30, 2, 0, seed=2)
     path = foreign.sog_folder(tmp_path, meta, images)
     image = bytearray((tmp_path / "sh0.webp").read_bytes())
@@ -912,7 +912,7 @@ def one_of_each(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".splat", ".json", ".bin", ""])
 def test_content_decides_before_the_suffix(suffix, tmp_path):
     for name, data in one_of_each(tmp_path).items():
-        weak = name == "spz" and suffix == ".splat"  # two bytes of a number
+        weak = name == "spz" and suffix == ".splat"  # only two bytes identify it
         if weak or (name == "splat" and suffix != ".splat"):
             continue
         assert read_scene(written(tmp_path / f"scene{suffix}", data)).count == 20, name
@@ -948,7 +948,7 @@ def test_two_real_files_of_one_scene_agree_within_their_steps(caplog):
     other = read_scene(shared_scene_path("biker.spz"))
     assert packed.count == other.count == 152_746
     assert sum(line.endswith("in 198 Gaussians") for line in caplog.messages) == 2
-    assert (packed.coordinates, other.coordinates) == (None, "RDF")  # turned from RUB
+    assert (packed.coordinates, other.coordinates) == (None, "RDF")  # converted from RUB
     np.testing.assert_allclose(other.positions, packed.positions, atol=2**-13 + 1e-6)
     clipped = np.clip(packed.log_scale, -10, 255 / 16 - 10)
     np.testing.assert_allclose(other.log_scale, clipped, atol=1 / 32 + 1e-5)
@@ -980,7 +980,7 @@ def test_another_reader_gives_the_same(name):
     gsply = pytest.importorskip("gsply", reason="gsply, an independent reader, is not installed")
     path = shared_scene_path(name)
     theirs = gsply.read_spz(path) if name.endswith(".spz") else gsply.plyread(path)
-    ours = read_scene(path, coordinates=None)  # gsply does not turn
+    ours = read_scene(path, coordinates=None)  # gsply does not convert coordinates
     for group, values in (("positions", "means"), ("log_scale", "scales"), ("f_dc", "sh0")):
         expected = getattr(theirs, values).T
         np.testing.assert_allclose(getattr(ours, group), expected, rtol=1e-6, atol=1e-6)

@@ -1,4 +1,4 @@
-"""What fuzzing starts from is sound, and what it found stays mended."""
+"""Fuzzing seeds are valid, and past findings stay fixed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_seeds_are_read(name):
         TARGETS[name].read(seed)
 
 
-#: Slow ones, whose readers other tests give damaged files as well.
+#: Slow targets, whose readers other tests also give damaged files.
 MANY = ("decode", "browser", "usd")
 
 
@@ -42,7 +42,7 @@ def test_damaged_seeds_are_refused_in_one_line(name):
             TARGETS[name].check(bytes(damaged))
 
 
-#: JSON in place of a value: numbers of no use, other types, and names that lead elsewhere.
+#: JSON replacements for a value: useless numbers, other types, and names outside the folder.
 ODD = (
     "1" + 400 * "0", "1e400", "-1", "1.5", "NaN", "9223372036854775808", "true", "null", "[]", "{}",
     "[[1]]", '"x"', '"../../x"', '"\\u0000"', '"\\ud800"', 999 * "[" + 999 * "]",
@@ -50,7 +50,7 @@ ODD = (
 
 
 def places(node: Any, path: tuple = ()) -> Iterator[tuple]:
-    """Where values of a document are."""
+    """Paths of the values of a document."""
     yield path
     keys = node if isinstance(node, dict) else range(len(node) if isinstance(node, list) else 0)
     for key in keys:
@@ -58,7 +58,7 @@ def places(node: Any, path: tuple = ()) -> Iterator[tuple]:
 
 
 def with_odd(document: Any, path: tuple, odd: str) -> bytes:
-    """A document with a value replaced by other JSON."""
+    """A document with one value replaced by other JSON."""
     root = {"": copy.deepcopy(document)}
     node = root
     for key in (whole := ("", *path))[:-1]:
@@ -68,7 +68,7 @@ def with_odd(document: Any, path: tuple, odd: str) -> bytes:
 
 
 def documents(name: str) -> Iterator[tuple[bytes, Any]]:
-    """What precedes a document in a seed, and the document."""
+    """The bytes before a document in a seed, and the document."""
     for seed in TARGETS[name].seeds():
         begin = 2 + int.from_bytes(seed[:2], "little") if name == "pruned" else 0
         text = seed[begin:].splitlines()[0] if name == "ledger" else seed[begin:]

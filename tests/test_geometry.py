@@ -48,7 +48,7 @@ def test_canonical_order_is_by_code_colour_and_index(seed):
 
 
 def test_count_tree_refuses_padding_that_is_not_zero():
-    codes = np.array([1, 5, 9], np.int64)  # 3 splits leave a few raw bits in the last byte
+    codes = np.array([1, 5, 9], np.int64)  # 3 splits leave a few unused bits in the last byte
     data = bytearray(encode_geometry(codes, 4))
     decode_geometry(memoryview(data), 3, 4, "x")
     data[-1] |= 1
@@ -85,7 +85,7 @@ def test_count_tree_returns_random_codes_near_their_entropy(count, bits):
     data = encode_geometry(codes, bits)
     decoded = decode_geometry(memoryview(data), count, bits, "x")
     np.testing.assert_array_equal(decoded, codes)
-    cells = 1 << bits  # a multiset of `count` of them: count + cells - 1 over count
+    cells = 1 << bits  # number of multisets of `count` cells: count + cells - 1 over count
     bits_needed = sum(log2((cells + i) / (i + 1)) for i in range(count))
     assert 8 * len(data) <= 1.05 * bits_needed + 400
 

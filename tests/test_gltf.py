@@ -1,4 +1,4 @@
-"""glTF with KHR_gaussian_splatting: what is written, and everything that its readers may meet."""
+"""glTF with KHR_gaussian_splatting: writing, and everything that readers may encounter."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def joined(document: dict[str, Any], binary: bytes) -> bytes:
 
 
 def column(document: dict[str, Any], binary: bytes, name: str, primitive: int = 0) -> np.ndarray:
-    """The rows of an attribute, as the specification lays them out."""
+    """The rows of an attribute, in the layout of the specification."""
     attributes = document["meshes"][0]["primitives"][primitive]["attributes"]
     accessor = document["accessors"][attributes[name]]
     view = document["bufferViews"][accessor["bufferView"]]
@@ -61,7 +61,7 @@ def column(document: dict[str, Any], binary: bytes, name: str, primitive: int = 
 
 
 def made(count: int = 6, degree: int = 1) -> tuple[dict[str, Any], bytes]:
-    """A document of integers where the extension allows them, by hand."""
+    """A handwritten document with integers where the extension allows them."""
     rng = np.random.default_rng(degree)
     arrays = {
         "POSITION": rng.normal(size=(count, 3)).astype("<f4"),
@@ -230,14 +230,14 @@ def test_nodes_turn_and_mirror(tmp_path):
     document["nodes"] = [
         {"children": [1], "rotation": [half, 0, 0, half], "translation": [1, 2, 3]},
         {"children": [2], "scale": [-2, 2, 2]},
-        # A third of a turn about (1, 1, 1): x to y to z.
+        # 120 degrees about (1, 1, 1): x to y to z.
         {"mesh": 0, "matrix": [0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 4, 5, 6, 1]},
     ]
     scene = read(tmp_path, document, binary)
     x, y, z = plain.positions
     inner = np.array([z + 4, x + 5, y + 6])
     mirrored = 2 * inner * np.array([[-1], [1], [1]])
-    # A quarter of a turn about x: y to z, z to -y.
+    # 90 degrees about x: y to z, z to -y.
     expected = mirrored[[0, 2, 1]] * np.array([[1], [-1], [1]]) + np.array([[1], [2], [3]])
     np.testing.assert_allclose(scene.positions, expected, rtol=1e-6, atol=1e-6)
     turn = np.array([[0, 0, -1], [0, -1, 0], [1, 0, 0]])
@@ -272,7 +272,7 @@ def test_opacities_and_scales_at_their_ends_are_finite(tmp_path):
 
 
 def edited(*path: Any, to: Any) -> Any:
-    """A change of a document, at a path of names and indices."""
+    """A change of a document at a path of names and indices."""
 
     def edit(document: dict[str, Any]) -> None:
         *above, last = path

@@ -1,4 +1,4 @@
-"""Files written by earlier builds decode to the floats they decoded to then, in every format."""
+"""Files written by earlier builds still decode to the same floats, in every format."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_our_reader_sees_what_a_program_of_the_format_saw(form):
 
 @pytest.mark.parametrize("form", HOME)
 def test_writers_of_other_formats_still_write_the_same_numbers(form, tmp_path):
-    """Bytes may differ with the version of what packs them."""
+    """Bytes may differ with the versions of compression libraries."""
     now, golden = (
         stored_numbers(path) for path in (written(form, tmp_path), FOLDER / f"other.{form}")
     )

@@ -1,6 +1,6 @@
-"""G-PCC for geometry and SH-DC: the same scene as by the octree, or one clear error.
+"""G-PCC for geometry and SH-DC: the same scene as with the octree, or one clear error.
 
-What `tmc3` may do wrong is played by a stand-in; the program itself is tested where it is found.
+A stand-in simulates faults of `tmc3`; the program itself is tested if it is found.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ STAND_IN = Path(__file__).with_name("tmc3_stand_in.py")
 
 
 def find_real() -> Tmc3 | None:
-    """The program itself, as the environment that tests were started in has it."""
+    """The program itself, found through the environment of the test run."""
     try:
         return Tmc3.find()
     except MissingTool:
@@ -49,7 +49,7 @@ needs_real = pytest.mark.skipif(REAL is None, reason="tmc3 is not on this machin
 
 @pytest.fixture(autouse=True)
 def nothing_left(tmp_path, monkeypatch):
-    """No program is found unless a test says so, and every test leaves no temporary file."""
+    """Hide the program unless a test enables it; check that no temporary file is left."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
@@ -61,7 +61,7 @@ def nothing_left(tmp_path, monkeypatch):
 
 @pytest.fixture
 def stand_in(tmp_path, monkeypatch) -> str:
-    """The stand-in, found as the environment says."""
+    """The stand-in, found through the environment."""
     path = tmp_path / "stand in"
     path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -I -S "{STAND_IN}" "$@"\n')
     path.chmod(0o755)
@@ -74,13 +74,13 @@ def config(profile="paper-m", **options) -> Config:
 
 
 def duplicated(count: int, seed: int):
-    """Each Gaussian several times, so that blocks end between equal ones."""
+    """Each Gaussian several times, so that block boundaries fall between equal ones."""
     scene = random_scene(count // 8, 1, seed)
     return scene.take(np.random.default_rng(seed).integers(0, count // 8, count))
 
 
 def assert_interchangeable(scene, options, **more):
-    """What comes back is what the octree's stream gives, bit by bit."""
+    """The decoded scene equals that of the octree's stream, bit for bit."""
     expected = decode_scene(encode_scene(scene, Config(block_size=1024, **options))[0])
     data, report = encode_scene(scene, config(**options, **more))
     assert report.file_bytes == len(data)
@@ -205,7 +205,7 @@ def test_the_command_line_finds_the_program_where_it_is_told(stand_in, tmp_path,
         assert result.exit_code == 0, result.output
     assert CliRunner().invoke(app, ["decode", target, back, "--tmc3", stand_in]).exit_code == 0
     assert read_ply(back).count == 400
-    # Commands without the option go by the environment.
+    # Commands without the option use the environment.
     assert isinstance(CliRunner().invoke(app, ["compare", source, target]).exception, MissingTool)
     monkeypatch.setenv("GS_CODEC_TMC3", stand_in)
     result = CliRunner().invoke(app, ["compare", source, target])
@@ -277,14 +277,14 @@ FAILURES = {
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("failure", FAILURES)
 def test_a_failure_is_one_clear_error(failure, stand_in, monkeypatch):
-    """While encoding, and decoding what an honest run has made."""
+    """While encoding, and while decoding a valid stream."""
     scene = random_scene(20, 0, seed=98)
     good = encode_scene(scene, config())[0]
     monkeypatch.setenv("TMC3_STAND_IN", failure)
     calls = [lambda: encode_scene(scene, config())]
     if failure.startswith("decode"):
         calls.append(lambda: decode_scene(good))
-        # Nothing is decoded, so nothing is noticed.
+        # Without verification, the fault is not noticed.
         assert encode_scene(scene, config(verify=False))[0] == good
     for call in calls:
         with pytest.raises(ToolFailed, match=FAILURES[failure]) as caught:
@@ -352,7 +352,7 @@ POINT = np.array([1, 2, 3], "<f4").tobytes() + b"\4\5\6"
 
 @dataclass(frozen=True)
 class Writer(Tmc3):
-    """A program that writes what it is told."""
+    """A program that writes given bytes."""
 
     content: bytes = b""
 
@@ -484,7 +484,7 @@ def test_another_version_is_named(stand_in, monkeypatch):
 
 @pytest.fixture
 def real(monkeypatch):
-    """The program itself, found as the environment says."""
+    """The program itself, found through the environment."""
     assert REAL is not None
     monkeypatch.setenv("GS_CODEC_TMC3", REAL.path)
 
@@ -513,7 +513,7 @@ def test_real_scenes_by_the_program(name, real):
 @needs_real
 @pytest.mark.parametrize("seed", range(8))
 def test_damage_never_goes_unnoticed(seed, real):
-    """The program may crash, run on, or give other points: one error, or the same points."""
+    """The program may crash, hang or return other points: one error, or the same points."""
     tool = Tmc3(REAL.path, REAL.version, Limits(processor_seconds=2))
     rng = np.random.default_rng(seed)
     cells = rng.integers(0, 1 << 12, (3, 500)).astype(np.uint32)

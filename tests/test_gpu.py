@@ -1,6 +1,6 @@
-"""Files decoded on a device have the numbers and errors that the CPU gives.
+"""Decoding on a device gives the same values and errors as on the CPU.
 
-The device is numba's simulator, in a process of its own, where nothing else is compiled.
+The device is numba's simulator, in a separate process where nothing is compiled.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ DAMAGED = [f"damaged {name} {seed}" for name in SectionId if name > 1 for seed i
 
 
 def damaged(name: str) -> bytes:
-    """A file of three blocks with some bytes of a section changed, cut or added."""
+    """A file of three blocks with bytes of a section changed, removed or added."""
     _, section, seed = name.split()
     data = sample("m", 8, 2)
     rng = np.random.default_rng([97, int(section), int(seed)])
@@ -60,7 +60,7 @@ def damaged(name: str) -> bytes:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Files, and what a device makes of them."""
+    """Files, and their results from a device."""
     folder = tmp_path_factory.mktemp("device")
     for name in GOLDEN:
         (folder / f"{name}.egs").write_bytes((HERE / "golden" / f"{name}.egs").read_bytes())

@@ -1,4 +1,4 @@
-"""Gradients against central differences of doubles, whose kernels take long to compile."""
+"""Gradients against central differences in float64, whose kernels take long to compile."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def gradients(
 ) -> tuple[float, dict[str, np.ndarray]]:
     """A view's squared error, and the loss's derivatives by each group of attributes.
 
-    Of doubles, for which the kernels of differences are compiled anyway.
+    In float64, for which kernels are compiled anyway.
     """
     result = differentiate(precise(scene), camera, target, background)
     slopes = result.slopes(0, len(result.chosen))
@@ -108,15 +108,15 @@ def gradients(
 
 
 def precise(scene: Scene) -> SimpleNamespace:
-    """The same Gaussians with planes of doubles, so that small steps can be taken."""
+    """The same Gaussians with float64 planes, so that small steps can be taken."""
     planes = {group: getattr(scene, group).astype(np.float64) for group in GROUPS}
     return SimpleNamespace(**planes, count=scene.count, antialiased=scene.antialiased)
 
 
 def assert_differences(scene: Scene, camera: Camera, antialiased=False, seed=0):
-    """Compares every channel of every Gaussian; returns the gradients.
+    """Compare every channel of every Gaussian; return the gradients.
 
-    A step may cross a threshold, as a pixel's last splat; then smaller ones are taken.
+    A step may cross a threshold, such as a pixel's last splat; then smaller steps are used.
     """
     exact, target = precise(scene), noise(camera, seed)
     exact.antialiased = antialiased
@@ -164,7 +164,7 @@ TURNS = np.array([[0.9, 0.1, -0.4], [0.2, -0.6, 0.1], [-0.3, 0.2, 0.8], [0.4, 0.
 
 
 def special_scenes() -> dict[str, Scene]:
-    """Gaussians at the limits where derivatives have cases."""
+    """Gaussians at the limits of the derivatives' case distinctions."""
     outside = [(2.5, 0.2, 2), (-2.4, -0.3, 2.1), (0.3, 1.9, 1.9), (-1.9, -2.4, 1.8)]
     turns = np.hstack([TURNS, -TURNS[:, :1]])
     return {
@@ -231,7 +231,7 @@ def test_rows_draw_the_same_image(seed, size):
     expected, alpha, _ = frame.draw(TEAL, np.float64, np.zeros((0, 4)))
     assert alpha.max() > 0.9
     error = np.abs(frame.draw_rows(TEAL)[0] - expected)
-    # Some pixels are on either side of the least alpha that is drawn.
+    # Some pixels are on different sides of the alpha threshold.
     assert np.quantile(error, 0.9) < 1e-5
     assert error.max() < 2 * MIN_ALPHA
 

@@ -1,4 +1,4 @@
-"""What gsplat is given, and refinement by it, with a stand-in of its rule; and gsplat itself."""
+"""Input of gsplat and refinement with it, using a stand-in; and gsplat itself."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def view() -> Camera:
 
 
 def faint(scene: Scene) -> Scene:
-    """The scene without splats that reach beyond 3 sigma, where gsplat's rule is another."""
+    """The scene without splats beyond 3 sigma, where gsplat's rule differs."""
     return replace(scene, opacity=np.minimum(scene.opacity, np.float32(-0.7)))
 
 
@@ -52,7 +52,7 @@ def stand_in(monkeypatch):
     from gsplat_stand_in import rasterization
 
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # more wait for each other in images so small
+    torch.set_num_threads(1)  # more threads would wait for each other with such small images
 
     module = ModuleType("gsplat")
     module.rasterization = rasterization
@@ -99,7 +99,7 @@ def test_cuda_is_refused_where_it_is_not():
     scene = random_scene(1)
     with pytest.raises(MissingTool, match="device 'cuda': needs gsplat"):
         render(scene, view(), device="cuda")
-    # Before any camera is looked for.
+    # Before cameras are searched for.
     with pytest.raises(MissingTool, match="device 'cuda': needs gsplat"):
         prepare_scene(scene, Plan(Steps(refine=1), "nowhere.json", device="cuda"))
 
@@ -182,14 +182,14 @@ def test_an_interrupted_refinement_goes_on_where_it_was(refined, tmp_path, monke
     for group in GROUPS:
         np.testing.assert_allclose(getattr(fitted, group), getattr(expected, group), atol=1e-5)
     assert [p["iteration"] for p in report["curve"]] == [p["iteration"] for p in whole["curve"]]
-    # Photographs are the same everywhere, and so are what belongs to them.
+    # Photographs, and state that depends on them, do not depend on the device.
     assert refit(10, checkpoint=path)[1]["iterations"] == 10
     with pytest.raises(InvalidInput, match="checkpoint of another"):
         refined(11, checkpoint=path)
 
 
 def test_what_fits_already_stays(stand_in):
-    """Its own views, as gsplat draws them."""
+    """Its own views, rendered by gsplat."""
     plan = Plan(Steps(refine=4, prune=0), CAMERAS, device="cuda")
     scene = garden(1)
     refined, report = prepare_scene(scene, plan)

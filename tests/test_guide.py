@@ -1,4 +1,4 @@
-"""Encoding by views: bits go where cameras look, and colours make up for what shapes lose."""
+"""Camera-guided encoding: bits are spent where visible, and colours compensate for shapes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def compacting(strength: float) -> AdaptiveProfile:
 
 
 def shaped(decoded: Scene, order: np.ndarray, steps: np.ndarray) -> SimpleNamespace:
-    """A scene whose shapes are rounded."""
+    """A scene with quantised shapes."""
     return SimpleNamespace(
         decoded=lambda: decoded, order=order, sh_steps=lambda: np.stack([steps] * 3)
     )

@@ -36,7 +36,7 @@ SYSTEMS = [x + a + b for x in "RL" for a, b in (*product("UD", "BF"), *product("
 
 
 def patched(data: bytes, offset: int, layout: str, *values: int) -> bytes:
-    """The file with fields of its header replaced, and right checksums."""
+    """The file with header fields replaced, and checksums corrected."""
     changed = bytearray(data)
     struct.pack_into("<" + layout, changed, offset, *values)
     return with_checksums(changed)

@@ -1,4 +1,4 @@
-"""Images of strangers: formats and sizes are checked before pixels, and one module reads them."""
+"""Untrusted images: format and size are checked before pixels, and one module reads them."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.images import _warnings_ignored, read_pixels
 from gs_codec.formats.sog.files import read_pixels as read_sog_pixels
 
-#: Packages, and what opens images there.
+#: Packages, and the module that opens images in each.
 PACKAGES = ("gs_codec", "viewer")
 READER = "gs_codec/formats/images.py"
 
 
 def any_size(width: int, height: int) -> None:
-    """Take every image."""
+    """Accept every image."""
 
 
 def png(width: int, height: int, *chunks: bytes, rows: int | None = None) -> bytes:
-    """A grey PNG, with so many of its rows."""
+    """A grey PNG with some of its rows."""
     pixels = zlib.compress(bytes((width + 1) * (height if rows is None else rows)))
     header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     parts = [chunk(b"IHDR", header), *chunks, chunk(b"IDAT", pixels), chunk(b"IEND", b"")]
@@ -54,7 +54,7 @@ def test_one_module_opens_images():
 
 
 def test_postscript_is_not_run(tmp_path, monkeypatch):
-    """An EPS file opens as an image of any name, and its pixels are what Ghostscript draws."""
+    """An EPS file opens as an image of any name; its pixels are rendered by Ghostscript."""
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("was run"))
     path = tmp_path / "view.png"
     path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n")

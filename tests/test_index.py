@@ -1,4 +1,4 @@
-"""The index: boxes of centres and of ellipsoids, of every profile."""
+"""The index: boxes of centres and of ellipsoids, with every profile."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def directions(number: int, seed: int) -> np.ndarray:
 
 
 def surfaces(scene: Scene, number: int, seed: int) -> np.ndarray:
-    """Points of the ellipsoids at 3 sigma, ``(number, N, 3)``, by other formulas than ours."""
+    """Points on the ellipsoids at 3 sigma, ``(number, N, 3)``, by independent formulas."""
     w, x, y, z = scene.rot.astype(np.float64) / np.linalg.norm(scene.rot.astype(np.float64), axis=0)
     rotation = np.array(
         [

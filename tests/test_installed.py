@@ -1,4 +1,4 @@
-"""What an installation takes."""
+"""The size of an installation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gs_codec.bench.host import installed
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """A function that installs a package of some bytes, with what it requires."""
+    """A function that installs a package of some bytes with its requirements."""
     monkeypatch.setattr(module, "_own_bytes", lambda: 7)
 
     def found(name: str) -> PathDistribution | None:

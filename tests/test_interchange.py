@@ -1,4 +1,4 @@
-"""Scenes written in the formats of other programs: what they hold, how finely, and at what size."""
+"""Scenes in the formats of other programs: content, precision and size."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 
-#: test_usd says so where usd-core is not installed.
+#: test_usd reports if usd-core is not installed.
 USD = ("usdz",) if find_spec("pxr") else ()
 ALL = ("spz", "sog", "compressed.ply", "splat", "glb", "gltf", *USD)
 ROUNDING = ("spz", "sog", "compressed.ply", "splat")
@@ -51,7 +51,7 @@ EDGES = edge_scenes()
 
 
 def usual(count: int, degree: int, seed: int = 0) -> Scene:
-    """A random scene whose values the formats hold."""
+    """A random scene with values that all formats can represent."""
     scene = random_scene(count, degree, seed)
     return replace(
         scene,
@@ -71,7 +71,7 @@ def share(scene: Scene) -> np.ndarray:
 
 
 def angle(first: Scene, second: Scene) -> np.ndarray:
-    """Angles between rotations, radian."""
+    """Angles between rotations, in radians."""
     a, b = (s.rot / np.linalg.norm(s.rot.astype(np.float64), axis=0) for s in (first, second))
     return 2 * np.arccos(np.clip(np.abs((a * b).sum(axis=0)), 0, 1))
 
@@ -291,7 +291,7 @@ def test_wanted_steps_are_those_of_the_rules():
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[Scene, Plan]:
-    """A scene of surfaces, and a plan of cameras around it."""
+    """A scene of surfaces, and a plan with cameras around it."""
     scene = generate(count=4000, sh_degree=2, seed=3)
     return scene, Plan(Steps(), cameras(12))
 
@@ -489,7 +489,7 @@ def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
 @pytest.mark.parametrize("suffix", [*SORTED, "splat", "glb"])
 @pytest.mark.parametrize("count", [2, 3, 300])
 def test_small_gaussians_are_compared_with_their_own(count, suffix, tmp_path):
-    """They are smaller than the steps of centres, so that only others tell which is which."""
+    """They are smaller than the steps of centres, so only other attributes identify them."""
     scene = random_scene(count, 1, seed=11)
     scene = replace(scene, log_scale=(0.1 * scene.log_scale - 9).astype(np.float32))
     shuffled = scene.take(np.random.default_rng(12).permutation(count))
@@ -506,7 +506,7 @@ def test_small_gaussians_are_compared_with_their_own(count, suffix, tmp_path):
 
 @pytest.mark.parametrize("suffix", ["spz", "sog"])
 def test_rotations_rounded_coarsely_are_of_unit_length(suffix, tmp_path):
-    """Those of equal components too, where every component has likelier values that are larger."""
+    """Including those of equal components, whose rounded values tend to be too large."""
     likely = np.array([[0.72, 0.69, 0, 0], [0.72, 0, 0.69, 0], [0.72, 0, 0, 0.69]])
     rot = np.concatenate([np.repeat(likely, 300, axis=0), np.full((9, 4), 0.5)])
     scene = replace(usual(len(rot), 0), rot=np.ascontiguousarray(rot.T, np.float32))
@@ -519,7 +519,7 @@ def test_rotations_rounded_coarsely_are_of_unit_length(suffix, tmp_path):
 
 
 def test_steps_are_no_coarser_than_those_of_an_egs():
-    """Where views see nothing of a Gaussian, its step would be endless."""
+    """If a Gaussian is invisible in all views, its step would be unlimited."""
     scene = usual(50, 3)
     known = camera_free_steps(scene, ADAPTIVE_PROFILES["m"])
     endless = {rule: np.array([30.0, 0, 0, 0, 0]) for rule in known.coefficients}
@@ -547,7 +547,7 @@ def test_rounded_scenes_keep_what_the_format_holds(name, write, tmp_path):
     after = read_scene(target)
     if name == "b.spz":
         first, second = before.take(order_of(before)), after.take(order_of(after))
-        # The largest component, which is not stored, may be another one.
+        # The largest component, which is not stored, may be a different one.
         signs = np.sign((first.rot * second.rot).sum(axis=0))
         np.testing.assert_allclose(first.rot, signs * second.rot, atol=2 / 511)
         assert_same_floats(first, replace(second, rot=first.rot))

@@ -1,4 +1,4 @@
-"""Kernels that come compiled, and what happens where they cannot be used."""
+"""Precompiled kernels, and the cases in which they cannot be used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gs_codec.runtime.kernel_list import LIST, entry_of, read_list
 ROOT = Path(__file__).parents[1]
 LISTED = read_list()
 
-#: Kernels that call none, and one that calls another.
+#: Kernels that call no others, and one that does.
 MODULES = "gs_codec.coding.quantise", "gs_codec.codecs.adaptive.contexts"
 FEW = [entry for entry in LISTED if entry.module in MODULES and entry.name != "_quantise"]
 
@@ -98,7 +98,7 @@ def test_the_list_has_every_kernel_once_for_its_types():
 
 
 def test_kernels_of_the_archive_are_not_compiled(archive, tmp_path):
-    """Nor is a cache needed."""
+    """And no cache is needed."""
     out, messages = run(USE.format(before=""), archive.parent, NUMBA_CACHE_DIR=str(tmp_path / "a"))
     assert out == ["0.6666666666666666", "False"]
     assert messages == ""
@@ -108,7 +108,7 @@ def test_kernels_of_the_archive_are_not_compiled(archive, tmp_path):
 def damaged(content: bytes, how: str) -> bytes:
     if how == "truncated":
         return content[: len(content) // 3]
-    if how == "code changed":  # after the index
+    if how == "code changed":  # after it was indexed
         begin = content.index(b"}}") + 2
         return content[:begin] + bytes(each ^ 1 for each in content[begin:])
     return {"empty": b"", "foreign": b"\x7fELF" + content}[how]

@@ -1,4 +1,4 @@
-"""Kernels as `make boundscheck` compiles them."""
+"""Kernels compiled as by `make boundscheck`."""
 
 from __future__ import annotations
 
@@ -112,12 +112,12 @@ def change(value):
 
 @pytest.mark.thorough
 def test_kernels_are_compiled_again_when_what_they_use_changes(tmp_path):
-    """Of other modules too, which numba does not look at: a decoder would read files wrongly."""
+    """Including other modules, which numba does not check: a decoder would read files wrongly."""
     (tmp_path / "uses.py").write_text(USES)
     environment = {
         "PYTHONPATH": str(ROOT),
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        # Python takes a .pyc for that of a source of the same size and second.
+        # Python accepts a .pyc for a source of the same size and second.
         "PYTHONDONTWRITEBYTECODE": "1",
     }
 
@@ -158,7 +158,7 @@ def test_processes_that_start_together_compile_once(tmp_path):
 
 @pytest.fixture
 def places(tmp_path, monkeypatch):
-    """A home and a folder for temporary files; gives what says where kernels are kept."""
+    """A home folder and one for temporary files; returns a function that gives the cache folder."""
     (tmp_path / "home").mkdir()
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
@@ -188,7 +188,7 @@ def test_compiled_kernels_are_kept_in_the_cache_folder_of_the_user(places, tmp_p
 
 @pytest.mark.parametrize("named", ["", "cache"])
 def test_a_cache_folder_without_an_absolute_name_is_not_taken(places, tmp_path, monkeypatch, named):
-    """Code would be loaded from wherever the user works, such as a download."""
+    """Otherwise code would be loaded from the current folder, such as a download."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", named)
     assert places() == "home/.cache/gs-codec"

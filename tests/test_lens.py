@@ -1,6 +1,6 @@
-"""Distorted lenses: pinhole cameras in their place, and photographs undistorted to these.
+"""Distorted lenses: replacement by pinhole cameras, and undistorted photographs.
 
-The models' formulas are written here once more, as COLMAP documents them.
+The formulas of the models are repeated here from COLMAP's documentation.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from gs_codec.views.photographs import read_photograph
 
 SIDES = (800, 600)
 
-#: Parameters of each model, and what COLMAP 4.2.1 makes of a photograph of 800x600 pixels: width,
-#: height, cx and cy (`pycolmap.undistort_camera`; the focal lengths stay).
+#: Parameters of each model, and COLMAP 4.2.1's result for a photograph of 800x600 pixels: width,
+#: height, cx and cy (`pycolmap.undistort_camera`; focal lengths do not change).
 MODELS = {
     "SIMPLE_RADIAL": ((500.0, 400.0, 290.0, -0.08), (847, 616, 423.5, 297.73333333333335)),
     "RADIAL": ((500.0, 400.0, 300.0, 0.1, 0.02), (728, 546, 364.0, 273.0)),
@@ -88,7 +88,7 @@ FORMULAS: dict[str, Callable[..., tuple[float, float]]] = {
 
 
 def photographed_at(model: str, point: Sequence[float]) -> tuple[float, float]:
-    """The pixel of the distorted photograph at which a point of camera axes is seen."""
+    """The pixel of the distorted photograph that shows a point in camera axes."""
     parameters = MODELS[model][0]
     one = model in ("SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
     fx, fy, cx, cy, *rest = parameters[:1] * one + parameters
@@ -110,7 +110,7 @@ def camera_of(model: str, folder: Path, name: str = "a.png") -> Camera:
 
 
 def points(camera: Camera) -> list[tuple[float, float, float]]:
-    """Points in space that are seen all over the camera's image, none near another."""
+    """Points in space, spread over the camera's image, well separated."""
     rng = np.random.default_rng(7)
     cells = np.array([(x, y) for x in range(5) for y in range(4)])
     inside = (cells + rng.uniform(0.3, 0.7, cells.shape)) / (5, 4) * (camera.width, camera.height)
@@ -154,10 +154,10 @@ def test_every_pixel_of_the_camera_is_in_the_photograph(model, tmp_path):
         for x, y in edge
     ]
     low, high = np.min(inside, axis=0), np.max(inside, axis=0)
-    # COLMAP rounds sides down to whole pixels, and is half a pixel off at times.
+    # COLMAP rounds sides down to whole pixels, and is sometimes half a pixel off.
     assert (low > -0.5).all()
     assert (high < np.array(SIDES) + 0.5).all()
-    # And little of the photograph is lost: each edge is touched somewhere, or it doubles at most.
+    # Little of the photograph is lost: each edge is touched somewhere, or the size doubles.
     assert (low < 2).any()
     assert (high > np.array(SIDES) - 2).any()
 
@@ -278,7 +278,7 @@ def draw_dots(places: Sequence[tuple[float, float]], width: int, height: int) ->
 
 
 def dot_near(image: np.ndarray, u: float, v: float) -> tuple[float, float]:
-    """The centroid of the dot near a place."""
+    """The centroid of the dot near a position."""
     left, top = int(u) - 9, int(v) - 9
     part = image[top : top + 19, left : left + 19]
     y, x = np.mgrid[:19, :19] + 0.5
@@ -301,7 +301,7 @@ def test_points_of_a_photograph_come_to_where_the_camera_sees_them(model, scale,
     assert fitted.width == pytest.approx(scale * camera.width, abs=1)
     expected = [seen_by(fitted, point) for point in places]
     errors = np.array([dot_near(straight[..., 0], *place) for place in expected]) - expected
-    # A shift of half a pixel would be one of all; at the edges, dots are stretched to one side.
+    # A shift of half a pixel would affect all dots; at the edges, dots are stretched to one side.
     assert np.abs(np.median(errors, axis=0)).max() < 0.05
     assert np.abs(errors).max() < 0.25
 
@@ -318,7 +318,7 @@ def test_photographs_of_a_lens_that_opencv_does_not_have(tmp_path):
         camera = Camera("a", **lens.pinhole(), rotation=np.eye(3), position=np.zeros(3))
         read[r8] = read_photograph(camera, tmp_path / "a.png")
     np.testing.assert_allclose(read[1e-12][1], read[0.0][1], atol=0.02)
-    # The pixel (x, y) of the undistorted image shows this place of the photograph.
+    # Position in the photograph of pixel (x, y) of the undistorted image.
     camera, straight = read[0.05]
     x, y = 40, 25
     u, v = (x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy
@@ -366,7 +366,7 @@ def test_without_opencv_the_extra_is_named(tmp_path, monkeypatch):
     write_png(tmp_path / "a.png", np.zeros((600, 800, 3)))
     with pytest.raises(MissingTool, match=r"a\.png: .*pip install 'gs-codec\[undistort\]'"):
         read_photograph(camera, tmp_path / "a.png")
-    # Where nothing is to be undistorted, nothing is missing.
+    # If nothing needs to be undistorted, OpenCV is not needed.
     straight, image = read_photograph(
         replace(camera, lens=None).resized(800, 600), tmp_path / "a.png"
     )

@@ -1,4 +1,4 @@
-"""Levels of detail: the tree, merging, errors, selection, and what a damaged level leads to."""
+"""Levels of detail: tree, merging, errors, selection, and damaged levels."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_levels_look_like_the_scene_from_afar():
     scene = antialiased(replace(scene, log_scale=spread))
     for level in build_levels(scene, 1000):
         coarse = replace(level.scene, comments=scene.comments)
-        # Where the largest error is a pixel.
+        # At this distance, the largest error is one pixel.
         far = camera(tuple(100.0 * float(level.errors.max()) * np.array([0.6, 0.3, -0.7])))
         quality = compare_views(scene, coarse, [far], device="cpu").views[0].between
         assert quality.psnr > 35
@@ -384,7 +384,7 @@ def test_damage_in_a_level_is_found_when_it_is_read(tmp_path):
 
 
 def test_a_level_needs_no_checksum_of_the_whole_section():
-    """As for a reader that fetches some blocks of it."""
+    """Like a reader that fetches some of its blocks."""
     data = sample()
     position, size, _ = read_file(data).table[SectionId.LEVEL, 1]
     last = position + size - 1

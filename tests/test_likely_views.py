@@ -1,4 +1,4 @@
-"""Views from directions in which a scene shows its SH-AC, beside those of estimated cameras."""
+"""Views from directions in which a scene has SH-AC, in addition to estimated cameras."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from gs_codec.cameras.camera import Camera, facing
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.likely_views import likely_views
 
-#: Places that the scene was trained from; cameras are estimated at the first alone.
+#: Positions of the training cameras; only the first is found by estimation.
 SEEN, MISSED = np.array([8.0, 0, 0]), np.array([0, 8.0, 0])
 
 
 @pytest.fixture(scope="module")
 def scene():
-    """Gaussians near the origin whose SH-AC hold signal only towards the two places."""
+    """Gaussians near the origin with SH-AC only towards the two positions."""
     rng = np.random.default_rng(81)
     positions = rng.normal(0, 0.3, (3, 2000))
     f_rest = np.zeros((3, 15, 2000))
@@ -36,7 +36,7 @@ def scene():
 
 
 def colours(scene, place):
-    """SH colours ``(3, N)`` from a place."""
+    """SH colours ``(3, N)`` seen from a position."""
     towards = scene.positions - place[:, None]
     towards /= np.linalg.norm(towards, axis=0)
     basis = np.array([sh_basis(direction)[1:] for direction in towards.T])
@@ -52,7 +52,7 @@ def test_they_look_where_training_left_colours(scene):
     views = likely_views(scene, weights_of(scene))
     total = views.weights.sum(axis=1)
     aside = views.centres / np.linalg.norm(views.centres, axis=1)[:, None]
-    cosines = np.abs(aside[:, :2]).max(axis=1)  # SH show about as much from behind
+    cosines = np.abs(aside[:, :2]).max(axis=1)  # SH have about the same strength from behind
     assert total[cosines > 0.9].mean() > 4 * total[cosines < 0.6].mean()
 
 
@@ -61,7 +61,7 @@ def test_they_have_a_share_of_the_weight_of_all_others(scene):
     weights[:, :7] = 0
     views = likely_views(scene, weights)
     np.testing.assert_allclose(views.weights[:, 7:].sum(axis=0), 8.0, rtol=1e-4)
-    # What no estimated camera sees, others may.
+    # Gaussians not visible to estimated cameras may be visible to others.
     assert (views.weights[:, :7].sum(axis=0) > 0).all()
 
 

@@ -1,4 +1,4 @@
-"""What reading a scene of any format may take: no more memory than its limit allows."""
+"""Memory for reading a scene in any format stays below its limit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 from viewer.scenes.view_request import Request
 
-#: Beside what grows with limit and file: tables, and the image of a palette.
+#: Memory that does not depend on limit and file: tables, and the image of a palette.
 FIXED = 64 << 20
 
 #: Bytes of the floats of bombs.
@@ -38,7 +38,7 @@ FLOATS = 192 << 20
 
 
 def spz_bomb(version: int, degree: int, floats: int) -> bytes:
-    """Gaussians that are all the same."""
+    """An `.spz` of identical Gaussians."""
     count = floats // float_bytes(1, degree)
     sizes = [9, 1, 3, 3, 3 if version < 3 else 4, 3 * SH_COEFFICIENTS[degree]]
     return foreign.spz_file([bytes(size * count) for size in sizes], count, version, degree)
@@ -53,7 +53,7 @@ def webp(height: int, width: int) -> bytes:
 
 
 def sog_bomb(version: int, degree: int, floats: int) -> bytes:
-    """The same of a SOG, whose palette is as large as one can be."""
+    """The same as SOG, with a palette of maximum size."""
     count = floats // float_bytes(1, degree)
     meta, images = foreign.sog_parts(4, version, degree, seed=1, palette=1 << 16)
     if version == 2:
@@ -96,7 +96,7 @@ print(scene.float_bytes, peak_bytes() - before)
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", BOMBS)
 def test_memory_of_foreign_formats_is_bounded(name, tmp_path):
-    """Peak of a process of its own: libraries take memory that Python does not count."""
+    """Peak of a separate process, because Python does not count the memory of libraries."""
     small, large = tmp_path / f"small-{name}", tmp_path / name
     small.write_bytes(BOMBS[name](1000))
     large.write_bytes(BOMBS[name](FLOATS))
@@ -113,7 +113,7 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
     (tmp_path / "in").mkdir()
     write_scene(tmp_path / "in/a.ply", random_scene(40, 0), Config())
     monkeypatch.setattr(run, "Pool", in_this_process)
-    # The memory of this one process is a store.
+    # The memory of this process serves as remote storage.
     monkeypatch.setattr(remote, "_OWN", "")
     monkeypatch.setattr(remote, "_OBJECTS", ("memory",))
     monkeypatch.chdir(tmp_path)

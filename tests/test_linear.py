@@ -1,4 +1,4 @@
-"""Sums in one order: near what LAPACK and BLAS give, and the same on every machine."""
+"""Sums in a fixed order: close to LAPACK and BLAS, and the same on every machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Profile lossless: every bit comes back, whatever the floats; damage is refused."""
+"""Profile lossless: every bit is recovered, for any floats; damage is rejected."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def unit_quaternions(count: int, seed: int) -> Scene:
 
 
 def without_colours(count: int, sh_degree: int, seed: int) -> Scene:
-    """SH-AC that lack colours, by Gaussians."""
+    """SH-AC that are all zero in some colours of some Gaussians."""
     scene = random_scene(count, sh_degree, seed)
     lacking = np.random.default_rng(seed).random((3, 1, count)) < 0.4
     f_rest = scene.f_rest.reshape(3, -1, count) * np.float32(1)
@@ -219,7 +219,7 @@ def test_options_that_do_not_fit_are_refused(config, message):
 
 @pytest.fixture
 def plain(tmp_path):
-    """A PLY of any bits, with an extra property, comments, and -0 among its normals."""
+    """A PLY with random bits, an extra property, comments, and -0 among its normals."""
     scene = replace(any_bits(1500, 2, 70), comments=("one", "two"))
     extra = {name: np.zeros(1500, "<f4") for name in ("nx", "ny", "nz")}
     extra["ny"][5] = -0.0

@@ -1,4 +1,4 @@
-"""LPIPS by weights from a file; a stand-in for the package where it need not be the real one."""
+"""LPIPS with weights from a file; a stand-in replaces the package if possible."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import LPIPS_SIZE, LPIPS_VARIABLE, compare_images, load_lpips
 
-#: Backbones by the package's names: what they are called, their names in torchvision, and a layer
-#: as the package names it.
+#: Backbones by the package's names: display name, name in torchvision, and a layer's name in the
+#: package.
 BACKBONES = {
     "vgg": ("VGG16", "vgg16", "slice5.26"),
     "squeeze": ("SqueezeNet 1.1", "squeezenet1_1", "slice7.12.squeeze"),
@@ -30,7 +30,7 @@ BACKBONES = {
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    """A package `lpips` whose networks have one layer; a function that stores weights for it."""
+    """A package `lpips` with one-layer networks; returns a function that stores weights for it."""
     torch = pytest.importorskip("torch")
 
     class Network(torch.nn.Module):
@@ -133,7 +133,7 @@ def test_file_of_something_else_is_refused(stand_in, tmp_path, kind):
             "tensor": torch.ones(2),
             "list": ["features.26.weight"],
             "VGG19": {"features.28.weight": torch.ones(2)},
-            "module": torch.nn.Linear(2, 2),  # code, which is not run
+            "module": torch.nn.Linear(2, 2),  # code, which is not executed
         }
         torch.save(values[kind], path)
     with pytest.raises(InvalidInput, match=rf"{kind}.pth: not a state dict .*AlexNet$"):

@@ -1,4 +1,4 @@
-"""Which of two scenes was decoded from the other, and which of their Gaussians are the same."""
+"""Which of two scenes was decoded from the other, and which Gaussians correspond."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gs_codec.formats.ply.writer import write_ply
 
 @pytest.fixture(scope="module")
 def decoded(tmp_path_factory):
-    """A scene, each Gaussian with its number, and what it decodes to in each profile."""
+    """A scene with numbered Gaussians, and its decoded version in each profile."""
     folder = tmp_path_factory.mktemp("decoded")
     scene = random_scene(1500, 1, seed=220)
     write_ply(folder / "scene.ply", replace(scene, extra={"label": np.arange(1500, dtype="<i4")}))
@@ -52,7 +52,7 @@ def test_copies_and_odd_scenes_are_matched_or_refused():
     alike = scene.take(np.zeros(400, int))
     recoloured = replace(alike, f_dc=alike.f_dc + np.float32(0.1))
     assert put_side_by_side(alike, recoloured)[2] == "index"
-    # Of Gaussians in one place, centres do not tell which is which.
+    # Centres do not identify coincident Gaussians.
     place = replace(scene, positions=np.zeros_like(scene.positions))
     for first, second in ((place, place.take(order)), (scene, random_scene(400, 1, seed=232))):
         with pytest.raises(InvalidInput, match="no match of the scenes' Gaussians"):
@@ -80,6 +80,6 @@ def test_scenes_decoded_from_the_same_are_matched_by_the_nearest(decoded, first,
     for pair in ((first, second), (second, first)):
         scenes = [read_scene(decoded / f"{name}.egs", "keep") for name in pair]
         one, other, matched_by = put_side_by_side(*scenes)
-        # By index where both grids happen to give the same order.
+        # By index if both grids happen to give the same order.
         assert matched_by in ("index", "nearest centre")
         assert np.mean(one.extra["label"] == other.extra["label"]) > 0.99

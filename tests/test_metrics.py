@@ -1,4 +1,4 @@
-"""Errors between scenes: known differences, and matching through the stored order."""
+"""Errors between scenes: known differences, and matching by the stored order."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def changed(scene: Scene, group: str, place, value: float) -> Scene:
 
 
 def both_ways(first: Scene, second: Scene) -> Comparison:
-    """The comparison, which must be the same the other way round."""
+    """The comparison, which must be symmetric."""
     comparison, back = compare_scenes(first, second), compare_scenes(second, first)
     near = partial(pytest.approx, abs=1e-6)
     for one, other in zip(comparison.groups, back.groups, strict=True):
@@ -133,7 +133,7 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> float:
 @pytest.mark.parametrize("factor", [1.0, -1.0, 0.3, -20.0])
 @pytest.mark.parametrize("degrees", [0.0, 0.01, 1.0, 30.0, 60.0, 80.0])
 def test_rotation_by_a_known_angle(degrees, factor):
-    """Neither the sign of a quaternion nor its norm is a rotation."""
+    """Neither the sign nor the norm of a quaternion is a rotation."""
     start = turned((1, -2, 0.5), 71)
     other = factor * product(start, turned((0.2, 1, -3), degrees))
     assert angle_between(start, other) == pytest.approx(degrees, abs=2e-5)
@@ -171,7 +171,7 @@ def test_turns_about_an_axis_whose_others_are_equal_are_no_error(scales, axis, d
 
 def test_axes_in_another_order_are_no_error():
     scene = random_scene(50, 0, seed=5)
-    # Axes x, y, z become y, z, x: a third of a turn about the diagonal.
+    # Axes x, y, z become y, z, x: 120 degrees about the diagonal.
     quarter = np.full((4, 1), 0.5)
     other = replace(
         scene,
@@ -267,7 +267,7 @@ def repeated(seed: int, share_colours: bool) -> Scene:
 
 
 def on_ties(seed: int) -> Scene:
-    """Positions halfway between the levels of 16 bits."""
+    """Positions halfway between 16-bit levels."""
     rng = np.random.default_rng(seed)
     positions = rng.integers(0, 65535, (3, 2000)).astype(np.float32) + np.float32(0.5)
     positions[:, 0], positions[:, 1] = 0, 65535
@@ -290,7 +290,7 @@ CONFIGS = {
 
 
 def half_step(path, group: str) -> float:
-    """Half the largest step of a group, and float32's rounding of its largest value."""
+    """Half the largest step of a group, plus float32 rounding of its largest value."""
     channels = [c for c in inspect_bytes(path.read_bytes()).channels if c.group == group]
     steps = [c.quantiser.step for c in channels]
     ends = [c.quantiser.origin + c.quantiser.step * 2**c.quantiser.depth for c in channels]
@@ -335,7 +335,7 @@ def test_real_scene_is_matched_with_its_encoded_version(name, tmp_path):
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("first", ["ply", "decoded", "egs"])
 def test_what_was_coded_twice_is_never_matched_wrongly(trio, first, profile, tmp_path):
-    """Refusing is right where the order cannot be known; errors of a wrong order are not."""
+    """An error is right if the order is ambiguous; comparing in a wrong order is not."""
     again = tmp_path / "again.egs"
     encode_file(trio.decoded, again, Config(profile))
     try:

@@ -1,4 +1,4 @@
-"""Models: exact integer tables, good fits, the cheapest chosen."""
+"""Models: exact integer tables, good fits, the cheapest selected."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ def test_normalise_sums_and_keeps_what_occurs(seed, precision):
 
 
 def test_normalise_by_hand():
-    # Shares 2.56, 2.56, 250.88 of 256: two are missing, one for the last, one for the first.
+    # Shares 2.56, 2.56, 250.88 of 256: two are missing, one goes to the last, one to the first.
     assert normalise(np.array([1, 1, 98], np.int64), 8).frequencies.tolist() == [3, 2, 251]
-    # Three floors of 1 are too many by two, which the largest gives.
+    # The three minimum frequencies of 1 exceed the sum by two, which the largest gives up.
     tight = normalise(np.array([1, 1, 1, 10**9], np.int64), 8)
     assert tight.frequencies.tolist() == [1, 1, 1, 253]
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_normalise_takes_what_is_too_much_one_by_one(seed):
-    """The rule of FORMAT.md, as it is written there."""
+    """The rule of FORMAT.md, written literally."""
     rng = np.random.default_rng(seed)
     weights = rng.integers(0, rng.choice([2, 4, 1 << 20], 256), 256)
     weights[rng.integers(0, 256, 3)] = rng.integers(1, 1 << 32, 3)
@@ -75,7 +75,7 @@ def test_laplace_table_is_the_laplace_distribution(alphabet, scale):
     edges = np.arange(1, alphabet) - alphabet // 2 - 0.5
     below = [0.5 * exp(x / scale) if x < 0 else 1 - 0.5 * exp(-x / scale) for x in edges]
     expected = np.diff([0, *below, 1])
-    floor = alphabet / 32768  # each symbol keeps a frequency of at least 1
+    floor = alphabet / 32768  # each symbol has a frequency of at least 1
     np.testing.assert_allclose(table.frequencies / 32768, expected, atol=3e-4 + floor)
 
 
@@ -93,7 +93,7 @@ def test_mixture_recovers_its_parameters(count):
 
 
 def mixture_by_hand(histogram, count) -> np.ndarray:
-    """Weights, means and sigmas by expectation maximisation as textbooks have it."""
+    """Weights, means and sigmas by textbook expectation maximisation."""
     symbols, total = np.flatnonzero(histogram), histogram.sum()
     counts = histogram[symbols]
     spread = sqrt(np.average(symbols**2, weights=counts) - np.average(symbols, weights=counts) ** 2)
@@ -200,7 +200,7 @@ def test_choice_is_the_cheapest_and_its_bits_are_real():
 
 @pytest.mark.parametrize("scale", [None, 1.2])
 def test_only_what_is_asked_for_is_chosen(scale):
-    """Whatever is cheaper: here tables are, for a comb that neither distribution describes."""
+    """Whatever is cheaper: here a table, for a comb that neither distribution fits."""
     histogram = np.zeros(64, np.int64)
     histogram[::7] = 100_000
     chosen = {models: choose_model(histogram, scale, models) for models in get_args(Models)}

@@ -1,4 +1,4 @@
-"""What a mouse makes of a pose, without a window."""
+"""Mouse navigation of a pose, without a window."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def navigator(pose: Pose = POSE) -> Navigator:
 def dragged(
     way: list[tuple[float, float]], events: int, shifts: bool, pose: Pose = POSE
 ) -> tuple[Pose, Navigator]:
-    """Where a drag along corners ends, each part of it in so many events."""
+    """The pose after a drag along corners, with several events for each part."""
     hand, last = navigator(pose), pose
     x, y = 300, 200
     hand.hold(pose, x, y, "shift" if shifts else "turn")

@@ -1,4 +1,4 @@
-"""Nearest neighbours are those of a search through all points."""
+"""Nearest neighbours equal those of an exhaustive search."""
 
 from __future__ import annotations
 

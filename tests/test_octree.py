@@ -29,7 +29,7 @@ def leaves_of(octree) -> list[tuple]:
 
 
 def on_borders(depth: int) -> Scene:
-    """Centres on the corners of the cells of the cube around them, as far as floats go."""
+    """Centres on the corners of the cells of their bounding cube, up to float precision."""
     ends = np.array([[0, 0, 0], [1, 1, 1]], np.float32).T
     cube = Cube.around(ends)
     rng = np.random.default_rng(3)
@@ -40,7 +40,7 @@ def on_borders(depth: int) -> Scene:
 
 
 def around_nothing() -> Scene:
-    """A lowest centre that is lost in the middle between it and the highest."""
+    """A lowest centre that is lost by rounding the midpoint between it and the highest."""
     scene = random_scene(50, 0)
     positions = np.abs(scene.positions) / np.float32(2 * np.abs(scene.positions).max())
     positions[0, :2] = -1e-20, 1
@@ -75,7 +75,7 @@ def test_every_gaussian_is_in_the_leaf_around_it(name, depth):
 @pytest.mark.parametrize("depth", [1, 7, 16])
 @pytest.mark.parametrize("name", SCENES)
 def test_leaves_are_the_cells_of_our_codes_and_have_their_mean_colour(name, depth):
-    """The cells that colours are averaged over, and that the viewer draws, are Open3D's."""
+    """The cells used for mean colours, and drawn by the viewer, are Open3D's."""
     scene = SCENES[name]
     octree = gs_codec.to_octree(to_cloud(scene), depth)
     cube = Cube.around(scene.positions)

@@ -1,4 +1,4 @@
-"""Files are opened once, and what describes their blocks is parsed once."""
+"""Files are opened once, and their descriptive sections are parsed once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gs_codec.formats.ply.writer import write_ply
 
 @pytest.fixture
 def counts(monkeypatch) -> Counter[str]:
-    """How often each file was opened to be read, by name, and each kind of section parsed."""
+    """Counts of reads of each file, by name, and of parses of each kind of section."""
     counted: Counter[str] = Counter()
 
     def counting(name, function):

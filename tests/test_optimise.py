@@ -1,4 +1,4 @@
-"""Refitting by gradients."""
+"""Refinement by gradients."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_refitting_wins_back_most_of_what_was_lost(seed):
 
 @pytest.mark.parametrize("scale", [0.02, 1e-3, 1e-4])
 def test_steps_are_small_where_little_is_to_win(scale):
-    """Full steps would turn 45 dB into 42, and 65 dB too."""
+    """Full steps would turn 45 dB into 42, and 65 dB as well."""
     original = garden(32)
     targets = views(original, CAMERAS)
     scene = changed(original, 32, scale)
@@ -105,7 +105,7 @@ def test_threads_do_not_change_a_refit():
 
 
 class Watched(list):
-    """Targets that tell which were looked at."""
+    """Targets that record which were accessed."""
 
     def __init__(self, targets, seen: list[int]) -> None:
         super().__init__(targets)
@@ -280,7 +280,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
     for data in damaged:
         path.write_bytes(data)
         try:
-            # A flip in what the archive does not need, as a date, does no harm.
+            # A bit flip in unused parts of the archive, such as a date, is harmless.
             assert_same_floats(refit(2, checkpoint=path)[0], expected)
         except InvalidInput as error:
             refused.append(str(error))

@@ -1,4 +1,4 @@
-"""Options that would have no effect beside the others are refused, in every command."""
+"""Options without effect in a combination are rejected, in every command."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
 from gs_codec.preparation.steps import Plan, Steps
 
-#: How each option that a command may ignore is typed.
+#: Typed form of each option that a command may ignore.
 VALUES = {
     "cameras": "--cameras cameras.json", "views": "--views 64", "width": "--width 40",
     "background": "--background black", "gt-images": "--gt-images images",
@@ -35,7 +35,7 @@ VALUES = {
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
 _PAPER = ("geometry", "tmc3", "verify", "models", "coder", "laplace-scales")
 
-#: Commands, and options that have no effect there.
+#: Commands, and the options without effect in them.
 IGNORED = {
     "encode scene.ply o.egs -p paper-m": (
         *_ENCODE, "keep-order", "allow-prune", "verify", "coarseness",
@@ -181,7 +181,7 @@ def test_expert_options_do_what_the_library_does(folder):
 
 
 def _options(name: str, *, hidden: bool) -> set[str]:
-    """How the options of a command are typed."""
+    """Typed names of a command's options."""
     params = get_command(app).get_command(None, name).params
     options = [p for p in params if p.param_type_name == "option" and p.hidden == hidden]
     return {(*p.opts, *p.secondary_opts)[0] for p in options} - {"--help"}
@@ -190,7 +190,7 @@ def _options(name: str, *, hidden: bool) -> set[str]:
 def test_encode_shows_at_most_18_options_and_batch_the_same():
     assert len(_options("encode", hidden=False)) <= 18
     assert _options("encode", hidden=False) <= _options("batch", hidden=False)
-    # One file for one scene; shared by workers, unlike scenes; of stdin.
+    # These are for a single scene, for stdin, or are shared by workers.
     alone = {"--checkpoint", "--dask", "--input-format"}
     assert _options("encode", hidden=True) - alone == _options("batch", hidden=True)
 

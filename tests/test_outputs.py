@@ -1,4 +1,4 @@
-"""Where results go: suffixes that are written, what exists already, pipes."""
+"""Outputs: supported suffixes, existing files, pipes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ WRITING = {
 def test_results_that_exist_are_refused_before_the_work(folder, command):
     existing = Path(WRITING[command])
     existing.parent.mkdir(exist_ok=True)
-    # As a report of `batch` begins.
+    # Looks like the beginning of a `batch` report.
     existing.write_text('{"source": 0}\n')
     line = folder.refuse(*command.split())
     assert existing.parts[0] in line
@@ -123,7 +123,7 @@ def piped(*arguments: str, given: bytes = b"") -> subprocess.CompletedProcess[by
 def test_dash_is_stdin_and_stdout(folder, trio):
     coded = piped("encode", "-", "-", "-p", "paper-m", given=trio.ply.read_bytes())
     assert (coded.returncode, coded.stdout) == (0, trio.egs.read_bytes())
-    # After lines on progress, if the machine is slow.
+    # Progress lines may come first on a slow machine.
     assert b"\n-: 1,500 Gaussians, 355.48 kB -> " in b"\n" + coded.stderr
     back = piped("decode", "-", "-", given=coded.stdout)
     assert (back.returncode, back.stdout) == (0, trio.decoded.read_bytes())

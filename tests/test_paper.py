@@ -1,4 +1,4 @@
-"""PAPER.md names things that exist."""
+"""PAPER.md refers to names that exist."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAMES = sorted({name for row in ROWS for name in re.findall(r"`(gs_codec\.[\w.]+
 
 
 def found(name):
-    """The object of a dotted name: the longest module, then attributes."""
+    """The object of a dotted name: the longest module path, then attributes."""
     parts = name.split(".")
     for end in range(len(parts), 0, -1):
         try:

@@ -1,4 +1,4 @@
-"""Parts of a scene: what a box holds, SH up to a degree, and how much of a file that reads."""
+"""Parts of a scene: Gaussians in a box, SH up to a degree, and how much of a file is read."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_box_is_the_whole_masked(profile, box, degree):
 
 
 def needed(data: bytes, box: Sequence[float]) -> int:
-    """Bytes of what a scene has once, and of the blocks whose centres' box meets another."""
+    """Bytes of the scene-wide sections, and of the blocks whose box of centres overlaps the box."""
     file, positions = read_file(data), decode_scene(data).positions.T
     low, high = np.array(box[:3]), np.array(box[3:])
     total = file.header_size

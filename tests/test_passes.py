@@ -1,4 +1,4 @@
-"""Passes: symbols under tables of their own, contexts by what came before, and damaged ones."""
+"""Passes: symbols with their own tables, contexts from earlier symbols, and damaged passes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ NAMES = ("a", "b", "c")
 def _read_listed(
     words, ends, states, spans, slots, rows, bits, reached, contexts, cycle, rarely, values
 ):  # fmt: skip
-    """A pass whose contexts are known before it is read."""
+    """A pass whose contexts are known in advance."""
     for i in range(len(values)):
         stream = cycle[i % len(cycle)]
         if reached[0, stream] > ends[stream] or reached[1, stream] > 8 * (len(bits) - MORE_BITS):
@@ -77,12 +77,12 @@ def tables_of(*weights: np.ndarray) -> PassTables:
     return PassTables.pack([normalise(row.astype(np.int64), PRECISION) for row in weights])
 
 
-#: Tables of all tokens: even, and favouring small and large ones.
+#: Tables of all tokens: uniform, and favouring small or large ones.
 ANY = tables_of(np.ones(ALPHABET), np.arange(ALPHABET)[::-1] + 1, np.arange(ALPHABET) + 1)
 
 
 def made_pass(values, contexts=None, rows=None, streams=1) -> CodedPass:
-    """A pass whose symbols take turns among streams; under the first table by default."""
+    """A pass whose symbols alternate between streams; uses the first table by default."""
     contexts = np.zeros(len(values), np.uint16) if contexts is None else contexts
     rows = np.zeros(1, np.int64) if rows is None else rows
     data = PassData.of(values, contexts)
@@ -133,7 +133,7 @@ def test_token_1_is_zero_as_well():
 
 
 def random_passes(seed: int, sizes: list[int]) -> tuple[PassTables, list[CodedPass]]:
-    """Passes of tokens without raw bits, every symbol under a table of its own."""
+    """Passes of tokens without raw bits; each symbol has its own table."""
     rng = np.random.default_rng(seed)
     weights = []
     for _ in range(50):
@@ -289,7 +289,7 @@ def test_shapes_round_trip_seed15(count):
 
 
 def ac_levels(rng: np.random.Generator, coefficients: int, count: int) -> np.ndarray:
-    """Levels of SH-AC, most of them small, of some Gaussians all 0."""
+    """Levels of SH-AC, mostly small, and all 0 for some Gaussians."""
     levels = rng.laplace(0, 1.5, (3, coefficients, count)) * rng.integers(0, 3, count)
     levels[:, :, ::17] *= 100
     return levels.astype(np.int32)
@@ -353,7 +353,7 @@ def test_levels_are_mirrored_where_neighbours_are_negative():
     "values", [[-1], [3, 4, 1], [2, 3], [1, *[0] * 8], [5, *[0] * 8, 2], [5, *[0] * 8, 0]], ids=str
 )
 def test_levels_beyond_their_sum_are_refused(values):
-    # Of degree 1: the sum, then Y, Co, Cg of three coefficients; the last is a sign.
+    # Degree 1: the sum, then Y, Co, Cg of three coefficients; the last is a sign.
     made = made_pass(np.array(values + [0] * (10 - len(values))))
     states, sections = encode_passes([made], ANY)
     near = two_nearest(find_all_nearest(np.zeros((3, 1), np.int64)))
@@ -401,7 +401,7 @@ def test_colours_out_of_range_are_refused(sign):
 
 @pytest.mark.parametrize("weights", ["no raw bits", "raw bits"])
 def test_symbols_are_not_read_beyond_their_words(weights):
-    # The first slot is of token 2, or of one with 2 raw bits; all words are missing.
+    # The first slot has token 2, or one with 2 raw bits; all words are missing.
     first = 2 if weights == "no raw bits" else 32
     tables = tables_of(np.where(np.arange(ALPHABET) < first, 0, 1))
     nearest, none = find_all_nearest(np.ones((3, 700), np.int64)), np.zeros(700, np.int64)

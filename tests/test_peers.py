@@ -1,4 +1,4 @@
-"""Other codecs beside ours: what comes back, what is absent, and the bench's lines of both."""
+"""Other codecs: their results, missing ones, and bench lines of both."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def ply(tmp_path) -> Path:
 
 
 def stand_in(folder: Path) -> str:
-    """The stand-in for splat-transform, as a program."""
+    """The stand-in for splat-transform, as an executable."""
     path = folder / "splat-transform"
     path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -I -S "{STAND_IN}" "$@"\n')
     path.chmod(0o755)
@@ -115,7 +115,7 @@ def test_splat_transform_is_called_from_file_to_file(splat_peers, ply):
 
 
 def test_splat_transform_is_found(tmp_path, monkeypatch):
-    """By the variable, on PATH, and where `make peers` puts it."""
+    """By the environment variable, on PATH, and where `make peers` installs it."""
     for folder in ("variable", "path", "prefix/peers/node_modules/.bin", "empty"):
         (tmp_path / folder).mkdir(parents=True)
     monkeypatch.delenv(VARIABLE, raising=False)
@@ -180,7 +180,7 @@ def test_what_does_not_end_is_killed_with_all_that_it_started(ply, tmp_path, mon
     monkeypatch.setenv("SPLAT_STAND_IN", f"hang:{fifo}")
     with pytest.raises(ToolFailed, match="did not end in 1 s"):
         peer.encode(ply)
-    # It ends when nobody holds it.
+    # It ends when no process holds it open.
     assert select.select([reader], [], [], 300)[0]
     assert os.read(reader, 1) == b""
     os.close(reader)

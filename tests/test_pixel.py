@@ -1,4 +1,4 @@
-"""What a pixel is drawn of and what a Gaussian adds to a view: against the slow reference."""
+"""Contributions of Gaussians to a pixel and to a view, against the slow reference."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def camera(width: int = 40, height: int = 27) -> Camera:
 
 
 def scene(count: int, **changes) -> Scene:
-    """Larger Gaussians than those of `random_scene`, so that each pixel has many."""
+    """Larger Gaussians than in `random_scene`, so that each pixel has many."""
     made = random_scene(count, 1, seed=50)
     larger = (made.log_scale + 3).clip(max=0).astype(np.float32)
     return replace(made, log_scale=larger, **changes)
 
 
 def traced(seen: Scene, view: Camera, column: int, row: int) -> dict[int, float]:
-    """The weights of a pixel by the reference: every Gaussian, nearest first."""
+    """The weights of a pixel from the reference: every Gaussian, nearest first."""
     offsets = seen.positions.T.astype(np.float64) - view.position
     points, weights, left = offsets @ view.rotation.T, {}, 1.0
     here = np.array(column), np.array(row)

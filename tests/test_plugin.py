@@ -1,4 +1,4 @@
-"""What the plugin shows beside a window of Open3D, without a window."""
+"""The plugin's additions to an Open3D window, tested without a window."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_nearest_camera_is_near_and_looks_the_same_way():
         look_at(np.array(place, float), np.array(target, float))
         for place, target in (
             ((0, 0, -4), (0, 0, 0)),
-            ((0, 0, -4.1), (0, 0, -9)),  # here, but the other way
+            ((0, 0, -4.1), (0, 0, -9)),  # the same position, looking the other way
             ((3, 0, -4), (3, 0, 0)),
         )
     ]
@@ -67,7 +67,7 @@ def test_splats_are_drawn_by_graphics_cards_alone(monkeypatch):
     assert draws_splats("gpu")
     assert not draws_splats("cpu")
     monkeypatch.setattr("viewer.window.pane.rendering.MaterialRecord", object)
-    assert not draws_splats("gpu")  # an Open3D from before its splat shader
+    assert not draws_splats("gpu")  # a version of Open3D without a splat shader
 
 
 def test_the_shader_leaves_out_no_large_splat():

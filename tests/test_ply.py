@@ -1,4 +1,4 @@
-"""PLY files: every layout read bit-exactly, one layout written, bad files refused in one line."""
+"""PLY files: every layout is read bit-exactly, one is written, invalid files are rejected."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def inria_properties(sh_degree: int, normals: bool) -> list[str]:
 
 
 def write_rows(path: Path, rows: np.ndarray, comments: tuple[str, ...] = (), **options) -> Path:
-    """Write structured rows by plyfile alone, independently of `write_ply`."""
+    """Write structured rows with plyfile alone, independently of `write_ply`."""
     element = plyfile.PlyElement.describe(rows, "vertex")
     plyfile.PlyData([element], comments=list(comments), **options).write(str(path))
     return path
 
 
 def with_columns(rows: np.ndarray, columns: dict[str, np.ndarray]) -> np.ndarray:
-    """The rows with columns changed in type, or added at the end."""
+    """The rows with some columns of another type, or added at the end."""
     types = {name: rows.dtype[name] for name in rows.dtype.names}
     types |= {name: column.dtype for name, column in columns.items()}
     result = np.empty(len(rows), list(types.items()))
@@ -66,13 +66,13 @@ def with_columns(rows: np.ndarray, columns: dict[str, np.ndarray]) -> np.ndarray
 
 
 def random_bits(dtype: str, count: int, seed: int) -> np.ndarray:
-    """Values of every bit pattern: NaN payloads, infinities and denormals too."""
+    """Random bit patterns, including NaN payloads, infinities and denormals."""
     data = np.random.default_rng(seed).bytes(count * np.dtype(dtype).itemsize)
     return np.frombuffer(data, dtype)
 
 
 def nonfinite_scene(count: int, sh_degree: int, seed: int) -> Scene:
-    """Values of any bits, so that a copy through another type would show."""
+    """A scene of random bits, so that any conversion would show."""
     scene = random_scene(count, sh_degree, seed)
     planes = {
         group: random_bits("<f4", getattr(scene, group).size, seed + i).reshape(-1, count)
@@ -372,7 +372,7 @@ def test_types_no_ply_can_have_are_refused(dtype, tmp_path):
 
 
 def rewritten(old: str, new: str, form: str = "binary_little_endian"):
-    """A maker of files: a good PLY whose header has `new` for the first `old`."""
+    """Make files: a valid PLY with the first `old` in its header replaced by `new`."""
 
     def make(good: bytes) -> bytes:
         header, body = good.split(b"end_header\n")
@@ -384,7 +384,7 @@ def rewritten(old: str, new: str, form: str = "binary_little_endian"):
 
 
 def one_row(text: str) -> bytes:
-    """An ASCII file of one Gaussian, of degree 1."""
+    """An ASCII file with one Gaussian, of degree 1."""
     names = "".join(f"property float {name}\n" for name in inria_properties(1, False))
     return f"ply\nformat ascii 1.0\nelement vertex 1\n{names}end_header\n{text}".encode()
 
@@ -491,7 +491,7 @@ BAD_FILES = {
 
 
 def scalar_rows(scene: Scene, order: list[str]) -> np.ndarray:
-    """The trainer's rows with their properties in another order, or fewer."""
+    """The trainer's rows with properties reordered or removed."""
     rows = vertex_rows(scene)
     picked = np.empty(len(rows), [(name, "<f4") for name in order])
     for name in order:
@@ -499,7 +499,7 @@ def scalar_rows(scene: Scene, order: list[str]) -> np.ndarray:
     return picked
 
 
-#: Orders of properties that exporters write, for SH degree 1.
+#: Property orders of various exporters, for SH degree 1.
 DIALECTS = {
     "nerfstudio": inria_properties(1, True),
     "gsplat": inria_properties(1, False),
@@ -547,7 +547,7 @@ def test_colours_beside_sh_are_extra_properties_seed10(tmp_path):
 
 
 def with_elements(path: Path, scene: Scene, before: str, after: str, text: bool) -> Path:
-    """A file with other elements of five rows; those after have lists."""
+    """A file with additional elements of five rows; those after the Gaussians have lists."""
     write_rows(path, vertex_rows(scene), text=text)
     header, body = path.read_bytes().split(b"end_header\n")
     extra = header.replace(b"element vertex", before.encode() + b"element vertex")
@@ -594,7 +594,7 @@ def test_lists_before_the_gaussians_are_refused(tmp_path):
 
 
 class Counted(str):
-    """Text that counts how often it is compared."""
+    """A string that counts its comparisons."""
 
     comparisons = 0
     __hash__ = str.__hash__
@@ -724,7 +724,7 @@ def test_a_translation_comes_before_rounding(tmp_path, caplog):
 @pytest.mark.parametrize("system", ["RUB", "LFU"])
 @pytest.mark.parametrize("is_stated", [False, True], ids=["comment", "option"])
 def test_a_translation_of_other_axes_comes_before_rounding(system, is_stated, tmp_path, caplog):
-    """It is in the axes of the trainer, whatever those of the file are."""
+    """The translation is in the trainer's axes, whatever the axes of the file."""
     path, own = far_scene(tmp_path / "a.ply")
     text = path.read_bytes()
     comment = b"" if is_stated else f"comment CoordinateSystem: {system}\n".encode()

@@ -56,7 +56,7 @@ def scene() -> Scene:
 
 PAPER = Config("paper-m")
 
-#: Cameras that are not held out are fewer than are worked by, so views between them are, too.
+#: Fewer cameras than the guiding views, so views between them are added.
 BETWEEN = ["a to c", "a to d", "c to d"]
 
 
@@ -106,7 +106,7 @@ def test_labels_tell_why_each_gaussian_went(scene):
         left -= int(left * 0.02)
     assert report.removed["geometry"] == 320 - left
     assert report.removed["leave-one-out"] == left // 4
-    # The same, one step at a time.
+    # The same, step by step.
     stage, origin = scene, np.arange(400)
     for name, value in steps.items():
         stage, single = prepare_scene(stage, plan(**{name: value}))
@@ -162,7 +162,7 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     assert [c.name for c in targets.cameras] == ["c", "a", "d", *BETWEEN]
     np.testing.assert_array_equal(targets.images[0], read_image(tmp_path / "c.png"))
     expected = render(scene, CAMERAS[3].resized(24, 16)).colour
-    # Drawn in float32: a pixel may be on the other side of the least alpha.
+    # Rendered in float32: a pixel may be on the other side of the alpha threshold.
     assert np.abs(targets.images[2] - expected).mean() < 1e-5
     views = choose_views(scene, replace(chosen, gt_images=None))
     assert [c.name for c in views.targets.cameras] == ["a", "c", "d", *BETWEEN]
@@ -209,7 +209,7 @@ def test_drop_of_photographs_and_of_own_renders(scene):
     real = replace(own, photographs=True)
     assert real.drop(2e-3, 1e-3) == pytest.approx(10 * np.log10(2))
     views = np.array([2e-3, 8e-3]), np.array([1e-3, 1e-3])
-    assert real.drop(*views) == pytest.approx(10 * np.log10(4))  # the mean of decibels
+    assert real.drop(*views) == pytest.approx(10 * np.log10(4))  # the mean is over decibels
 
 
 def test_rectification_moves_what_is_beyond_its_range(scene):
@@ -231,7 +231,7 @@ def test_rectification_moves_what_is_beyond_its_range(scene):
 
 @pytest.mark.parametrize("scales", [2.0, 7.5])
 def test_rectification_is_what_coding_does(scene, scales):
-    """A scene that is rectified is coded as one that the encoder rectifies."""
+    """Rectifying a scene first gives the same result as rectifying in the encoder."""
     config = replace(PAPER, laplace_scales=scales)
     coded = decode_scene(encode_scene(scene, config)[0])
     limits = np.abs(coded.f_rest).max(axis=1)
@@ -540,7 +540,7 @@ def test_number_of_gaussians(folder):
 
     for number, left in ((150, 150), (400, 400), (1000, 400)):
         assert encoded(Steps(gaussians=number)) == left
-    # Refinement then chooses no other number.
+    # Refinement then does not choose another number.
     assert encoded(Steps(gaussians=390, refine=5)) == 390
     with pytest.raises(InvalidInput, match="gaussians and prune both set"):
         Steps(prune=0, gaussians=5)

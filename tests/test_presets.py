@@ -1,4 +1,4 @@
-"""The preset `entropygs` is the paper's pipeline, by each way to ask for it; and its tables."""
+"""The preset `entropygs` is the paper's pipeline, in every interface; and its tables."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_percentages_are_those_of_the_papers_sizes():
 
 
 def test_the_width_gives_a_laplace_distribution_the_papers_entropy():
-    """Of 4 bits over that many scales on either side."""
+    """With 4 bits over this many scales on either side."""
     scales = PRESET.config.laplace_scales
     assert scales == PRESET.steps.rectify
     values = np.random.default_rng(0).laplace(0, 0.1, (9, 200_000)).astype(np.float32)
@@ -94,7 +94,7 @@ def test_the_command_is_the_library(folder, monkeypatch):
     plan = Plan(replace(PRESET.steps, refine=4), "cameras.json")
     encode_file("scene.ply", "b.egs", PRESET.config, plan)
     assert Path("a.egs").read_bytes() == Path("b.egs").read_bytes()
-    # As it is, or with cameras alone, the scene has other bytes.
+    # Unprepared, or with cameras only, the file has different bytes.
     encode_file("scene.ply", "c.egs", PRESET.config)
     assert Path("a.egs").read_bytes() != Path("c.egs").read_bytes()
     result = run("prepare", "scene.ply", "d.egs", "--preset", "entropygs", *views)
@@ -172,7 +172,7 @@ def test_a_rule_needs_something_to_prune():
 
 @pytest.fixture(scope="module")
 def reproduced(still_life, tmp_path_factory):
-    """The folder of a run, and what it printed."""
+    """The folder of a run, and its output."""
     folder = tmp_path_factory.mktemp("paper")
     write_ply(folder / "still.ply", still_life)
     (folder / "cameras.json").write_text(json.dumps(orbit_cameras(6, 40, 30)))

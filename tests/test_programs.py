@@ -1,4 +1,4 @@
-"""Other programs read the files that we write, and see the Gaussians that our reader sees."""
+"""Other programs read our files, and get the same Gaussians as our reader."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz", "v4.s
 
 
 def wide(scene: Scene) -> Scene:
-    """The scene with values beyond what formats hold, many of them."""
+    """The scene with many values outside the range of formats."""
     rng = np.random.default_rng(3)
 
     def spread(plane: np.ndarray, by: float) -> np.ndarray:
@@ -56,7 +56,7 @@ def scenes() -> dict[str, Scene]:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> dict[str, list[Path]]:
-    """Each scene in each format, by the format."""
+    """Each scene in each format, by format."""
     folder = tmp_path_factory.mktemp("written")
     made: dict[str, list[Path]] = {name: [] for name in FORMATS}
     for name, scene in scenes().items():
@@ -91,7 +91,7 @@ def test_a_program_sees_what_our_reader_sees(program, form, request):
         pytest.skip(f"{program}: not installed ('make peers'), {error}")
     paths = request.getfixturevalue("files")[form]
     for path, theirs in zip(paths, of.read(paths), strict=True):
-        print(path)  # shown if it fails
+        print(path)  # shown on failure
         check(theirs, stored_numbers(path), form, of.exact)
 
 
@@ -114,8 +114,8 @@ def test_the_validator_of_gltf_finds_nothing_but_an_unknown_extension(form, requ
             assert "KHR_gaussian_splatting" in issue["message"] + issue["pointer"], issue
 
 
-#: Actions as they are typed for splat-transform, which turns a PLY to left, up, forward first, and
-#: for `convert`, which does not: x and y have other signs.
+#: Actions as typed for splat-transform, which first converts a PLY to left, up, forward, and for
+#: `convert`, which does not: x and y have opposite signs.
 SAME_JOBS = {
     "crop box": ("--filter-box=-0.5,-1,-1,1,0.7,0.5", "--crop-box=-1,-0.7,-1,0.5,1,0.5"),
     "crop sphere": ("--filter-sphere=0.1,0.2,0,1", "--crop-sphere=-0.1,-0.2,0,1"),
@@ -140,7 +140,7 @@ def splat_transform() -> str:
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("job", [*SAME_JOBS, "merge"])
 def test_splat_transform_does_the_same_job(splat_transform, job, degree, tmp_path):
-    """Equal but for roundings of float32."""
+    """Equal, up to float32 rounding."""
     names = [tmp_path / f"{i}.ply" for i in range(2)]
     for i, path in enumerate(names):
         write_ply(path, random_scene(900 - 400 * i, degree, seed=degree + 9 * i))
@@ -155,7 +155,7 @@ def test_splat_transform_does_the_same_job(splat_transform, job, degree, tmp_pat
     for group in GROUPS:
         one, other = getattr(expected, group), getattr(found, group)
         if group == "rot":
-            # It writes them at norm 1; a quaternion and its negative are one rotation.
+            # It writes unit quaternions; a quaternion and its negative are the same rotation.
             one, other = unit_quaternions(one), unit_quaternions(other)
             other = other * np.copysign(1, (one * other).sum(axis=0))
         np.testing.assert_allclose(other, one, rtol=2e-6, atol=4e-6, err_msg=group)

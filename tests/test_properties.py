@@ -1,4 +1,4 @@
-"""What holds for every scene in every profile, by examples of hypothesis, the same each time."""
+"""Properties of every scene in every profile, tested with fixed hypothesis examples."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PATTERNS = st.integers(0, (1 << 32) - 1)
 
 @st.composite
 def scenes(draw: st.DrawFn, values: st.SearchStrategy = FLOATS, most: int = 40) -> Scene:
-    """A few Gaussians like a scene's, some repeated, some of their numbers anything."""
+    """A few Gaussians like those of a scene, some repeated, some with arbitrary values."""
     count = draw(st.integers(0, most))
     scene = random_scene(count, draw(st.integers(0, 3)), seed=draw(st.integers(0, 1 << 16)))
     if count and draw(st.booleans()):
@@ -160,7 +160,7 @@ def test_inspect_tells_the_truth(scene, profile):
 
 @given(scene=scenes(most=12), profile=st.sampled_from(PROFILE_CHOICES))
 def test_the_decoder_of_the_specification_agrees(scene, profile):
-    """It is written from FORMAT.md alone."""
+    """That decoder is written only from FORMAT.md."""
     data, _ = encode_scene(scene, config_of(profile))
     decoded, values = decode_scene(data, 1), reference_decode(data)["values"]
     rows = {f"f_rest_{i}": row for i, row in enumerate(decoded.f_rest)}

@@ -1,4 +1,4 @@
-"""Pruning: exact numbers, deterministic ties, scores against brute force, limits of the loss."""
+"""Pruning: exact numbers, deterministic ties, scores against brute force, loss limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What type checkers see of the public names, which are loaded when first used."""
+"""Type checkers find the types of public names, which are loaded on first use."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gs_codec import edit
 
 CLOUD = "open3d.pybind.t.geometry.PointCloud"
 
-#: A user's lines, with how the type of what each makes begins.
+#: Lines of user code, with the beginning of each result's type.
 LINES = [
     ('cloud = gs_codec.read(Path("scene.ply"))', CLOUD),
     ('colours = cloud.point["f_dc"]', "open3d.pybind.core.Tensor"),

@@ -1,4 +1,4 @@
-"""Files that publish the project elsewhere are valid, and say what pyproject.toml says."""
+"""Files that publish the project are valid, and consistent with pyproject.toml."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROJECT = (ROOT / "pyproject.toml").read_text()
 
 
 def recipes():
-    """The script that fills recipes."""
+    """The script that fills in the recipes."""
     spec = importlib.util.spec_from_file_location("recipes", ROOT / ".ci" / "recipes.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -29,7 +29,7 @@ def recipes():
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> Path:
-    """A folder of what is published, of which the source distribution is a stand-in."""
+    """A folder of published files, with a stand-in for the source distribution."""
     folder = tmp_path_factory.mktemp("dist")
     (folder / f"gs_codec-{gs_codec.__version__}.tar.gz").write_bytes(b"sources")
     recipes().main(folder)

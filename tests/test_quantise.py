@@ -1,4 +1,4 @@
-"""Quantisers: errors within half a step, exact extremes, no trap in the arithmetic."""
+"""Quantisers: errors within half a step, exact extremes, no arithmetic traps."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_constant_channels_have_no_symbols(values):
 
 @pytest.mark.parametrize("depth", [1, 2, 3, 4, 5, 8])
 def test_centred_quantiser_rectifies_and_stays_within_half_a_step(depth):
-    # Heavier tails than Laplace's, so that every depth has something to cut off.
+    # Heavier tails than a Laplace distribution, so that every depth clips some values.
     tails = np.random.default_rng([50, depth]).standard_t(1.5, 4001)
     values = (0.1 + 0.05 * tails).astype(np.float32)
     quantiser, scale = fit_centred(values, depth)

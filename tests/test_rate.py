@@ -1,4 +1,4 @@
-"""Rate control: targets are met, refused where out of reach, and the same each time."""
+"""Rate control: targets are met, rejected if out of reach, and reproducible."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_search_ends_below_a_jump(start):
 
 
 def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
-    """As what few Gaussians lose is: a step more or less may round all of them otherwise."""
+    """Such as the loss of few Gaussians: a slightly different step may change all of them."""
 
     def met(seed: int) -> bool:
         factors = np.random.default_rng(seed).uniform(0.9, 1.1, 40_000)
@@ -280,7 +280,7 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
     target = RateTarget(psnr_drop=0.1)
     without = encode_to_target(scene, scene, 1, Config("m"), target, plan)[1].rate
     data, report = encode_to_target(scene, scene, 1, Config("m"), target, by_photographs)
-    # Noise of 20 dB hides more than the 30 dB that are taken for granted without photographs.
+    # Noise of 20 dB hides more than the 30 dB assumed without photographs.
     assert report.rate.coarseness > 1.5 * without.coarseness
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
     compared = compare_views(scene, decode_scene(data), held_out, truth=tmp_path, device="cpu")
@@ -293,7 +293,7 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
 
 @pytest.fixture(scope="module")
 def crowded() -> tuple[Scene, Plan]:
-    """A scene of which a third is hardly seen."""
+    """A scene of which a third is hardly visible."""
     made = generate(1200, 1, 6)
     opacity = made.opacity.copy()
     opacity[:, ::3] = -5.0
@@ -324,7 +324,7 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
         target = RateTarget(psnr_drop=1.0, allow_prune=allowed)
         data, _ = encode_to_target(scene, scene, 1, Config("m"), target, plan)
         loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
-        assert 0.8 <= loss <= 1.0  # few views have jumps
+        assert 0.8 <= loss <= 1.0  # few views make the loss jump
         sizes.append(len(data))
     assert sizes[1] < 0.97 * sizes[0]
 
@@ -343,7 +343,7 @@ def test_pruning_reaches_what_steps_do_not(crowded):
         data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
     assert 8 * len(data) <= 14 * scene.count
     assert report.rate.pruned > 0
-    # Those that were too large too; the others choose colours alone.
+    # Includes files that were too large; the other encodings only choose colours.
     assert report.rate.encodings >= len(counted) > 20
 
 
@@ -479,7 +479,7 @@ def test_python_refuses_what_is_no_target(scene, target):
 
 
 def test_a_target_in_whole_views_and_a_loss_of_crops_are_told_apart(capsys):
-    """The loss of crops of the smallest Gaussians may be larger than that of whole views."""
+    """The loss in crops of the smallest Gaussians may exceed that in whole views."""
     _, report = encode_scene(generate(100, 0, 1), Config())
     rendered = RenderedLoss(44.1, 0.17, 0.38, 64, "likely")
     _print_report(Path("a.egs"), replace(report, rendered=rendered), Config())

@@ -1,4 +1,4 @@
-"""What the documents tell people to type works, and their links lead somewhere."""
+"""The commands and code in the documents work, and their links are valid."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, few_cameras):
-    """A folder that holds a scene.ply, as the documents assume."""
+    """A folder with the scene.ply that the documents assume."""
     write_ply(tmp_path / "scene.ply", generate(1100, 1, 80))
     monkeypatch.chdir(tmp_path)
-    # SOG takes minutes where its program is installed.
+    # SOG takes minutes if its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
-    # Pictures have no pixels, which tests of reports draw.
+    # Plots without pixels; other tests render them.
     monkeypatch.setattr(plots, "png_of", lambda plot, *args: plot(*args) and b"")
     return tmp_path
 
@@ -84,7 +84,7 @@ def test_the_other_figures_are_those_of_the_committed_run():
     for codec, how in (("m", " smaller in a second"), ("m, camera-guided", " in half a minute")):
         ratios = [line["ratio"] for line in lines if line["codec"] == codec]
         assert f"{span(ratios)} times{how}" in first_screen
-    # Those of the table.
+    # The targets in the table.
     targets = {int(x["codec"][3:].split("x")[0]) for x in lines if "x refined" in x["codec"]} - {35}
     assert f"{span(targets)} times in minutes of refinement" in first_screen
     (before,) = {f"{x['truth']['psnr']:.2f}" for x in lines if x.get("truth")}
@@ -111,7 +111,7 @@ def test_python_example_runs(folder, capsys):
 
 
 def heading_anchors(path: Path) -> set[str]:
-    """The anchors GitHub gives to the headings of a document."""
+    """The anchors that GitHub gives to the headings of a document."""
     headings = re.findall(r"^#+ (.*)$", path.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -179,7 +179,7 @@ def test_documents_are_linked():
 
 
 def test_commands_have_options_that_exist():
-    """Those of the results take hours; here it is the names alone, in all documents."""
+    """The commands of the results take hours, so only their option names are checked."""
     lines = [
         line
         for name in DOCUMENTS

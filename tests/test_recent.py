@@ -1,4 +1,4 @@
-"""The list of files that were opened last."""
+"""The list of recently opened files."""
 
 from __future__ import annotations
 

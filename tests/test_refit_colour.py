@@ -1,4 +1,4 @@
-"""Refitting colours: the operator and its transpose, conjugate gradients, recovery, edges."""
+"""Refitting colours: the operator and its transpose, conjugate gradients, recovery, edge cases."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_part_of_the_tiles_counts_where_not_all_can_be_kept(monkeypatch, every):
 
 
 def test_more_fragments_than_first_room_for():
-    """Many faint Gaussians over whole tiles: their weights outgrow the first arrays."""
+    """Many faint Gaussians over whole tiles: their weights outgrow the initial buffers."""
     scene = visible_scene(400, 7, sh_degree=0)
     scene = replace(
         scene,
@@ -172,7 +172,7 @@ def test_more_fragments_than_first_room_for():
     )
     cameras = orbit(1)
     operator = ImageOperator(scene, references(cameras, images(scene, cameras)))
-    # Weights of 16 bits: 87 dB.
+    # 16-bit weights: 87 dB.
     assert errors(operator, coefficients_of(scene).astype(np.float64)) < 1e-5
 
 

@@ -25,7 +25,7 @@ SUMS = ("weight", "squared_weight", "transmittance", "pixels")
 
 
 def looking_along(direction, width=16, height=16) -> Camera:
-    """A camera three units before the origin, seen in `direction`."""
+    """A camera three units in front of the origin, along `direction`."""
     forward = np.array(direction) / np.linalg.norm(direction)
     right = np.cross(np.roll(forward, 1) + np.array([0.1, 0.2, 0.3]), forward)
     right /= np.linalg.norm(right)
@@ -40,7 +40,7 @@ def looking_along(direction, width=16, height=16) -> Camera:
 
 
 def assert_matches(scene: Scene, camera: Camera, background=TEAL, antialiased=False):
-    """Renders both ways; colours within `TOLERANCE` of the brightest, depth of itself."""
+    """Render with both; colours within `TOLERANCE` of the brightest, depth of itself."""
     result = render(scene, camera, background, antialiased=antialiased, accumulate=True)
     expected = render_reference(scene, camera, background, antialiased)
     decided = ~expected.undecided
@@ -57,7 +57,7 @@ def assert_matches(scene: Scene, camera: Camera, background=TEAL, antialiased=Fa
 
 
 def assert_same_sums(result, expected) -> None:
-    """Accumulations of the Gaussians that no undecided pixel touched."""
+    """Compare accumulations of the Gaussians not touching undecided pixels."""
     sure = ~expected.affected
     sums = result.accumulations
     np.testing.assert_array_equal(sums.pixels[sure], expected.pixels[sure])
@@ -68,7 +68,7 @@ def assert_same_sums(result, expected) -> None:
 
 
 def assert_identical(first, second) -> None:
-    """The same bits in everything that was rendered."""
+    """Everything rendered has the same bits."""
     for name in ("colour", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name), name)
     for name in SUMS:
@@ -160,7 +160,7 @@ def columns(rows) -> np.ndarray:
 
 
 def distance_edges() -> dict[str, Edge]:
-    """Gaussians nearer, farther and farther outside than a camera expects."""
+    """Gaussians nearer, farther and farther outside than cameras expect."""
     after, before = np.float32(0.2), np.float32(0.2)
     for _ in range(2):
         after, before = np.nextafter(after, np.float32(1)), np.nextafter(before, np.float32(0))
@@ -212,7 +212,7 @@ def shape_edges() -> dict[str, Edge]:
 
 
 def value_edges() -> dict[str, Edge]:
-    """Attributes at the limits of what they can be, and Gaussians on top of each other."""
+    """Attributes at their limits, and coincident Gaussians."""
     row = [(0.25 * i - 0.8, 0.05 * i, 3 + 0.1 * i) for i in range(7)]
     turn, long = np.array([0.3, -0.5, 0.7, 0.2]), [[-1.0], [-2.5], [-3.5]]
     quaternions = [0 * turn, -0 * turn, 1e-30 * turn, 2e-44 * turn, 4e38 * turn, 7 * turn, -turn]
@@ -448,7 +448,7 @@ def test_planes_need_not_be_contiguous():
             for ours, same in zip(found, project(scene, camera, True, start, stop), strict=True):
                 np.testing.assert_array_equal(ours, same)
         compiled.add(len(_project.signatures))
-    assert len(compiled) == 1  # none but for those that are strided
+    assert len(compiled) == 1  # none except for strided arrays
 
 
 @pytest.mark.parametrize("seed", [30, 31])
@@ -494,7 +494,7 @@ def test_a_splat_on_the_axis_is_a_round_gaussian(sigma):
 
 
 def test_a_splat_ends_with_the_blocks_of_three_sigmas():
-    # The box is 3 +- 60 pixels: it ends with block 3, where exp(-61^2 / 2 / 399) is not yet small.
+    # The box is 3 +- 60 pixels: it ends at block 3, where exp(-61^2 / 2 / 399) is not yet small.
     camera = straight(96, 16, fx=100.0, fy=100.0, cx=3.5)
     scene = splats([(0, 0, 1)], opacity=9.0, log_scale=np.log(np.sqrt(399 - 0.3) / 100))
     alpha = render(scene, camera).alpha[8]

@@ -1,4 +1,4 @@
-"""SH-AC rounded by what views see of it."""
+"""Rounding of SH-AC based on views."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ERROR = 1e-9
 
 
 def cameras(count: int, spread: float, seed: int = 0) -> list[Camera]:
-    """Cameras far away, within a cone: of a spread of 3, all around."""
+    """Distant cameras within a cone; a spread of 3 covers all directions."""
     rng = np.random.default_rng(seed)
     aside = spread * rng.normal(size=(count, 3)) + [0, 0, 1]
     places = 50 * aside / np.linalg.norm(aside, axis=1)[:, None]
@@ -38,7 +38,7 @@ def colours(scene: Scene, seen: list[Camera]) -> np.ndarray:
 
 
 def nearest(scene: Scene, steps: np.ndarray) -> Scene:
-    """Each SH-AC rounded to its nearest level by itself."""
+    """Round each SH-AC separately to its nearest level."""
     sh = coefficients_of(scene)
     bands = np.repeat([0, 1, 2], [3, 5, 7])[: sh.shape[2] - 1]
     size = steps[bands].T[:, None]
@@ -62,7 +62,7 @@ def test_views_see_less_than_of_the_nearest_levels(made, spread):
     told, plain = colours(rounded, seen), colours(nearest(scene, steps), seen)
     wanted = colours(scene, seen)
     assert np.mean((told - wanted) ** 2) < 0.75 * np.mean((plain - wanted) ** 2)
-    # Elsewhere errors grow a little at most.
+    # In other directions, errors grow only a little.
     around = cameras(60, 3.0, seed=1)
     told, plain = colours(rounded, around), colours(nearest(scene, steps), around)
     wanted = colours(scene, around)

@@ -1,4 +1,4 @@
-"""The generated scene: reproducible, of the size asked for, and distributed as promised."""
+"""The generated scene: reproducible, of the requested size, with the documented distribution."""
 
 import hashlib
 import json
@@ -108,7 +108,7 @@ def test_splats_on_the_sphere_lie_flat(scene: Scene) -> None:
     assert len(on) > 500
     assert np.quantile(cosine, 0.02) > 0.99
     assert np.mean(values[:, 0] < 0.25 * values[:, 1]) > 0.9
-    # Each of the three axes serves as the thin one, so that all its rotations are seen.
+    # Each of the three axes is the thin one somewhere, so that all rotations are visible.
     assert set(scene.log_scale[:, on].argmin(axis=0)) == {0, 1, 2}
 
 

@@ -29,7 +29,7 @@ ROWS = {
     "colour": range(10, 11),
 }
 
-#: Sensitivity to positions is without what these do to the shape of a splat.
+#: Sensitivity to positions ignores their effect on the shape of a splat.
 TOLERANCE = {"positions": 0.03, "log_scale": 1e-5, "rot": 1e-5, "opacity": 1e-5, "colour": 1e-5}
 
 
@@ -41,7 +41,7 @@ def images(planes: SimpleNamespace, cameras, antialiased: bool) -> np.ndarray:
 
 
 def moved(scene: Scene, change: np.ndarray, channel: int = 0) -> SimpleNamespace:
-    """The scene in double precision, changed by rows ``(11, N)`` as in `ROWS`."""
+    """The scene in float64, changed by rows ``(11, N)`` as in `ROWS`."""
     planes = {group: getattr(scene, group).astype(np.float64) for group in GROUPS}
     planes["positions"] += change[:3]
     planes["log_scale"] += change[3:6]
@@ -52,7 +52,7 @@ def moved(scene: Scene, change: np.ndarray, channel: int = 0) -> SimpleNamespace
 
 
 def turn(rot: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Quaternions ``(4, N)`` turned by vectors ``(3, N)`` of their own axes, radians."""
+    """Quaternions ``(4, N)`` rotated by vectors ``(3, N)`` about their own axes, in radians."""
     a, x = rot[0], rot[1:]
     half = np.sqrt((angles**2).sum(axis=0)) / 2
     b, y = np.cos(half), angles / 2 * np.sinc(half / np.pi)
@@ -60,12 +60,12 @@ def turn(rot: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 
 def references(cameras, background=(0.0, 0.0, 0.0)) -> ReferenceViews:
-    """Views whose images nobody looks at."""
+    """Views whose images are not used."""
     return ReferenceViews(tuple(cameras), (), False, background)
 
 
 def summed(scene, cameras, background=(0.0, 0.0, 0.0), progress=None) -> Sensitivity:
-    """What all views together tell."""
+    """Sensitivity over all views."""
     return sensitivity(scene, references(cameras, background), progress)[0]
 
 
@@ -76,9 +76,9 @@ def rows_of(found: Sensitivity) -> np.ndarray:
 
 
 def differences(scene: Scene, cameras, antialiased: bool) -> np.ndarray:
-    """What `rows_of` should be but for means, Gaussian by Gaussian.
+    """Expected `rows_of`, before averaging, Gaussian by Gaussian.
 
-    A step that takes a pixel over a threshold adds to it, so of two the lesser is taken.
+    A step that moves a pixel across a threshold adds to it, so the smaller of two is used.
     """
     expected = np.full((11, scene.count), np.inf)
     for place in np.ndindex(expected.shape):
@@ -106,7 +106,7 @@ def assert_differences(scene: Scene, cameras, antialiased: bool) -> None:
 
 
 def cloud(seed: int, count: int, size: float = -2.0) -> Scene:
-    """Gaussians before `CAMERAS` that overlap, with colours that are never clamped."""
+    """Overlapping Gaussians in front of `CAMERAS`, with colours that are never clamped."""
     rng = np.random.default_rng(seed)
     return splats(
         rng.normal(scale=0.5, size=(count, 3)),
@@ -160,7 +160,7 @@ def test_a_gaussian_outside_the_image():
     found = rows_of(summed(outside, [camera], TEAL))
     expected = differences(outside, [camera], False)
     assert expected[:9].all()
-    # The Jacobian of its shape is that of the edge, the one of its centre is its own.
+    # The Jacobian of its shape is that at the edge, that of its centre is its own.
     assert found[0, 0] == pytest.approx(expected[:3].mean(), rel=0.2)
     np.testing.assert_allclose(found[3:9], expected[3:9], rtol=1e-5)
 
@@ -176,7 +176,7 @@ def test_a_gaussian_of_the_background_s_colour_may_have_any_opacity():
     places = [(0, 0, 0.2 * i) for i in range(9)]
     scene = splats(places, f_dc=1.0, opacity=4.0, log_scale=1.0)
     found = summed(scene, CAMERAS, (0.5 + SH_C0,) * 3)
-    # The square of what float32 rounds.
+    # The square of float32 rounding errors.
     assert found.opacity.max() < 1e-12
     assert found.colour[:2].all()
 

@@ -1,4 +1,4 @@
-"""``gs-viewer --web``: a page for this machine alone."""
+"""``gs-viewer --web``: a page that only this machine can open."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def page() -> Iterator[Page]:
 
 
 def answer(page: Page, path: str, method: str = "GET", host: str | None = None) -> tuple:
-    """Status and body that the server answers."""
+    """Status and body of the server's response."""
     connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
     name = f"127.0.0.1:{page.server_port}" if host is None else host
     connection.request(method, path, headers={"Host": name})
@@ -61,7 +61,7 @@ def test_it_answers_who_knows_the_address(page):
     assert answer(page, root) == (200, b"page")
     assert answer(page, f"{root}a%20b.egs") == (200, b"scene")
     assert answer(page, root, "HEAD") == (200, b"")
-    assert answer(page, root, host="localhost:9000") == (200, b"page")  # by ssh -L
+    assert answer(page, root, host="localhost:9000") == (200, b"page")  # through ssh -L
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_silent_connections_are_few_and_end(page, monkeypatch):
     silent = [
         socket.create_connection((page.server_address[0], page.server_port)) for _ in range(90)
     ]
-    for connection in silent:  # each is closed: at once if there are too many, or as it is silent
+    for connection in silent:  # closed at once if too many, else after a timeout
         connection.settimeout(60)
         with suppress(ConnectionError):
             assert connection.recv(1) == b""

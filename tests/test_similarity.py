@@ -1,4 +1,4 @@
-"""Scenes turned, mirrored, scaled and shifted: how they look, and which bits stay."""
+"""Rotated, mirrored, scaled and translated scenes: appearance, and unchanged bits."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_views_of_a_moved_scene_from_moved_cameras_are_the_same(mirrored):
     scene = random_scene(400, 3, seed=2)
     turn, factor, shift = some_turn(5, mirrored), 2.0, np.array([3.0, 1.0, -2.0])
     here = Camera("here", 60, 40, 50.0, 50.0, 28.0, 20.0, np.eye(3), np.array([0.2, 0.1, -5.0]))
-    # An image is mirrored about its upright axis.
+    # An image is mirrored about its vertical axis.
     flip = np.diag([-1.0 if mirrored else 1.0, 1, 1])
     there = replace(
         here,

@@ -1,4 +1,4 @@
-"""What `inspect` says takes no bits: absent, constant or zero parts, and models that do not pay."""
+"""What `inspect` reports as taking no bits: absent, constant or zero parts, and unused models."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAPERS = ("paper-l", "paper-m", "paper-s")
 
 
 def skipped(scene, profile, guide=None, **options):
-    """The lines of a scene, that of the classes apart, which is in all that no views see."""
+    """The lines on a scene, without that on classes, which every camera-free file has."""
     lines = inspect_bytes(encode_by(scene, Config(profile, **options), guide)).skipped
     if profile in LATTICES and guide is None and scene.count:
         assert CLASSES in lines
@@ -37,7 +37,7 @@ def with_rows(group, rows, value=0.0):
 
 
 def band_rows(*bands):
-    """Rows of f_rest of whole bands."""
+    """Rows of f_rest for whole bands."""
     spans = {1: range(3), 2: range(3, 8), 3: range(8, 15)}
     return [15 * colour + k for colour in range(3) for band in bands for k in spans[band]]
 
@@ -130,7 +130,7 @@ def test_one_table_for_all_contexts_is_told():
     told = next(line for line in info.skipped if line.endswith(end)).removesuffix(end).split(", ")
     for item in info.passes[1:]:
         assert (item.name in told or item.stream in told) == (item.tables == 1), item.name
-    # Without views there is nothing that steps of opacity could go by, so no context to choose.
+    # Without cameras, steps of opacity depend on nothing, so there is no context to choose.
     info = inspect_bytes(encode_scene(BASE, Config("m"))[0])
     assert [p.tables for p in info.passes if p.name == "opacity"] == [1]
     assert info.skipped == (CLASSES,)

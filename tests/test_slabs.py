@@ -1,4 +1,4 @@
-"""Files decoded slab by slab give what they give as a whole; `verify` finds what is damaged."""
+"""Decoding slab by slab equals decoding at once; `verify` detects damage."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_verify_finds_damage_in_every_section(encoded, run_codec):
 
 
 def test_verify_decodes(encoded):
-    """What checksums do not tell: a block whose bytes are right, but not those of a block."""
+    """Not detected by checksums: a block whose bytes are intact but invalid."""
     file = read_file(encoded.read_bytes())
     sections = []
     for (i, block), content in file.sections.items():
@@ -160,7 +160,7 @@ SEEN = Camera("seen", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0.0, 
     "part", [Part(), Part(level=1), Part(view=SEEN)], ids=["whole", "level", "view"]
 )
 def test_sections_of_a_file_are_checked_and_not_held(part, in_levels):
-    with slabs.opened_slabs(in_levels, part) as opened:  # what is parsed once
+    with slabs.opened_slabs(in_levels, part) as opened:  # sections that are parsed once
         list(opened.scenes())
     tracemalloc.start()
     try:
@@ -179,7 +179,7 @@ def _write_over(path):
 
 
 def _write_over_unseen(path):
-    """The same, within the resolution of the file's time."""
+    """The same, within the resolution of the file's modification time."""
     status = path.stat()
     _write_over(path)
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))

@@ -1,4 +1,4 @@
-"""SOG scenes written: files as specified, values as near as asked, a palette as large as pays."""
+"""SOG writer: specification, wanted steps, and palettes as large as pays off."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def test_steps_make_a_file_smaller_and_bound_its_errors(tmp_path):
         if step:
             for name in ("f_dc", "log_scale", "positions"):
                 error = getattr(back, name) - getattr(ordered, name)
-                # A uniform quantiser has 1/12, and a bit more for what it saves in bits.
+                # A uniform quantiser has 1/12; the rest trades error for bits.
                 assert (error**2).mean() < 0.2 * step**2, name
     assert sizes[0] > 1.1 * sizes[1] > 1.2 * sizes[2]
 
@@ -204,7 +204,7 @@ def palette_error(f_rest: np.ndarray, palette) -> float:
 
 
 def test_a_palette_is_as_good_as_that_of_lloyd(monkeypatch):
-    """At as many rows, 10 rounds of Lloyd from random rows have no smaller error."""
+    """With the same number of rows, 10 rounds of Lloyd from random rows have no smaller error."""
     rng = np.random.default_rng(4)
     groups = rng.normal(0, 0.3, (300, 24))
     vectors = (groups[rng.integers(0, 300, 4000)] + rng.normal(0, 0.05, (4000, 24))).astype("f4")
@@ -258,7 +258,7 @@ def test_absurd_sh_are_clipped_and_counted(tmp_path):
 
 
 def test_cells_are_split_while_that_pays():
-    """Two clusters far apart are two cells, and their noise below a step is not split."""
+    """Two distant clusters get two cells; their noise, below a step, is not split."""
     rng = np.random.default_rng(1)
     vectors = np.repeat([[0.0, 0.0], [10.0, 4.0]], 500, axis=0) + rng.normal(0, 0.1, (1000, 2))
     cells = split_cells(vectors.astype(np.float32), np.ones(1000), 100)

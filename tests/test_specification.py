@@ -1,4 +1,4 @@
-"""Numbers and tables that FORMAT.md prints are those of the code."""
+"""Numbers and tables in FORMAT.md equal those of the code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TEXT = (Path(egs.__file__).parent / "FORMAT.md").read_text()
 
 
 def rows(heading: str) -> list[list[str]]:
-    """Cells of the tables of a section, and of those below it."""
+    """Cells of the tables of a section, including its subsections."""
     part = re.split(r"^#+ ", TEXT.split(f"# {heading}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
     return [
         [cell.strip() for cell in line.strip("|").split("|")]

@@ -1,4 +1,4 @@
-"""Ugly numbers: errors stay within what a profile's steps promise."""
+"""Extreme values: errors stay within the bounds of a profile's steps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config, Models
 from gs_codec.scene import GROUPS
 
-#: Gaussians of a case, and copies of one: here, and with --rounds 2 or more.
+#: Gaussians of a case, and copies of one: by default, and with --rounds 2 or more.
 COUNT, COPIES = 300, 3000
 LARGE = (2000, 1_000_000)
 CASES = dict(stress_scenes(COUNT, COPIES))
@@ -38,7 +38,7 @@ def test_errors_are_within_bounds(profile, pytestconfig):
 
 
 def test_the_measure_sees_what_is_wrong():
-    """A scene that is not what was encoded is out of bounds in each profile."""
+    """A scene that is not the encoded one exceeds the bounds in each profile."""
     scene = random_scene(200, 1, seed=80)
     for profile in PROFILE_CHOICES:
         config = Config(profile)
@@ -66,7 +66,7 @@ def test_what_is_said_of_them_is_numbers(case):
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_log_scales_may_be_as_far_apart_as_they_go(profile, seed):
-    """Each is at most 400; what is between two of them is up to 800."""
+    """Each is at most 400, so their difference is up to 800."""
     rng = np.random.default_rng(seed)
     scene = random_scene(500, 0, seed=seed)
     scene.log_scale[:] = rng.choice([-1e30, -400, -399.5, -1, 0, 1, 399.5, 400, 1e30], (3, 500))
@@ -96,7 +96,7 @@ def test_views_of_ugly_scenes_give_files_that_decode(case):
 
 
 def histograms() -> dict[str, np.ndarray]:
-    """Ways symbols may be distributed, in alphabets of all sizes."""
+    """Distributions of symbols, in alphabets of all sizes."""
     rng = np.random.default_rng(82)
     found = {}
     for alphabet in (2, 4, 256, 4096):

@@ -1,4 +1,4 @@
-"""Statistics of scenes against sorting and counting, and how `gs-codec inspect` shows them."""
+"""Scene statistics against sorting and counting, and the output of `gs-codec inspect`."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_histograms_are_those_of_numpy(degree):
     expected = stored_attributes(scene)
     for one in statistics_of(scene).attributes:
         _, stored, natural = expected[one.name]
-        # Bins of scales are even in their logarithms, all others in natural units.
+        # Bins of scales are evenly spaced in the logarithm, all others in natural units.
         logarithmic = one.name.endswith("scale")
         values = np.sort(stored if logarithmic else natural(stored))
         low, high = values[(len(values) - 1) // 100], values[-1 - (len(values) - 1) // 100]
@@ -199,7 +199,7 @@ def test_edges_end_with_the_largest_float():
 
 
 def counted_shares(scene: Scene) -> dict[str, int]:
-    """What `shares_of` counts, one Gaussian after another."""
+    """Brute-force counts for `shares_of`."""
     spans = []
     for row in scene.positions.astype(np.float64):
         finite = np.sort(row[np.isfinite(row)])
@@ -315,7 +315,7 @@ def test_real_scenes():
 
 
 def rows_of(out: str) -> dict[str, list[str]]:
-    """Lines of the table of attributes by the attribute, split at double spaces."""
+    """Lines of the attribute table, split at double spaces, by attribute."""
     table = out.split("\n\n")[1].splitlines()
     return {line.split("  ")[0]: line.split() for line in table[1:]}
 

@@ -1,4 +1,4 @@
-"""Scenes larger than memory: the same bytes, in files that nobody sees, within a limit."""
+"""Scenes larger than memory: the same bytes, in hidden files, below a limit."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_files_are_the_same_while_pages_are_given_back_all_the_time(profile, tmp
 @pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_path, monkeypatch):
-    """What Python and numpy hold: mapped files are not of it."""
+    """Memory of Python and numpy, without mapped files."""
     monkeypatch.setattr(storage, "_LARGE", 1 << 14)
     count = 40_000
     write_ply(tmp_path / "scene.ply", random_scene(count, 3, seed=63))

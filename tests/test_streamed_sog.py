@@ -1,4 +1,4 @@
-"""Streamed SOG: the tree and its files, what is refused, and that PlayCanvas draws it."""
+"""Streamed SOG: tree and files, rejected input, and rendering by PlayCanvas."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ CONFIG = Config(format="sog")
 
 
 def streamed(folder: Path, scene: Scene, config: Config = CONFIG) -> dict[str, Any]:
-    """Write the files of a scene, in small leaves; its `lod-meta.json`."""
+    """Write the files of a scene with small leaves; return its `lod-meta.json`."""
     files, _ = stream_levels(scene, config, LEAF, FILE)
     write_files(folder, files)
     return json.loads(files[STREAMED])
@@ -55,7 +55,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, scene) -> Path:
-    """Six leaves of three levels."""
+    """A scene with six leaves and three levels."""
     folder = tmp_path_factory.mktemp("streamed")
     streamed(folder, scene)
     return folder
@@ -68,7 +68,7 @@ def copy(folder, tmp_path) -> Path:
 
 
 def leaves_of(node: dict[str, Any]) -> list[dict[str, Any]]:
-    """The leaves below a node; checks that its box is that around all boxes below it."""
+    """The leaves below a node; checks that its box encloses all boxes below it."""
     if "lods" in node:
         assert "children" not in node
         return [node]
@@ -132,7 +132,7 @@ def test_the_finest_level_is_the_scene(folder, scene):
 
 
 def test_coarser_levels_have_the_colours_of_the_scene(folder, scene):
-    """SH-DC by what is seen of Gaussians: opacity by area."""
+    """SH-DC weighted by visibility: opacity times area."""
 
     def mean(each: Scene) -> np.ndarray:
         weights = np.exp(2 * each.log_scale.astype(float).mean(axis=0)) / (
@@ -323,7 +323,7 @@ def test_a_zip_is_read_as_its_folder_is(inside, slash, order, folder, tmp_path):
 
 
 def test_units_may_be_bundles(folder, tmp_path):
-    """Each SOG scene of a level may be a zip, in a folder and in a zip."""
+    """Each SOG scene of a level may be a zip, both in a folder and in a zip."""
     meta = json.loads((folder / STREAMED).read_text())
     units = tmp_path / "units"
     units.mkdir()
@@ -364,7 +364,7 @@ LATER = ("0_1", "0_2", "1_0", "2_0")
 
 
 def of_one_file(folder: Path) -> None:
-    """Leave the first SOG scene of streamed SOG, in its folder."""
+    """Keep only the first SOG scene of a streamed SOG folder."""
     for part in LATER:
         shutil.rmtree(folder / part)
     (folder / STREAMED).unlink()
@@ -393,7 +393,7 @@ def test_a_zip_of_several_scenes_is_refused_with_their_names(names, folder, tmp_
 
 
 def test_units_that_share_images_are_refused(copy):
-    """Each is read by itself: thousands of units of the same images would take minutes."""
+    """Each unit is read separately: thousands that share images would take minutes."""
     shutil.copy(copy / "0_1" / "meta.json", copy / "0_1" / "again.json")
     meta = json.loads((copy / STREAMED).read_text())
     meta["filenames"][2] = "0_1/again.json"
@@ -406,7 +406,7 @@ def test_units_that_share_images_are_refused(copy):
 
 @pytest.mark.parametrize("parts", [1, 70])
 def test_images_of_many_parts_are_hardly_larger_than_the_parts(parts, tmp_path):
-    """An image of one colour takes a hundred bytes, however many pixels it has."""
+    """A single-colour image takes a hundred bytes, whatever its size."""
     meta, images = foreign.sog_parts(8, 2, 0, seed=1)
     names = [f"{number}/meta.json" for number in range(parts)]
     runs = [{"lods": {"0": {"file": number, "offset": 0, "count": 8}}} for number in range(parts)]
@@ -442,10 +442,10 @@ def test_a_zip_in_a_zip_in_a_zip_is_not_unpacked(copy, tmp_path):
 
 
 def test_a_zip_that_unpacks_to_too_much_is_refused(copy, tmp_path):
-    """Entries of 1 GiB of spaces and more, which take 1 MB."""
+    """Entries of 1 GiB of spaces and more, in 1 MB."""
     path = zipped(copy, tmp_path / "a.ssog")
     data = bytearray(path.read_bytes())
-    # The unpacked size of a file, in the list of files.
+    # The unpacked size of a file, in the central directory.
     struct.pack_into("<I", data, data.rindex(b"PK\1\2") + 24, (1 << 30) + 1)
     path.write_bytes(data)
     with pytest.raises(
@@ -480,7 +480,7 @@ def changed(**members: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 def with_file(name: str) -> Callable[[dict[str, Any]], Any]:
-    """Another name of the first file."""
+    """Replace the name of the first file."""
     return lambda meta: meta | {"filenames": [name, *meta["filenames"][1:]]}
 
 
@@ -539,7 +539,7 @@ def test_splat_transform_reads_the_finest_level(folder):
     check(theirs, stored_numbers(folder / STREAMED), "sog", program.exact)
 
 
-#: Of each leaf: its box, and how many Gaussians each level has; and how many are drawn.
+#: For each leaf: its box, and the number of Gaussians of each level; and the number drawn.
 SEEN = """[
     resource.octree.nodes.map((node) => [
         ...['getMin', 'getMax'].flatMap((end) => Object.values(node.bounds[end]())),
@@ -574,7 +574,7 @@ def test_playcanvas_draws_each_leaf_once_at_the_level_that_it_chooses(tmp_path):
     expected = [[*leaf["bound"]["min"], *leaf["bound"]["max"], *counts_of(leaf)] for leaf in leaves]
     for told in (mixed, coarse):
         np.testing.assert_allclose(told.values[-1][0], expected, rtol=1e-5, atol=1e-5)
-    # Of twelve leaves, two of 500 Gaussians and ten of 125; then twelve of 125.
+    # Of twelve leaves, two with 500 Gaussians and ten with 125; then twelve with 125.
     assert [told.values[-1][1] for told in (mixed, coarse)] == [2250, 1500]
     ours, level = drawn(scene, camera), read_scene(tmp_path / "1_0" / "meta.json")
     assert np.ptp(ours) > 0.3

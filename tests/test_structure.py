@@ -1,4 +1,4 @@
-"""The map of the modules in CONTRIBUTING.md is that of the tree, and imports go by it."""
+"""The module map in CONTRIBUTING.md matches the tree, and imports follow it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def modules() -> dict[str, Path]:
 
 
 def imported(source: str, known: set[str]) -> Iterator[str]:
-    """The known modules that a module imports, at its top, in functions or for types."""
+    """The known modules that a module imports: at top level, in functions or for types."""
     for node in ast.walk(ast.parse(source)):
         names = []
         if isinstance(node, ast.ImportFrom):
@@ -41,7 +41,7 @@ def imported(source: str, known: set[str]) -> Iterator[str]:
 
 
 def test_no_test_imports_another():
-    """What several tests use is in a module of helpers, or a fixture."""
+    """Code shared by tests is in helper modules or fixtures."""
     for path in sorted((ROOT / "tests").rglob("*.py")):
         taken = re.findall(
             r"^ *(?:from|import) (?:tests\.)?(test_\w+)", path.read_text(), re.MULTILINE
@@ -51,7 +51,7 @@ def test_no_test_imports_another():
 
 @pytest.fixture(scope="module")
 def imports() -> dict[str, set[str]]:
-    """What each module imports, itself apart."""
+    """The modules that each module imports, except itself."""
     found = modules()
     return {
         name: set(imported(path.read_text(), set(found))) - {name} for name, path in found.items()
@@ -65,7 +65,7 @@ def rows() -> list[list[str]]:
 
 
 def unit_of(module: str) -> str:
-    """The name of a module of gs_codec in the table."""
+    """The entry of the table that a gs_codec module belongs to."""
     parts = module.split(".")[1:]
     return "/".join(parts[:2]) if parts[0] == "codecs" and len(parts) > 2 else parts[0]
 

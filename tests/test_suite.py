@@ -1,4 +1,4 @@
-"""``bench suite``: every part measured once, lines as the report wants them, refusals, Ctrl-C."""
+"""``bench suite``: every part measured once, lines suit the report, rejected input, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ WIDTH = 36
 
 
 def make_scene(folder: Path, count: int, views: int = 0, photographs: bool = False) -> Path:
-    """A scene in a folder as trainers leave it."""
+    """A folder of a scene, as trainers leave it."""
     folder.mkdir(parents=True)
     scene, path = generate(count, 1, seed=count), folder / "point_cloud.ply"
     write_ply(path, scene)
@@ -51,14 +51,14 @@ def make_scene(folder: Path, count: int, views: int = 0, photographs: bool = Fal
 
 
 def run_here(arguments: list[str]) -> apart.Usage:
-    """In place of a process of its own, of which there would be dozens."""
+    """Run in this process; otherwise there would be dozens of processes."""
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     return apart.Usage(0.5, 0.25, 100_000_000)
 
 
 def stand_in(patch: pytest.MonkeyPatch) -> None:
-    """Fewer views, and other codecs that are quick, exact, slow, and absent."""
+    """Use fewer views, and stand-ins for other codecs: quick, exact, slow, and missing."""
 
     def peers(extra, threads):
         other, exact = beside.our_codecs([Config("paper-s"), Config("lossless")])
@@ -83,7 +83,7 @@ IN_OTHERS = ("ours as spz v4, m", "ours as sog, m", "ours as compressed.ply, m")
 
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory) -> tuple[list[dict], str, Path]:
-    """Lines, stderr, and the folder: a scene with photographs, and one with its own views alone."""
+    """Lines, stderr, and the folder: one scene with photographs, one with its own views only."""
     folder = tmp_path_factory.mktemp("suite")
     scenes = [make_scene(folder / "plain", 400), make_scene(folder / "shot", 300, 9, True)]
     out = folder / "new" / "out"
@@ -251,7 +251,7 @@ def test_positions_are_measured_beside_open3ds_octree(suite):
         assert {key for key in ours if key.endswith("_seconds")} == steps | {"decode_seconds"}
         assert {key for key in theirs if key.endswith("_seconds")} == steps
         assert min(ours[key] for key in steps) > 0
-        # A point takes less than its 48 bits; each has a leaf of its own, or shares it.
+        # A point takes less than its 48 bits; leaves are single or shared.
         assert 2 * count < ours["bytes"] < 6 * count
         assert 10 < theirs["nodes"] <= 1 + 10 * count
 

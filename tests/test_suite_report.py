@@ -1,4 +1,4 @@
-"""The suite's report, from made lines: tables, plots, any subset of lines, awkward names."""
+"""The suite's report from made-up lines: tables, plots, subsets of lines, difficult names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gs_codec.errors import InvalidInput, MissingTool
 
 Line = dict[str, Any]
 
-#: Codec, bits a Gaussian, PSNR, delta-PSNR, seconds to encode and to decode.
+#: Codec, bits per Gaussian, PSNR, delta-PSNR, seconds to encode and to decode.
 CODECS = [
     ("l", 149.9, 54.94, -0.014, 0.39, 0.17),
     ("m", 113.5, 49.71, -0.052, 0.36, 0.16),
@@ -53,7 +53,7 @@ def beside(scene: str, photographs: bool, codec: tuple) -> Line:
 
 
 def lines_of(scene: str, photographs: bool) -> list[Line]:
-    """Lines of every kind that a scene has."""
+    """Lines of every kind for a scene."""
     lines: list[Line] = [
         {
             "kind": "scene", "scene": scene, "gaussians": 1000, "sh_degree": 3,
@@ -79,7 +79,7 @@ def lines_of(scene: str, photographs: bool) -> list[Line]:
 
 
 def lines_of_all() -> list[Line]:
-    """Lines of a whole run: two scenes, with photographs and without."""
+    """Lines of a whole run: two scenes, with and without photographs."""
     lines: list[Line] = [
         {
             "kind": "machine", "processor": "EPYC", "threads": 2, "commit": "abc",
@@ -130,7 +130,7 @@ def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
     for file in files:
         with Image.open(written / file) as image:
             assert image.width > 1200
-            # More than paper: something is drawn.
+            # Not blank paper: something is drawn.
             assert np.asarray(image.convert("L")).std() > 5
 
 

@@ -1,4 +1,4 @@
-"""Text of strangers' files and names does not steer the terminal that messages are printed on."""
+"""Untrusted text and names in messages cannot control the terminal."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from gs_codec.files.scenes import write_scene
 from gs_codec.scene import GROUPS, Scene
 from viewer.main import main as viewer_main
 
-#: Title, clearing, bell, an 8-bit escape, other directions of writing, and ends of lines.
+#: Title, clear screen, bell, an 8-bit escape, text direction, and line ends.
 HOSTILE = "a\x1b]0;b\x07\x1b[2J\x9b1m\u202ec\u2066\u200f\u2028d\n\re"
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, capsys) -> Folder:
-    """A scene of a hostile name, and commands that run in this process."""
+    """A scene with a hostile name, and commands that run in this process."""
     write_scene(tmp_path / f"{HOSTILE}.ply", random_scene(60, 0), Config())
     monkeypatch.setattr(run, "Pool", in_this_process)
     monkeypatch.chdir(tmp_path)
@@ -84,7 +84,7 @@ def test_warnings_of_other_packages_are_lines(capsys):
 
 
 def with_huge_values() -> Scene:
-    """A scene with values near the ends of float32 in each attribute."""
+    """A scene with values near the limits of float32 in each attribute."""
     scene = random_scene(300, 1, seed=9)
     huge = np.float32(3.4e38)
     for group in GROUPS:
@@ -107,7 +107,7 @@ def with_huge_values() -> Scene:
     ],
 )
 def test_huge_values_give_no_warnings_of_numpy(command, tmp_path, monkeypatch, capsys):
-    """Here, such a warning is an exception, and not a SystemExit."""
+    """In tests, such a warning is an exception, not a SystemExit."""
     monkeypatch.chdir(tmp_path)
     write_scene("huge.ply", with_huge_values(), Config())
     write_scene("scene.ply", random_scene(300, 1), Config())

@@ -1,4 +1,4 @@
-"""Work handed out to threads: in order, no more at once than there are threads."""
+"""Work distributed to threads: in order, with a limited number of items at once."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_items_are_made_when_they_are_worked_on(threads):
     def items() -> Iterator[int]:
         for i in range(50):
             begun.append(i)
-            # One more than there are threads: it waits for the first that is free.
+            # One more than the threads, which waits for a free thread.
             assert len(begun) - len(done) <= threads + 1
             yield i
 
@@ -42,7 +42,7 @@ def test_an_error_ends_the_work(threads):
             raise ValueError("five")
 
     def items() -> Iterator[int]:
-        # The error comes out as soon as what was begun is done, however much is left.
+        # The error is raised once the started items are done, however many remain.
         yield from range(1 << 60)
 
     with pytest.raises(ValueError, match="five"):

@@ -1,4 +1,4 @@
-"""Round values of scales and axes."""
+"""Round tick values of scales and axes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""torchac as the coder of profiles `paper-*`: the same floats as by rANS, and clean errors."""
+"""torchac as the coder of profiles `paper-*`: the same floats as with rANS, and clean errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EDGES = edge_scenes()
 
 
 def needs_torchac(test):
-    """A test of torchac itself, which compiles for half a minute when it is first imported."""
+    """A test of torchac itself; its first import compiles for half a minute."""
     return pytest.mark.thorough(
         pytest.mark.skipif(not HERE, reason="torchac is not installed")(test)
     )
@@ -45,7 +45,7 @@ def config(profile="paper-m", **options):
 
 
 def both(scene, **options):
-    """A file by torchac, which decodes to the floats of the file by rANS, and that file."""
+    """A torchac file, which decodes to the floats of the rANS file, and the latter."""
     theirs, report = encode_scene(scene, config(**options))
     ours = encode_scene(scene, replace(config(**options), coder="rans"))[0]
     assert report.file_bytes == len(theirs)
@@ -82,7 +82,7 @@ def test_blocks_are_those_of_rans_and_of_the_reference_decoder(profile, models):
 @needs_torchac
 @pytest.mark.parametrize("bits", [1, 12])
 def test_depths_are_those_of_rans(bits):
-    """Of 12 bits a block takes two runs."""
+    """With 12 bits, a block takes two runs."""
     data, _ = both(random_scene(1100, 1, seed=71), depths=dict.fromkeys(DEPTH_GROUPS, bits))
     assert reference_decode(data)["count"] == 1100
 
@@ -248,7 +248,7 @@ def test_a_coder_of_nothing_is_refused(profile):
 @needs_torchac
 @pytest.mark.rounds(20)
 def test_random_bytes_are_refused(seed):
-    """Whatever the bytes are: no crash, and no symbols that are not those of the checksum."""
+    """Whatever the bytes: no crash, and no symbols that contradict the checksum."""
     rng = np.random.default_rng(seed)
     data = encode_scene(random_scene(40, 1, seed=82), config())[0]
     streams = {SectionId.OPACITY, SectionId.SCALING, SectionId.ROTATION, SectionId.SH1}
@@ -266,7 +266,7 @@ def test_ours_needs_no_package(absent):
 
 @pytest.fixture
 def unloaded():
-    """torchac, yet to be loaded by this process."""
+    """torchac, not yet loaded by this process."""
     torchac_coder._load.cache_clear()
     for name in [name for name in sys.modules if name.startswith("torchac")]:
         del sys.modules[name]

@@ -1,4 +1,4 @@
-"""transforms.json of nerfstudio, instant-ngp and Blender's datasets: conventions and bad files."""
+"""transforms.json of nerfstudio, instant-ngp and Blender's datasets: conventions, invalid files."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def coefficients_of(tmp_path: Path, **shared: Any) -> tuple[bool, tuple[float, .
 def test_coefficients_by_the_model(tmp_path):
     some = {"k1": 0.01, "k2": -0.002, "p1": 0.0003, "p2": 0.0004}
     expected = (False, (0.01, -0.002, 0.0003, 0.0004, 0.0, 0.0, 0.0, 0.0))
-    for model in ("OPENCV", "PINHOLE", "SIMPLE_RADIAL"):  # alike for nerfstudio
+    for model in ("OPENCV", "PINHOLE", "SIMPLE_RADIAL"):  # all the same for nerfstudio
         assert coefficients_of(tmp_path, camera_model=model, **some) == expected
     assert coefficients_of(tmp_path, is_fisheye=False, **some) == expected
     assert coefficients_of(tmp_path, k3=0.005)[1][4] == 0.005
@@ -128,7 +128,7 @@ def test_k4_is_of_the_denominator_with_k5_or_k6_and_else_of_the_numerator(tmp_pa
     expected = (0.01, 0.02, 0.0, 0.0, 0.03, 0.04, 0.05, 0.06)
     path = write_transforms(tmp_path / "t.json", **SHARED, **rational)
     assert (read_cameras(path)[0].lens.coefficients, read_cameras(path)[0].lens.r8) == (expected, 0)
-    # RealityCapture's, which nerfstudio writes as text.
+    # RealityCapture's coefficients, which nerfstudio writes as text.
     table = {"k1": "0.01", "k2": "-2e-3", "k3": "0", "k4": " 0.004", "p1": "0.0", "p2": "-0"}
     lens = read_cameras(write_transforms(path, **SHARED, **table))[0].lens
     assert (lens.coefficients, lens.r8) == ((0.01, -0.002, 0, 0, 0, 0, 0, 0), 0.004)
@@ -294,7 +294,7 @@ OLD = np.array([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 
 @pytest.mark.parametrize("how", ["stated", "old", "none"])
 def test_cameras_move_as_nerfstudio_moved_them(how, tmp_path):
-    """A point of COLMAP's world is at the same pixel once both are in the trained scene."""
+    """A point of COLMAP's world is at the same pixel when both are in the trained scene."""
     applied = {"stated": APPLIED, "old": OLD, "none": np.eye(4)}[how]
     oriented, scale = moved(rotation(2), (3.0, 1.0, -2.0)), 0.25
     shared = dict(SHARED)
@@ -305,7 +305,7 @@ def test_cameras_move_as_nerfstudio_moved_them(how, tmp_path):
     saved = applied @ np.array(POSE)
     write_transforms(tmp_path / "transforms.json", frame(transform_matrix=saved.tolist()), **shared)
     trained = scale * (oriented @ applied @ [*POINT, 1])[:3]
-    # As nerfstudio saves them: dataparser_outputs.dataparser_transform, dataparser_scale.
+    # As saved by nerfstudio: dataparser_outputs.dataparser_transform, dataparser_scale.
     beside = {"transform": (oriented @ applied)[:3].tolist(), "scale": scale}
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps(beside))
     (camera,) = read_cameras(tmp_path / "transforms.json")

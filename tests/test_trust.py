@@ -1,4 +1,4 @@
-"""How far views are trusted to tell what other views see."""
+"""How well views predict what other views see."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_views_that_agree_are_trusted(scene):
 
 
 def test_views_are_trusted_less_the_less_regions_tell_of_one_another(scene):
-    """A Gaussian is seen from one side; what others see of it is chance."""
+    """A Gaussian is visible from one side; what others see of it is random."""
     expected = expected_of(scene).colour
     shares = []
     for width in (VIEWS, VIEWS // 4, 2):

@@ -1,4 +1,4 @@
-"""The tutorial, typed from its first line to its last in a clean clone, prints what it shows."""
+"""The tutorial, typed line by line in a clean clone, prints what it shows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 TUTORIAL = (ROOT / "samples" / "TUTORIAL.md").read_text()
 
-#: How far a shown number may be from what comes out: releases of numpy differ in last digits.
+#: Relative tolerance of shown numbers: numpy releases differ in the last digits.
 TOLERANCE = 0.03
 
 _STEP = re.compile(
@@ -25,7 +25,7 @@ _STEP = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 
-#: What else the documents say on installing, typed after the tutorial.
+#: Other installation commands of the documents, typed after the tutorial.
 AFTER = [
     "gs-codec share scene.ply scene.egs --cameras cameras.json --out page.html",
     "make docs",
@@ -40,7 +40,7 @@ _MARK = "@@ the next step"
 
 
 def clone(folder: Path) -> Path:
-    """What `git clone` gives of the work tree."""
+    """The result of `git clone` for the work tree."""
     listed = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
         cwd=ROOT, capture_output=True, text=True, check=True,
@@ -53,7 +53,7 @@ def clone(folder: Path) -> Path:
 
 
 def without_network(folder: Path) -> dict[str, str]:
-    """An environment where pip installs this project alone, as all else is there already."""
+    """An environment where pip installs only this project; everything else is already installed."""
     folder.mkdir()
     for path in Path(sysconfig.get_path("purelib")).iterdir():
         if not re.match(r"gs_codec|__editable__|pip\b|.*\.pth$", path.name):
@@ -64,12 +64,12 @@ def without_network(folder: Path) -> dict[str, str]:
         "PIP_CONFIG_FILE": os.devnull,
         "PIP_NO_INDEX": "1",
         "PIP_NO_DEPS": "1",
-        "PIP_NO_BUILD_ISOLATION": "0",  # of a "no" option, pip takes the opposite
+        "PIP_NO_BUILD_ISOLATION": "0",  # pip inverts the value of a "no" option
     }
 
 
 def type_all(folder: Path, environment: dict[str, str]) -> list[tuple[str, str, str]]:
-    """Commands and code of the tutorial in one shell, with what is printed and shown."""
+    """Run the commands and code of the tutorial in one shell; return what is printed and shown."""
     steps: list[tuple[str, str]] = []
     for step in _STEP.finditer(TUTORIAL):
         if step["shown"] is not None:
@@ -89,7 +89,7 @@ def type_all(folder: Path, environment: dict[str, str]) -> list[tuple[str, str, 
 
 
 def _agrees(shown: str, printed: str) -> bool:
-    """Whether a line is as shown, up to where that is cut short, numbers nearly."""
+    """Whether a printed line matches, up to a cut in the shown line, numbers approximately."""
     cut = shown.endswith("...")
     wanted, found = shown.removesuffix("...").split(), printed.split()
     if len(found) < len(wanted) or (not cut and len(found) > len(wanted)):

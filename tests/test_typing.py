@@ -1,4 +1,4 @@
-"""What people type at a shell: globs, percentages, help, how much is printed, completion."""
+"""Shell input: globs, percentages, help, verbosity, completion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gs_codec.cli.main import NAMES, app
 
 
 def commands() -> dict[str, object]:
-    """All commands and subcommands by what is typed."""
+    """All commands and subcommands, by their typed names."""
     group = get_command(app)
     found = {name: group.get_command(None, name) for name in NAMES}
     found |= {f"bench {name}": each for name, each in found["bench"].commands.items()}

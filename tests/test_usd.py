@@ -1,4 +1,4 @@
-"""OpenUSD: what is written, and everything that its reader may meet."""
+"""OpenUSD: writing, and everything that its reader may encounter."""
 
 from __future__ import annotations
 
@@ -253,7 +253,7 @@ def test_prims_are_where_the_stage_puts_them(tmp_path):
     )
     scene = read(tmp_path, HEAD + PLACED.format(scaled) + SPLATS.replace('"A"', '"B"'))
     assert scene.count == 4
-    # Mirrored, twice as large, then a quarter of a turn about x: y to z, z to -y.
+    # Mirrored, twice as large, then 90 degrees about x: y to z, z to -y.
     turn = np.array([[-1, 0, 0], [0, 0, -1], [0, 1, 0]])
     expected = 2 * turn @ plain.positions + np.array([[10], [20], [30]])
     np.testing.assert_allclose(scene.positions[:, :2], expected, atol=1e-5)
@@ -399,7 +399,7 @@ def test_damaged_files_are_refused_in_one_line(suffix, seed, tmp_path):
 
 
 def test_the_memory_that_a_small_file_may_take_is_little(tmp_path, monkeypatch):
-    """A length of 7 GB in a file of 1 kB was filled with zeros before it was refused."""
+    """A length of 7 GB in a file of 1 kB used to be allocated before it was rejected."""
     allowed = []
 
     def run(command, inputs, output, limits, most):

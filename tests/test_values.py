@@ -1,4 +1,4 @@
-"""Opacities of 0 and 1, flat Gaussians, and scenes of which nothing is left."""
+"""Opacities of 0 and 1, flat Gaussians, and scenes that become empty."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def with_ends(seed: int = 5) -> Scene:
 
 
 def assert_finite_ends(scene: Scene, source: Scene) -> None:
-    """All Gaussians of `with_ends`, in the same order, whose other values are nearly the same."""
+    """All Gaussians of `with_ends`, in the same order, with almost the same other values."""
     assert scene.count == COUNT
     np.testing.assert_allclose(scene.opacity[0, :12], np.repeat([17.328679, -17.328679], [10, 2]))
     shorter = source.log_scale[:2, 20:26].min(axis=0)
@@ -85,7 +85,7 @@ def test_opacities_and_scales_in_linear_form_are_read_by_the_same_rule(suffix, t
     if suffix == "usda":
         pytest.importorskip("pxr")
     scene = with_ends()
-    # What float32 does not tell from 0 and 1.
+    # Indistinguishable from 0 and 1 in float32.
     finite = {"opacity": np.clip(scene.opacity, -300, 300)}
     flat = np.where(np.isneginf(scene.log_scale), -200, scene.log_scale)
     path = tmp_path / f"a.{suffix}"
@@ -189,7 +189,7 @@ def test_nothing_left_is_an_error(tmp_path):
 
 
 def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
-    """Of a scene in spans, one of which is damaged, and all of which have infinite ends."""
+    """A scene in spans, one of which is damaged, and all of which have infinite ends."""
     scene = random_scene(3000, 1, seed=3)
     scene.f_dc[:, :1100] = np.nan
     scene.opacity[:, ::100] = np.inf
@@ -211,7 +211,7 @@ def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
 
 
 def extreme_scenes() -> dict[str, Scene]:
-    """Scenes that every writer takes, or refuses in one line."""
+    """Scenes that every writer accepts, or rejects in one line."""
     tiny, far, clear, one = (random_scene(12, 1, seed) for seed in range(4))
     tiny.log_scale[:, ::2] = -200
     far.positions[:] = 1e20

@@ -67,7 +67,7 @@ STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
-    """A scene, its encoding, a third of it, and a report of what went."""
+    """A scene, its encoding, a third of it, and a report on the removed Gaussians."""
     folder = tmp_path_factory.mktemp("viewer")
     scene = random_scene(900, 1, seed=300)
     write_ply(folder / "a.ply", scene)
@@ -86,7 +86,7 @@ def files(tmp_path_factory) -> Path:
 
 
 def viewer(*arguments, **environment) -> subprocess.CompletedProcess:
-    """Run `gs-viewer` in a process of its own."""
+    """Run `gs-viewer` in a separate process."""
     code = "import sys; sys.argv[0] = 'gs-viewer'; from viewer.main import main; main()"
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
@@ -151,7 +151,7 @@ def test_reports_are_of_their_scene(files):
     scene = open_scene(files / "a.ply")
     pruned = read_pruned(files / "report", scene)
     assert pruned.counts == {"geometry": 300, "importance": 300}
-    # Systems and edits are no other scene.
+    # Coordinate systems and edits do not make it another scene.
     left = keep(scene, pruned.labels == 1)
     for other in (turned(scene), left, turned(turned(scene))):
         assert read_pruned(files / "report", other).counts == pruned.counts
@@ -267,7 +267,7 @@ def test_poses_draw_what_their_cameras_draw(files):
 
 @pytest.fixture(scope="module")
 def seen(files):
-    """A scene, and views chosen from it."""
+    """A scene, and views estimated for it."""
     scene = open_scene(files / "a.ply")
     return scene, choose_views(scene, count=5)
 
@@ -367,13 +367,13 @@ def test_the_overview_of_given_cameras_is_from_the_one_that_shows_most(files):
     assert widest_view(scene.gaussians, cameras) == 2
     overview = find_viewpoints(scene, given_views(cameras), "-y")[0]
     np.testing.assert_array_equal(overview.pose.position, cameras[2].position)
-    assert overview.pose.rotation[1][1] > 0.9  # upright by the axis asked for
+    assert overview.pose.rotation[1][1] > 0.9  # upright with respect to the requested axis
     assert widest_view(scene.gaussians, cameras[3:]) == 0
 
 
 @pytest.mark.usefixtures("few_cameras")
 def test_it_is_said_if_the_scene_does_not_show_which_way_is_up(caplog, tmp_path, capsys):
-    # Without SH-AC it says nothing of up.
+    # Without SH-AC, the up axis cannot be estimated.
     write_ply(tmp_path / "a.ply", random_scene(3000, 0, seed=8))
     path, size = str(tmp_path / "a.ply"), ["--width", "64", "--height", "64"]
     film = ["--turntable", str(tmp_path / "film"), "--frames", "2"]
@@ -515,7 +515,7 @@ def test_pictures_are_of_the_size_asked_for(files):
 
 
 def finish(worker: Worker, calls: list) -> None:
-    """Wait until nothing waits or runs, and do what it has posted."""
+    """Wait until the worker is idle, and run its callbacks."""
     for _ in range(1000):
         if not worker.busy:
             break
@@ -657,7 +657,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, run
     assert len(err.splitlines()) == 1
     second = [*asked, "--view", "1", "--screenshot", tmp_path / "1.png"]
     assert run_viewer(*second) == (0, "", "")
-    assert run_viewer(*second)[0] == 2  # it exists
+    assert run_viewer(*second)[0] == 2  # the output exists
     assert run_viewer(*second, "--overwrite") == (0, "", "")
     reds = [
         np.sum(np.asarray(Image.open(tmp_path / f"{k}.png"))[..., 0].astype(int) > 190)
@@ -667,7 +667,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, run
 
 
 def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch, run_viewer):
-    """PostScript by the name of a picture: Pillow would give it to Ghostscript."""
+    """PostScript with the name of a picture: Pillow would pass it to Ghostscript."""
     for name in ("bin", "images"):
         (tmp_path / name).mkdir()
     program, ran = tmp_path / "bin" / "gs", tmp_path / "ran"
@@ -746,7 +746,7 @@ def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
     root = Path(__file__).parent.parent
     text = (root / "README.md").read_text() + (root / "viewer" / "README.md").read_text()
     lines = re.findall(r"^    gs-viewer (scene[^#\n]*)", text, re.MULTILINE)
-    drawn = [line for line in lines if "--web" not in line]  # a server, of test_served.py
+    drawn = [line for line in lines if "--web" not in line]  # see test_served.py for that
     assert len(drawn) >= 7
     for k, line in enumerate(drawn):
         wanted = [*shlex.split(line), "--width", "120", "--height", "80"]

@@ -1,4 +1,4 @@
-"""How splats are drawn in panes: drafts, appearances, hidden Gaussians."""
+"""Rendering of splats in panes: drafts, appearances, hidden Gaussians."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_hidden_gaussians_are_not_drawn(scene, gaussians):
     for draft in (0, 1):
         drawn = picture(views, scene, POSE, *SIZE, shown, draft)
         assert psnr(drawn, np.clip(expected, 0, 1)) > 90
-    # Other arrays are other drawings.
+    # Another array is another drawing.
     drawn = picture(views, scene, POSE, *SIZE, replace(shown, drawn={scene: ~mask}))
     assert psnr(drawn, np.clip(exact(gaussians.take(~mask)), 0, 1)) > 90
 

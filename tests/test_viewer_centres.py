@@ -1,4 +1,4 @@
-"""Colours of centres: quantities, their scales, one range for all scenes, what is not known."""
+"""Colours of centres: quantities, scales, one range for all scenes, unknown values."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def files(tmp_path_factory) -> Path:
 
 
 def values_of(scene: Opened, colouring: str) -> np.ndarray:
-    """A quantity straight from the cloud and the file."""
+    """A quantity computed directly from the cloud and the file."""
     point = scene.cloud.point
     if colouring == "opacity":
         return 1 / (1 + np.exp(-point["opacity"].numpy()[:, 0].astype(float)))
@@ -149,7 +149,7 @@ def test_many_blocks_are_not_all_listed(files):
 
 
 def luminances(colour) -> np.ndarray:
-    """A colour as people without long, middle and short cones see it (Machado 2009), linear."""
+    """A colour as seen without long, middle and short cones (Machado 2009), linear."""
     matrices = [
         [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
         [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
@@ -159,7 +159,7 @@ def luminances(colour) -> np.ndarray:
 
 
 def test_kinds_differ_for_the_colour_blind():
-    """Those of reasons, and of the first seven blocks."""
+    """The colours of reasons, and of the first seven blocks."""
     assert reason_colour(0) == block_colour(0)
     seen = np.array([luminances(block_colour(k)) for k in range(7)])
     for blindness in range(3):
@@ -205,7 +205,7 @@ def test_a_file_that_has_changed_is_refused(files, tmp_path):
 @pytest.mark.thorough
 @pytest.mark.parametrize("colouring", COLOURINGS)
 def test_screenshots_are_coloured_by_each(files, colouring, monkeypatch):
-    # Where one looks from is another matter.
+    # The camera position does not matter here.
     monkeypatch.setattr(auto_cameras, "_OVERVIEWS", 8)
     monkeypatch.setattr(auto_cameras, "_LEAST_TRIED", 24)
     request = Request(

@@ -1,4 +1,4 @@
-"""Scenes selected and edited in the viewer, without a window."""
+"""Selecting and editing scenes in the viewer, without a window."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory) -> Path:
-    """A scene with what the viewer leaves out: comments and a further property."""
+    """A scene with comments and an extra property, which the viewer does not load."""
     path = tmp_path_factory.mktemp("edits") / "scene.ply"
     extra = {"label": np.arange(700, dtype="<i4") % 7}
     scene = random_scene(700, 2, seed=41)
-    scene.positions[:, 300:330] += 40  # a cluster apart
+    scene.positions[:, 300:330] += 40  # a separate cluster
     write_ply(path, replace(scene, extra=extra, comments=("trained",)))
     return path
 
@@ -123,7 +123,7 @@ def test_unknown_quantities_are_refused(scene):
 
 
 def test_rules_choose_what_statistics_count(file):
-    """Of a scene in which every share has some."""
+    """With a scene in which every share has some Gaussians."""
     some = read_ply(file, "drop")
     for k, (group, value) in enumerate(
         {"log_scale": 3.0, "f_dc": np.nan, "opacity": -9.0}.items(), 10
@@ -146,7 +146,7 @@ def test_rules_choose_what_statistics_count(file):
 
 
 def test_any_steps_are_those_of_plain_sets_and_are_undone(scene):
-    """Random steps, undone and done again, against sets of the rows of the file."""
+    """Random steps with undo and redo, against sets of file rows."""
     rng = np.random.default_rng(42)
     edits, everything = Edits(scene), frozenset(range(scene.count))
     states = [(frozenset(), frozenset(), everything)]
@@ -168,7 +168,7 @@ def test_any_steps_are_those_of_plain_sets_and_are_undone(scene):
             "delete": (frozenset(), hidden, left - selected),
         }.get(what)
         if what == "delete" and len(selected) > 0.2 * len(left):
-            continue  # so that there is something left to the end
+            continue  # so that some remain at the end
         if what in HOW:
             edits.select(chosen, what)
         else:
@@ -189,7 +189,7 @@ def test_any_steps_are_those_of_plain_sets_and_are_undone(scene):
 
 
 def state(edits: Edits) -> tuple[frozenset, frozenset, frozenset]:
-    """The rows of the file that are selected, hidden, and left."""
+    """The file rows that are selected, hidden, and remaining."""
     rows = edits.scene.rows
     hidden = frozenset() if edits.drawn is None else frozenset(rows[~edits.drawn].tolist())
     return frozenset(rows[edits.selected].tolist()), hidden, frozenset(rows.tolist())
@@ -289,7 +289,7 @@ def test_a_scene_is_never_deleted_whole(scene):
 
 
 def saved_edits(scene: Opened, kept: np.ndarray, target: Path) -> bytes:
-    """What is written of a scene after all but some Gaussians are deleted, by two steps."""
+    """The bytes saved after deleting all but some Gaussians in two steps."""
     edits = Edits(scene)
     edits.select(~kept & (np.arange(scene.count) % 2 == 0))
     edits.delete()
@@ -300,7 +300,7 @@ def saved_edits(scene: Opened, kept: np.ndarray, target: Path) -> bytes:
 
 
 def kept_by(action: Action, scene: Opened) -> np.ndarray:
-    """The Gaussians that an action keeps, as the window finds them."""
+    """The Gaussians that an action keeps, as determined by the window."""
     if action.name == "crop-box":
         return inside_box(scene, action.arguments[:3], action.arguments[3:])
     if action.name == "remove-floaters":

@@ -1,4 +1,4 @@
-"""All that the viewer's window does besides, driven as by test_viewer_window.py."""
+"""Further tests of the viewer's window, driven as in test_viewer_window.py."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_the_depth_of_the_octree_follows_the_slider(found):
 
 def test_the_octree_says_whose_bits_are_unknown(found):
     unknown, known = found["octree"]["captions"]
-    assert unknown.startswith(" A: a.ply, bits unk")  # as much as there is room for
+    assert unknown.startswith(" A: a.ply, bits unk")  # as much as fits
     assert known == " B: b.egs"
     [legend] = found["octree"]["legends"]
     assert legend.startswith("bits / Gaussian, cells ")
@@ -117,7 +117,7 @@ def edited(display, folder) -> dict:
 
 
 def rows_in(folder: Path, name: str, pose: list, *corners: tuple[int, int]) -> set[int]:
-    """Gaussians of a file in a polygon whose corners are pixels of the mouse, one by one."""
+    """Gaussians of a file inside a polygon given by mouse pixels, computed one by one."""
     rotation, position, (fx, fy, cx, cy) = pose
     polygon = [(x + 0.5, y + 0.5) for x, y in corners]
     found = set()
@@ -225,7 +225,7 @@ def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(c
     assert chosen["where"][2] == "auto_01, 2 of 24 (--view 1)"
     assert np.abs(np.array(chosen["n"]) - chosen["at_first"]).max() > 0.05
     np.testing.assert_allclose(chosen["Home"], chosen["at_first"], atol=1e-5)
-    [model] = np.array(chosen["u"])  # by -y, the first axis after that of the cameras
+    [model] = np.array(chosen["u"])  # by -y, the axis after the cameras'
     assert model[1, 0] == pytest.approx(0, abs=1e-5)
     assert model[1, 1] < 0
     np.testing.assert_allclose(model[:3, 2], np.array(chosen["at_first"])[0, :3, 2], atol=1e-5)
@@ -319,7 +319,7 @@ def test_centres_are_coloured_by_bits_on_the_scale_that_is_chosen(picked):
     found = picked["colours"]
     for colouring in ("bits", "block"):
         unknown, known = found[colouring]
-        assert unknown.startswith(f" A: a.ply, {colouring} unknown: not an")  # as there is room for
+        assert unknown.startswith(f" A: a.ply, {colouring} unknown: not an")  # as much as fits
         assert known == " B: b.egs"
     assert found["scales"] == [[True, "linear"], [False, None]]
     linear, blocks, log = found["legends"]
@@ -386,7 +386,7 @@ def test_a_range_is_dragged_in_a_histogram(used):
     assert found["name"] == "opacity"
     assert found["chosen"] == found["ends"]
     assert 0 < found["chosen"][0] < found["chosen"][1] < 1
-    assert found["afterwards"] is None  # another selection is not that range
+    assert found["afterwards"] is None  # another selection does not match that range
 
 
 def test_views_are_listed_by_quality_and_visited_by_a_click(used):

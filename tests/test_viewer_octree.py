@@ -1,4 +1,4 @@
-"""The viewer's octree layer: cells, colours, cubes, and drawing while a slider moves."""
+"""The viewer's octree layer: cells, colours, cubes, and updates while a slider moves."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COUNT = 2500
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
-    """A scene, its encoding in three blocks, by a paper profile, and in its order."""
+    """A scene, its encoding in three blocks, with a paper profile, and in its own order."""
     folder = tmp_path_factory.mktemp("octree")
     scene = random_scene(COUNT, 1, seed=41)
     write_ply(folder / "a.ply", scene)
@@ -137,7 +137,7 @@ def test_two_scenes_have_one_grid_and_one_scale():
     both = [tree.cells(scene, choice) for scene in (a, b)]
     assert both[0].legend == both[1].legend
     shares = [cells.sides / (1.01 * 9) for cells in both]
-    assert max(shares[0]) > max(shares[1])  # as it has more Gaussians in a cell
+    assert max(shares[0]) > max(shares[1])  # because it has more Gaussians per cell
     apart = Octree([a]).cells(a, choice)
     assert apart.legend != both[0].legend
     side = tree._side(5)
@@ -214,7 +214,7 @@ def test_nearer_cubes_hide_others_and_backs_are_not_drawn():
         cubes = Cubes(middles[order], sides[order], colours[order])
         draw_cubes(canvas, cubes, Pose(np.eye(3), np.array([0.0, 0.0, -4.0])))
         image = np.asarray(canvas)
-        np.testing.assert_array_equal(image[20, 30], [153, 0, 0])  # across z: 0.6
+        np.testing.assert_array_equal(image[20, 30], [153, 0, 0])  # facing z: 0.6
         assert not (image[..., 1] > 0).any()  # the second is behind the first
         assert set(np.unique(image[..., 2])) == {0, 153, 204}  # its front and its left side
 
@@ -247,7 +247,7 @@ def test_cells_hide_neither_centres_nor_splats(files):
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (-1, 0, 0), (0.3, 1, 0.2), (-1, -1, -1)])
 def test_faces_are_anticlockwise_from_outside(direction):
-    """Or the window would draw the insides of cubes."""
+    """Otherwise the window would draw the insides of cubes."""
     cubes = Cubes(np.zeros((1, 3), np.float32), np.full(1, 2, np.float32), np.ones((1, 3)))
     corners = cubes.faces()[0][:, 0]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -277,7 +277,7 @@ def test_a_camera_inside_a_cell_sees_those_around(files):
 
 
 class Pane:
-    """In place of a pane of the window."""
+    """Replaces a pane of the window."""
 
     def __init__(self, scene: Opened) -> None:
         self.scene, self.shown = scene, []
@@ -288,7 +288,7 @@ class Pane:
 
 @pytest.fixture
 def slid(files):
-    """A layer, its worker, which runs nothing by itself, and a pane."""
+    """A layer, its worker (which runs nothing by itself), and a pane."""
     worker, pane = Mock(), Pane(open_scene(files / "a.ply"))
     layer = OctreeLayer(worker, Mock(), Mock())
     layer.put([pane], 12_000, 250_000)
@@ -296,7 +296,7 @@ def slid(files):
 
 
 def finish(submit: Mock) -> None:
-    """Do the job that was submitted last."""
+    """Run the last submitted job."""
     _, job, done, _ = submit.call_args.args
     done(job(lambda: False))
 
@@ -306,7 +306,7 @@ def test_while_a_slider_moves_cells_are_shown_and_the_last_in_the_end(slid):
     for depth in (3, 4, 5, 6):
         layer.show(OctreeChoice(depth))
     assert submit.call_count == 1
-    finish(submit)  # of depth 3: it is shown, though the slider has moved on
+    finish(submit)  # depth 3: shown although the slider has moved on
     assert len(pane.shown) == 1
     assert submit.call_count == 2
     finish(submit)

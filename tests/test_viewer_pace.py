@@ -1,4 +1,4 @@
-"""When the viewer's pictures are drawn, and how fine."""
+"""When the viewer renders pictures, and at what resolution."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from viewer.window.pace import FULL, REST, Pace, Step
 
 @pytest.fixture
 def pace() -> Pace:
-    """Of a scene that is drawn in full in 0.2 seconds, and rests."""
+    """The pace of an idle scene that renders fully in 0.2 seconds."""
     pace = Pace()
     pace.put(200_000)
     pace.move(0.0)
@@ -20,16 +20,16 @@ def pace() -> Pace:
 
 
 def draw(pace: Pace, now: float, seconds: float) -> Step:
-    """Draw what is next."""
+    """Render what is due next."""
     step = pace.next(now)
     assert step is not None
-    assert pace.next(now) is None  # one after another
+    assert pace.next(now) is None  # one at a time
     pace.done(step, seconds)
     return step
 
 
 def drafts(pace: Pace, seconds: float, count: int = 20) -> list[Step]:
-    """Drafts that all take so long."""
+    """Drafts that each take this long."""
     found = []
     for k in range(count):
         pace.move(float(k))
@@ -54,7 +54,7 @@ def test_a_draft_is_finished_during_a_move_and_the_next_one_follows(pace):
     second = pace.next(10.5)
     assert not second.full
     pace.done(second, 0.05)
-    assert pace.next(10.5) is None  # it has not moved on
+    assert pace.next(10.5) is None  # it has not moved since
     assert not pace.resting
 
 

@@ -1,4 +1,4 @@
-"""Paths that are typed into dialogs, and what these list and suggest."""
+"""Typed paths in dialogs: listings and suggestions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from viewer.scenes.typed_paths import (
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """Home, and in it a folder of scenes; the working directory is another."""
+    """A home folder with a folder of scenes; the working directory is elsewhere."""
     scenes = tmp_path / "scenes"
     scenes.mkdir()
     (tmp_path / "elsewhere").mkdir()
@@ -92,7 +92,7 @@ def test_a_file_without_permission_is_told(folder, monkeypatch):
 
 
 def test_a_folder_lists_its_folders_and_then_its_files_of_a_kind(folder, monkeypatch):
-    (folder / os.fsdecode(b"\xff.ply")).touch()  # no widget shows it
+    (folder / os.fsdecode(b"\xff.ply")).touch()  # no widget can display it
     assert listed(folder, SCENES) == ["../", "Sub/", "A.egs", "b.PLY", "c d.ply"]
     assert listed(folder, CAMERAS) == ["../", "Sub/", "notes.txt"]
     assert listed(folder, FOLDERS) == ["../", "Sub/"]

@@ -1,4 +1,4 @@
-"""Picking a Gaussian: which one a pixel shows, what is known of it, and its mark."""
+"""Picking a Gaussian: the one at a pixel, its properties, and its mark."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COUNT = 1200
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
-    """A scene of Gaussians large enough to be seen, and other versions of it."""
+    """A scene of large visible Gaussians, and other versions of it."""
     folder = tmp_path_factory.mktemp("pick")
     scene = random_scene(COUNT, 2, seed=70)
     scene = replace(scene, log_scale=(scene.log_scale + 2).clip(max=-1).astype(np.float32))
@@ -59,14 +59,14 @@ def a(files) -> Opened:
 
 
 def test_the_pixel_follows_the_colour_of_its_gaussian_by_its_weight(a):
-    """In the picture that the window shows."""
+    """In the picture displayed by the window."""
     picker, camera = Picker([a]), POSE.camera(*SIZE)
     alpha = gs_codec.render(a.cloud, [camera]).draw(camera).alpha
     solid = np.argsort(-alpha, axis=None)[[0, 300, 600]]
     for row, column in np.stack(np.unravel_index(solid, alpha.shape), axis=1):
         hit = picker.pick(0, POSE, SIZE, (column + 0.9, row + 0.1))
         bright = []
-        for colour in (20, 21):  # so that no channel is cut at 0
+        for colour in (20, 21):  # so that no channel is clipped at 0
             f_dc = a.cloud.point["f_dc"].numpy().copy()
             f_dc[hit.row] += colour / 0.28209479177387814
             cloud = a.cloud.clone()
@@ -198,7 +198,7 @@ def test_gaussians_are_matched_as_compare_matches_them(a, files, name):
     match = Match(a, other)
     assert match.matched_by == BY[name]
     found = [match.difference(1, row) for row in range(other.count)]
-    # Every Gaussian of the other scene has one of its own.
+    # Every Gaussian of the other scene has a distinct partner.
     assert len({each.row for each in found}) == other.count
     if name == "half.ply":
         assert [each.row for each in found] == list(range(0, COUNT, 2))
@@ -251,7 +251,7 @@ def test_unrelated_scenes_are_matched_by_their_centres(a):
 
 
 def test_a_scene_that_was_turned_by_hand_is_not_matched_by_its_order(a, files):
-    """An order refers to positions as they are stored."""
+    """The order refers to stored positions."""
     by_hand = turned(open_scene(files / "m.egs"))
     assert Match(a, by_hand).matched_by == NEAREST
     assert Match(a, turned(by_hand)).difference(0, 4) is not None

@@ -1,4 +1,4 @@
-"""Encodings that are tried in the viewer: files, numbers, and stopping at any step."""
+"""Trial encodings in the viewer: files, numbers, and stopping at any step."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from viewer.scenes.trial_list import Asked, Tries, Try
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A scene, and four cameras, of which two are held out."""
+    """A scene, and four cameras, two of them held out."""
     folder = tmp_path_factory.mktemp("tries")
     scene = generate(1500, 1, 31)
     write_ply(folder / "a.ply", scene)
@@ -51,14 +51,14 @@ def tries(folder, tmp_path_factory) -> Tries:
 
 
 def command(*arguments: object) -> dict:
-    """What a command prints as JSON."""
+    """The JSON printed by a command."""
     result = CliRunner().invoke(app, [*map(str, arguments), "--json"])
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
 
 
 def files(tries: Tries, *done: Try) -> bool:
-    """Whether the only files are those of some tries."""
+    """Whether the only files are those of these trials."""
     return {path.name for path in tries.folder.iterdir()} == {each.path.name for each in done}
 
 
@@ -155,7 +155,7 @@ def test_they_are_kept_in_order_and_opened_again(tries):
 
 
 class Stopped(Exception):
-    """Ends an encoding, as `Cancelled` does in the window."""
+    """Ends an encode, like `Cancelled` in the window."""
 
 
 def stopped_at(number: int) -> Callable[[str, int, int], None]:
@@ -187,7 +187,7 @@ def test_it_stops_at_any_step_and_leaves_nothing(tries, asked):
 def test_every_trial_of_a_search_tells_its_progress(tries):
     steps: list[tuple[str, int, int]] = []
     tried, _ = tries.encode(Asked("m", "size", 40_000.0), lambda *step: steps.append(step))
-    # Each encoding codes the one block; and the result is decoded once.
+    # Each encode codes the one block; and the result is decoded once.
     assert steps.count(("code", 1, 1)) == tried.report.rate.encodings > 1
 
 

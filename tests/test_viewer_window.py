@@ -1,4 +1,4 @@
-"""The viewer's window on a display of its own, driven by mouse and keys."""
+"""The viewer's window on a separate display, driven by mouse and keys."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def files(display, folder) -> dict:
 
 
 def ends(path: Path, shown: str) -> bool:
-    """Whether a path is shown, of a long one the end."""
+    """Whether a path is shown, or for a long one its end."""
     return str(path).endswith(shown.removeprefix("..."))
 
 

@@ -1,4 +1,4 @@
-"""Rendered comparisons: image metrics, which views are taken, and the files that are written."""
+"""Rendered comparisons: image metrics, selected views, and written files."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_ground_truth_gives_the_papers_deltas(pair, tmp_path):
     for scene, quality in zip(pair, (view.first, view.second), strict=True):
         image = render(scene, camera().resized(20, 15)).colour
         assert quality == compare_images(image, stored)
-    assert view.first.psnr > 50  # but for 8 bits the truth itself
+    assert view.first.psnr > 50  # the ground truth, up to 8 bits
     assert view.delta.psnr == view.second.psnr - view.first.psnr < 0
     assert view.delta.ssim == view.second.ssim - view.first.ssim
 
@@ -336,7 +336,7 @@ def test_photographs_of_cameras_of_one_name_are_refused(pair, tmp_path):
         compare_views(*pair, views, tmp_path)
     with pytest.raises(InvalidInput, match=message):
         photographed(views, tmp_path)
-    # One held out, the other not.
+    # One is held out, the other is not.
     plan = Plan(
         Steps(),
         [

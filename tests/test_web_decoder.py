@@ -1,4 +1,4 @@
-"""The decoder in JavaScript gives the floats of that in Python; run by Node."""
+"""The JavaScript decoder, run by Node, gives the same floats as Python's."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ HERE = Path(__file__).parent
 
 
 def assert_same(found: dict, data: bytes) -> None:
-    """A job gave what the decoder in Python gives."""
+    """The result of a job equals that of the Python decoder."""
     scene = decode_scene(data)
     assert "error" not in found, found
     assert (found["count"], found["degree"]) == (scene.count, scene.sh_degree)
@@ -124,7 +124,7 @@ def test_blocks_are_told_as_they_are_complete():
     (found,) = run({"bytes": data, "as": "stream", "chunk": 100})
     expected = [[k, d, k * BLOCK, BLOCK] for k in range(5) for d in range(4)]
     assert sorted(found["blocks"]) == expected
-    # The first block is complete but for its SH-AC long before the last.
+    # The first block is complete except for SH-AC long before the last block.
     assert [part[:2] for part in found["blocks"][:5]] == [[k, 0] for k in range(5)]
 
 
@@ -233,7 +233,7 @@ def test_a_signal_ends_what_waits(workers):
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("workers", [0, 2])
 def test_errors_end_what_waits(workers):
-    """Of a damaged block, while nothing more comes; of the caller's functions."""
+    """Errors of a damaged block while no more data come, and errors of callbacks."""
     damaged = with_section(blocks(), SectionId.OPACITY, lambda old: old[:-1])
     jobs = [
         {"bytes": damaged, "as": "stream", "chunk": 1000, "stalled": 4 * len(damaged) // 5},
@@ -248,7 +248,7 @@ def test_errors_end_what_waits(workers):
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_damaged_blocks_are_left_out_if_that_is_asked_for(workers):
-    """By a checksum, or while they are decoded; of its first part, or of SH-AC alone."""
+    """Detected by checksum or while decoding; in the first part, or only in SH-AC."""
     whole = blocks()
     table = read_file(whole).table
     [every] = run({"bytes": whole})
@@ -316,7 +316,7 @@ def test_a_long_comment_of_spaces_takes_no_time_to_search():
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("seed", range(4))
 def test_tables_of_many_rare_symbols(seed):
-    """Almost all of which take slots from the frequent ones, equal ones among these."""
+    """Nearly all take slots from the frequent symbols, some of which are tied."""
     rng = np.random.default_rng(seed)
     cases = []
     for size, precision in ((1, 8), (5, 8), (256, 8), (300, 9), (4096, 12), (4096, 13)):
@@ -353,7 +353,7 @@ def test_every_truncation_is_refused(profile):
 
 
 def decoded(data: bytes) -> str | None:
-    """Digest of what Python decodes; None if it refuses the file."""
+    """Digest of Python's result; None if it rejects the file."""
     try:
         return digest(decode_scene(data, 1, 1 << 20))
     except GsCodecError:
@@ -387,7 +387,7 @@ def test_damage_is_refused_or_gives_what_python_gives(profile, right):
 
 
 def one_property(name: bytes = b"mark", kind: int = 1, packed: bytes | None = None) -> bytes:
-    """A section `extra` of one property of 5 Gaussians."""
+    """A section `extra` with one property of 5 Gaussians."""
     packed = zlib.compress(bytes(5)) if packed is None else packed
     head = struct.pack("<B", len(name)) + name + struct.pack("<BQ", kind, len(packed))
     return struct.pack("<H", 1) + head + packed

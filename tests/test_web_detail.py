@@ -1,4 +1,4 @@
-"""The page of scenes with levels of detail, in Chromium: what is fetched, kept and drawn."""
+"""The page for scenes with levels of detail, in Chromium: what is fetched, cached and drawn."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def camera(name: str, place: tuple, target: tuple, focal: float = 250.0) -> Came
 
 @dataclass
 class Site:
-    """A page of a scene with levels."""
+    """A page with a scene with levels."""
 
     folder: Path
     scene: Scene
@@ -71,10 +71,10 @@ def site(tmp_path_factory) -> Site:
 
 @dataclass
 class Asked:
-    """What a server was asked for."""
+    """The requests that a server received."""
 
     ranges: list[tuple[int, int]] = field(default_factory=list)
-    given: int = 0  # bytes of the scene
+    given: int = 0  # bytes of the scene sent
     over: threading.Event = field(default_factory=threading.Event)
     mended: bool = False
 
@@ -82,9 +82,9 @@ class Asked:
 class serving:  # noqa: N801
     """A server of a folder, with ranges.
 
-    Those of a scene for which `stalls(begin, end)` are not answered, unless `mended` is asked for;
-    for which `fails(begin, end)` are refused when they are asked for first. Of a scene that is
-    asked for whole, half comes, and all of it when it is asked for again.
+    Ranges with `stalls(begin, end)` are not answered until `mended` is requested; those with
+    `fails(begin, end)` fail on the first request. A request for the whole scene gets half of it at
+    first, and all of it the second time.
     """
 
     def __init__(
@@ -162,12 +162,12 @@ MISSING = "document.getElementById('refined').textContent"
 
 
 def gaussians_of(text: str) -> int:
-    """How many are drawn, as the panel says."""
+    """The number of drawn Gaussians shown in the panel."""
     return int(text.split("fetched, ")[1].split(maxsplit=1)[0].replace(",", ""))
 
 
 def first_block() -> int:
-    """Where the blocks of the scene itself begin in its file."""
+    """Start of the blocks of the scene itself in its file."""
     return read_file(city()).table[SectionId.GEOMETRY, 0].position
 
 
@@ -192,13 +192,13 @@ def test_it_is_sharp_wherever_one_goes_and_nothing_else_is_fetched(site, tmp_pat
     told_of = [text for text in told.values if isinstance(text, str) and "drawn" in text]
     assert len(told_of) == 3
     assert all(0 < gaussians_of(text) < site.scene.count for text in told_of)
-    # What was fetched is kept: nothing is asked for twice.
+    # Fetched data are cached: nothing is requested twice.
     assert len(set(asked.ranges)) == len(asked.ranges)
     assert asked.given < 0.8 * len(city())
 
 
 def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
-    """Of everything, while all but the coarsest level stalls; and one may move, and stop."""
+    """All data except the coarsest level stall; the camera can move, and loading can be stopped."""
     file = read_file(city())
     starts = [file.table[SectionId.LEVEL, level].position for level in levels_of(file)]
     coarsest = file.table[SectionId.LEVEL, len(starts)]
@@ -231,10 +231,10 @@ def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
 
 @pytest.mark.thorough
 def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
-    """Requests for blocks of the scene itself are never answered; those of past views are ended."""
+    """Requests for blocks of the scene itself stall; those of past views are cancelled."""
     begins, far = first_block(), choose_part(city(), Part(view=site.cameras[0])).blocks
     table = read_file(city()).table
-    # But of those that a view from afar needs, too.
+    # Except those that a distant view also needs.
     needed = {entry.position for (_, block), entry in table.items() if block in far}
 
     def stalls(begin: int, _: int) -> bool:
@@ -255,7 +255,7 @@ def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
 
 @pytest.mark.thorough
 def test_what_a_connection_lost_is_asked_for_again(site, tmp_path):
-    """First all blocks of the scene itself, but not for ever."""
+    """At first all blocks of the scene itself fail, but not for ever."""
     begins = first_block()
     with serving(site.folder / "site", fails=lambda begin, _: begin >= begins) as (url, asked):
         job = Job(url, [("drawn",), ("key", "n")])
@@ -266,7 +266,7 @@ def test_what_a_connection_lost_is_asked_for_again(site, tmp_path):
     assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
 
 
-#: Twenty seconds pass at once.
+#: Make twenty seconds pass at once.
 HASTY = """(() => {
     const { setTimeout } = window;
     window.setTimeout = (work, time) => setTimeout(work, time === 20000 ? 200 : time);
@@ -278,7 +278,7 @@ MAY_RETRY = "!document.getElementById('retry').hidden"
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", ["first", "blocks", "whole"])
 def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_path, which):
-    """In the first bytes, in blocks of the scene itself, in a scene without levels."""
+    """In the first bytes, in blocks of the scene itself, and in a scene without levels."""
     begins = first_block()
 
     def stalls(begin: int, _: int) -> bool:
@@ -306,7 +306,7 @@ def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_pat
     assert first.count(".egs") == 1
     if later:
         assert later[0].endswith("nothing has come for 20 seconds")
-        assert later[1] == (which == "blocks")  # what there is, is drawn meanwhile
+        assert later[1] == (which == "blocks")  # meanwhile, the available blocks are drawn
     assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
 
 
@@ -351,7 +351,7 @@ BUDGET = """((value) => {
 
 @pytest.mark.thorough
 def test_what_fits_into_another_budget_is_kept(site, tmp_path):
-    """In other places, when there are less of them; it is not asked for again."""
+    """Blocks move when there are fewer of them; they are not requested again."""
     job = Job("", [("drawn",), ("key", "n")])
     job.shot(str(tmp_path / "before.png"))
     for k, value in enumerate((0.05, 1)):
@@ -367,13 +367,13 @@ def test_what_fits_into_another_budget_is_kept(site, tmp_path):
 
 @pytest.mark.thorough
 def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
-    """15 blocks of 511 Gaussians, each of which takes a row of 1,024."""
+    """15 blocks of 511 Gaussians, each in a texture row of 1,024."""
     shown = ("value", "Number(document.getElementById('budget').value)")
     job = Job("", [("drawn",), shown, ("value", f"{BUDGET}(0.0154)")], before=ROWS)
     for k in range(3):
         job.steps += [("key", "n"), ("drawn",), ("value", DETAIL)]
         job.shot(str(tmp_path / f"{k}.png"))
-    # Wherever one has been, and whatever had to go for it: the same view is the same picture.
+    # Whatever was viewed and evicted before: the same view gives the same picture.
     for _ in range(4):
         job.steps += [("drag", [[150, 100], [250, 120], [20, 80], [150, 100]], 4), ("key", "n")]
         job.steps += [("hold", "Shift+w", 300), ("hold", "ArrowLeft", 300)]
@@ -386,12 +386,12 @@ def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
         [told] = open_pages(job)
     assert (told.state, told.status, told.errors) == ("ready", "", [])
     numbers = [value for value in told.values if isinstance(value, int | float)]
-    assert numbers[0] in (1, 1.5, 3)  # million, by device
+    assert numbers[0] in (1, 1.5, 3)  # million, depending on the device
     assert 15 in numbers
     texts = [value for value in told.values if isinstance(value, str)]
     assert len(texts) == 3
     assert all(511 < gaussians_of(text) <= 15 * 511 for text in texts)
-    for k in range(3):  # coarse, but all of it
+    for k in range(3):  # coarse, but complete
         ours = drawn(site.scene, site.cameras[(k + 1) % 3])
         assert decibels(seen(tmp_path / f"{k}.png"), ours) > 18
     assert decibels(seen(tmp_path / "back.png"), seen(tmp_path / "0.png")) > 45
@@ -400,7 +400,7 @@ def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
 
 @pytest.mark.thorough
 def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
-    """All blocks of a level, that of the coarsest; without a header, the scene is drawn whole."""
+    """All blocks of a level, or of the coarsest; without a header, the whole scene is drawn."""
     data = city()
     file = read_file(data)
     place = file.table[SectionId.LEVEL, 1].position
@@ -436,7 +436,7 @@ def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
 
 @pytest.mark.thorough
 def test_without_ranges_and_in_one_file_it_is_the_same(site, tmp_path):
-    """Of a server that sends all; of a page that holds the scene; beside one without levels."""
+    """A server that ignores ranges; a page that contains the scene; next to one without levels."""
     plain = tmp_path / "plain.egs"
     plain.write_bytes(without_levels(city()))
     share([site.folder / "city.egs"], tmp_path / "one.html", site.folder / "cameras.json")

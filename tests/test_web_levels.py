@@ -1,4 +1,4 @@
-"""Levels of detail in the decoder in JavaScript, against Python's; run by Node."""
+"""Levels of detail in the JavaScript decoder, run by Node, against Python's."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def as_view(camera: Camera) -> dict:
 
 
 def random_views(count: int, seed: int, size: float) -> list[Camera]:
-    """Cameras within a scene and far from it, that look anywhere, of all shapes."""
+    """Cameras inside and far from a scene, with random directions and aspect ratios."""
     rng = np.random.default_rng(seed)
     found = []
     for k in range(count):
@@ -153,7 +153,7 @@ def test_levels_that_are_none_of_the_file_are_refused():
         level = 1 + (k >= len(BAD_LEVELS)) * 2 - (k == 2 * len(BAD_LEVELS))
         assert found.get("error") == "CorruptError", (k, found)
         assert found["message"].startswith(f"level {level}: "), (k, found)
-    # Whoever wants the scene alone does not read them.
+    # A reader of the scene alone does not read them.
     for found in run(*({"bytes": data} for data in damaged)):
         assert found.get("hash") == digest(decode_scene(sample()))
 
@@ -172,7 +172,7 @@ def test_sections_of_levels_elsewhere_are_refused():
 
 @pytest.mark.thorough
 def test_damage_in_a_level_is_found_where_it_is_read():
-    """Never another scene; in what is not read, nothing is found."""
+    """Never another scene; damage in unread parts is not found."""
     data, rng = sample(), np.random.default_rng(336)
     position, size, _ = read_file(data).table[SectionId.LEVEL, 1]
     places = rng.choice(size, 40, replace=False)

@@ -1,4 +1,4 @@
-"""The page that `gs-codec share` writes, in Chromium: what it shows, and how it is used."""
+"""The page from `gs-codec share`, in Chromium: display and controls."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ WEB = ROOT / "viewer" / "web"
 
 @dataclass
 class Files:
-    """Two versions of a scene, and cameras that see it."""
+    """Two versions of a scene, and cameras for it."""
 
     folder: Path
     a: Scene
@@ -83,7 +83,7 @@ def files(tmp_path_factory) -> Files:
 
 @pytest.fixture(scope="module")
 def pages(files) -> dict[str, Path]:
-    """Pages of one scene and of two, each in one file."""
+    """Pages with one scene and with two, each in a single file."""
     folder, cameras = files.folder, files.folder / "cameras.json"
     share([folder / "a.egs"], folder / "one.html", cameras)
     share([folder / "a.egs", folder / "b.egs"], folder / "two.html", cameras)
@@ -106,7 +106,7 @@ DECODED = """(async () => {
 
 @in_browser
 def test_the_decoder_gives_the_floats_of_python(files):
-    """In workers of a browser; in Node, it is tried at much more."""
+    """In workers of a browser; Node tests cover much more."""
     golden = [path for path in GOLDEN if "lossless" not in path.name]
     assert len(golden) > 10
     for path in golden:
@@ -163,7 +163,7 @@ def test_two_scenes_are_compared(files, pages, tmp_path):
     job.shot(str(tmp_path / "all a.png"))
     [told] = open_pages(job)
     assert (told.state, told.errors) == ("ready", [])
-    assert "29" in told.values  # 25 and twice 2
+    assert "29" in told.values  # 25 plus 2 twice
     a, b = (drawn(scene, files.cameras[0]) for scene in (files.a, files.b))
     assert decibels(a, b) < 40
     page = {path.stem: seen(path) for path in tmp_path.glob("*.png")}
@@ -217,7 +217,7 @@ def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
 @pytest.mark.thorough
 @in_browser
 def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
-    """Damaged, of a later version, or no file at all."""
+    """A damaged file, one of a later version, and one that is not a scene."""
     data = (files.folder / "b.egs").read_bytes()
     place = 3 * len(data) // 4
     bad = {
@@ -296,7 +296,7 @@ def test_all_of_a_portrait_view_is_seen_in_a_wide_page(files, tmp_path):
     assert decibels(strip, drawn(files.a, camera)) > 45
 
 
-#: What is smaller than a finger needs, of what can be touched.
+#: Touchable elements that are smaller than a finger needs.
 SMALL = """[...document.querySelectorAll('#panel, #panel *, #wipe i')]
     .filter((one) => one.matches('select, button, summary, #budget, label:has([type=radio]), i'))
     .filter((one) => one.checkVisibility() && !one.closest('#legend'))
@@ -389,18 +389,18 @@ def test_a_drag_there_and_back_changes_nothing_and_to_the_right_goes_right(files
     for name in ("once", "right", "near", "flown", "faster", "turned", "pinched"):
         assert decibels(pictures[name], start) < 30, name
     assert decibels(pictures["faster"], pictures["flown"]) < 30
-    # What was shifted to the right is there.
+    # The pixels shifted to the right match.
     shifts = [
         decibels(pictures["right"][:, 40 + d : -40 + d], start[:, 40:-40]) for d in (-20, 0, 20)
     ]
     assert np.argmax(shifts) == 2
-    # What is nearer fills more.
+    # Nearer objects fill more of the picture.
     for name in ("near", "flown", "pinched"):
         assert (pictures[name].sum(axis=2) > 0.1).mean() > (start.sum(axis=2) > 0.1).mean(), name
 
 
 def described(page: Path) -> dict[str, Any]:
-    """What a page is told of its scenes and views."""
+    """The description of scenes and views that a page contains."""
     return json.loads(page.read_text().split('id="scene-list">')[1].split("</script>")[0])
 
 
@@ -435,7 +435,7 @@ def test_up_is_that_of_cameras_or_an_axis_and_rolls_the_picture(files, pages, tm
 
 @in_browser
 def test_pages_turn_about_the_axis_asked_for(files, tmp_path):
-    """By mouse and by touch: a half circle about z, which is up."""
+    """With mouse and touch: half a turn about z, which is up."""
     share([files.folder / "a.egs"], tmp_path / "z.html", files.folder / "cameras.json", up="z")
     first = upright(files.cameras[0], "z")
     middle = np.median(files.a.positions.astype(np.float64), axis=1)
@@ -490,7 +490,7 @@ def test_home_is_the_given_camera_that_shows_most(files, tmp_path):
 
 @pytest.mark.usefixtures("few_cameras")
 def test_estimated_cameras_are_upright_by_the_axis_asked_for(files, tmp_path, caplog):
-    # Of a scene without SH-AC, which says nothing of up.
+    # A scene without SH-AC, whose up axis cannot be estimated.
     scene = replace(random_scene(3000, 0, seed=8), comments=[])
     (tmp_path / "a.egs").write_bytes(encode_scene(scene, Config("l"))[0])
     share([tmp_path / "a.egs"], tmp_path / "page.html", up="z")
@@ -585,7 +585,7 @@ def test_slow_devices_draw_drafts_during_a_move_but_save_and_compare_in_full(
 @pytest.mark.thorough
 @in_browser
 def test_what_reaches_into_the_picture_from_outside_is_drawn(files, tmp_path):
-    """From so near that most centres are outside, or behind the camera."""
+    """Most centres are outside the picture or behind the camera."""
     [camera] = [replace(files.cameras[0], position=files.cameras[0].position * 0.3)]
     write_cameras(tmp_path / "cameras.json", [camera])
     share([files.folder / "a.egs"], tmp_path / "page.html", tmp_path / "cameras.json")
@@ -658,7 +658,7 @@ def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_pat
 @in_browser
 @pytest.mark.parametrize("kind", ["turned", thorough("antialiased"), thorough("paper"), "empty"])
 def test_scenes_of_all_kinds(files, tmp_path, kind):
-    """In the file's own coordinates, with opacity compensation, of other profiles, of nothing."""
+    """In the file's coordinates, antialiased, with other profiles, and empty."""
     scene, config = files.a, Config("l", block_size=1024)
     if kind == "turned":
         scene = turn_scene(replace(scene, comments=["CoordinateSystem: RDF"]), "RUB")

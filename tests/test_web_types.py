@@ -1,4 +1,4 @@
-"""The types of the decoder in JavaScript, for TypeScript, are those of what there is."""
+"""The TypeScript types of the JavaScript decoder match its code."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_they_name_what_there_is():
 
 
 def members(text: str, name: str) -> set[str]:
-    """What a class or interface declares."""
+    """Members declared by a class or interface."""
     head = rf"^export (?:class|interface) {name}\b"
     [body] = re.findall(rf"{head}[^{{]*{{\n(.*?)^}}", text, re.M | re.S)
     return set(re.findall(r"^  (?:readonly )?(\w+)\??[:(]", body, re.M)) - {"constructor"}

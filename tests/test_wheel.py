@@ -1,4 +1,4 @@
-"""What `pip install` brings: the packages and the documents beside them, nothing else."""
+"""The content of installed packages: modules and documents, nothing else."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SOURCES = (
 
 
 def run(*arguments: str | Path, cwd: Path, path: Path | None = None) -> str:
-    """What Python prints, away from the repository; a failure shows what it said."""
+    """The output of Python outside the repository; a failure shows stderr."""
     kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     environment = kept if path is None else {**kept, "PYTHONPATH": str(path)}
     command = [sys.executable, *map(str, arguments)]
@@ -40,7 +40,7 @@ def run(*arguments: str | Path, cwd: Path, path: Path | None = None) -> str:
 
 @pytest.fixture(scope="module")
 def sdist(tmp_path_factory) -> Path:
-    """The source distribution of a copy of the sources: builds leave files behind."""
+    """The source distribution of a copy of the sources, because builds leave files behind."""
     folder = tmp_path_factory.mktemp("wheel")
     copy = folder / "sources"
     copy.mkdir()

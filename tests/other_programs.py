@@ -17,9 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gs_codec.bench.peers import AbsentPeer
-from gs_codec.bench.peers.splat_transform import find_program
-from gs_codec.bench.peers.spz import spz_peer
+from gs_codec.bench.peers import AbsentPeer, find_program, spz_peer
 from gs_codec.errors import MissingTool
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.activated import logits_of

@@ -30,7 +30,7 @@ from gs_codec.codecs.adaptive.step_sizes import MAX_SLOPE, Sensitivity, StepSize
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import identity_for_zero
-from gs_codec.coding.sent_tables import encode_tables
+from gs_codec.coding.frequency_table import encode_tables
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream

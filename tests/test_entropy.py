@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
-from gs_codec.coding.frequency_table import FrequencyTable, normalise, shannon_bits
+from gs_codec.coding.frequency_table import (
+    FrequencyTable,
+    SentModel,
+    decode_tables,
+    encode_tables,
+    normalise,
+    shannon_bits,
+)
 from gs_codec.coding.rans import LANES, TableSet, decode_symbols, encode_symbols
-from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import kernel
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gs_codec.coding.linear import combine, dot, fitting, main_axis
+from gs_codec.coding.exact_math import combine, dot, fitting, main_axis
 
 
 @pytest.mark.parametrize("seed", range(5))

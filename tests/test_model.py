@@ -16,8 +16,7 @@ from gs_codec.codecs.entropygs.models import (
     fit_mixture,
     normal_table,
 )
-from gs_codec.coding.frequency_table import normalise, shannon_bits
-from gs_codec.coding.sent_tables import SentModel
+from gs_codec.coding.frequency_table import SentModel, normalise, shannon_bits
 from gs_codec.config import Models
 
 

@@ -10,7 +10,7 @@ import pytest
 from scenes import edge_scenes, random_scene
 
 import gs_codec
-from gs_codec.coding.cube import Cube
+from gs_codec.coding.extent import Cube
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.scene import SH_C0, Scene

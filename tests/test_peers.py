@@ -15,10 +15,16 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec.bench import measure
-from gs_codec.bench.peers import AbsentPeer, find_peers, splat_transform
-from gs_codec.bench.peers.exact import columns_peer, zstd_peer
-from gs_codec.bench.peers.splat_transform import VARIABLE, splat_transform_peers
-from gs_codec.bench.peers.spz import spz_peer
+from gs_codec.bench.peers import (
+    PROGRAM_VARIABLE,
+    AbsentPeer,
+    columns_peer,
+    find_peers,
+    find_program,
+    splat_transform_peers,
+    spz_peer,
+    zstd_peer,
+)
 from gs_codec.cli.main import app
 from gs_codec.errors import ToolFailed
 from gs_codec.formats.ply.file import read_ply
@@ -48,7 +54,7 @@ def test_what_is_lossless_comes_back_bit_for_bit(tmp_path, name, count, degree):
 
 
 def test_all_are_looked_for(monkeypatch):
-    monkeypatch.setenv(VARIABLE, "/nowhere")
+    monkeypatch.setenv(PROGRAM_VARIABLE, "/nowhere")
     names = [peer.name.split(" ")[0].rstrip(",") for peer in find_peers("error")]
     assert names == ["spz", "splat-transform", "pcodec", "zstd"]
 
@@ -97,7 +103,7 @@ def stand_in(folder: Path) -> str:
 
 @pytest.fixture
 def splat_peers(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, stand_in(tmp_path))
+    monkeypatch.setenv(PROGRAM_VARIABLE, stand_in(tmp_path))
     peers = splat_transform_peers(threads=2)
     assert [peer.name for peer in peers] == SPLAT_NAMES
     assert {peer.version for peer in peers} == {"v0.1 (stand-in)"}
@@ -118,7 +124,7 @@ def test_splat_transform_is_found(tmp_path, monkeypatch):
     """By the environment variable, on PATH, and where `make peers` installs it."""
     for folder in ("variable", "path", "prefix/peers/node_modules/.bin", "empty"):
         (tmp_path / folder).mkdir(parents=True)
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(PROGRAM_VARIABLE, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "prefix"))
     [absent] = splat_transform_peers()
@@ -128,8 +134,8 @@ def test_splat_transform_is_found(tmp_path, monkeypatch):
         if folder == "path":
             monkeypatch.setenv("PATH", str(tmp_path / "path"))
         if folder == "variable":
-            monkeypatch.setenv(VARIABLE, expected)
-        assert splat_transform.find_program()[0] == expected
+            monkeypatch.setenv(PROGRAM_VARIABLE, expected)
+        assert find_program()[0] == expected
         assert len(splat_transform_peers()) == 3
 
 
@@ -145,7 +151,7 @@ def test_another_program_is_absent(failure, message, tmp_path, monkeypatch):
     path = {"nowhere": "/nowhere", "broken": str(tmp_path / "broken")}.get(failure)
     (tmp_path / "broken").write_bytes(b"\x7fELF and nothing more")
     (tmp_path / "broken").chmod(0o755)
-    monkeypatch.setenv(VARIABLE, path or stand_in(tmp_path))
+    monkeypatch.setenv(PROGRAM_VARIABLE, path or stand_in(tmp_path))
     monkeypatch.setenv("SPLAT_STAND_IN", failure)
     [absent] = splat_transform_peers()
     assert isinstance(absent, AbsentPeer)
@@ -171,8 +177,8 @@ def test_what_splat_transform_does_wrong_is_one_error(
 
 
 def test_what_does_not_end_is_killed_with_all_that_it_started(ply, tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, stand_in(tmp_path))
-    monkeypatch.setattr(splat_transform, "SECONDS", 1.0)
+    monkeypatch.setenv(PROGRAM_VARIABLE, stand_in(tmp_path))
+    monkeypatch.setattr("gs_codec.bench.peers.SECONDS", 1.0)
     peer = splat_transform_peers()[2]
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
@@ -214,7 +220,7 @@ def beside_lines(tmp_path_factory) -> tuple[list[dict], str]:
     options += ["--cameras", "auto", "--width", "36"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(measure, "find_peers", peers)
-        patch.setenv(VARIABLE, stand_in(path.parent))
+        patch.setenv(PROGRAM_VARIABLE, stand_in(path.parent))
         patch.setenv("SPLAT_STAND_IN", "fail:.sog")
         result = CliRunner().invoke(app, ["bench", "peers", str(path), *options])
     assert result.exit_code == 0, result.output

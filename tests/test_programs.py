@@ -14,7 +14,7 @@ from orbits import cameras
 from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
 
-from gs_codec.bench.peers.splat_transform import find_program
+from gs_codec.bench.peers import find_program
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
 from gs_codec.errors import MissingTool

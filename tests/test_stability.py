@@ -16,8 +16,7 @@ from stress import stress_scenes
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs.models import MAX_COMPONENTS, LaplaceModel, choose_model, fit_mixture
 from gs_codec.codecs.inspection import inspect_bytes
-from gs_codec.coding.frequency_table import MAX_PRECISION
-from gs_codec.coding.sent_tables import SentModel
+from gs_codec.coding.frequency_table import MAX_PRECISION, SentModel
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config, Models
 from gs_codec.scene import GROUPS
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gs_codec.coding.cube import DEPTHS, EXPANSION, Cube
+from gs_codec.coding.extent import DEPTHS, EXPANSION, Cube
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.runtime.arguments import checked

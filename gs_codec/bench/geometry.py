@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec import __version__
 from gs_codec.coding.count_tree import decode_geometry, encode_geometry
-from gs_codec.coding.cube import EXPANSION
+from gs_codec.coding.extent import EXPANSION
 from gs_codec.coding.morton import decode_morton, encode_morton
 from gs_codec.coding.quantise import fit_range, quantise_positions
 from gs_codec.config import Config

@@ -8,12 +8,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from gs_codec.errors import printable
-from gs_codec.pages.tables import Table
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.wording import as_typed, log_warnings, size_text
+
+if TYPE_CHECKING:
+    from gs_codec.pages.tables import Table
 
 #: How often progress is said where stderr is no terminal.
 SECONDS_A_LINE = 10

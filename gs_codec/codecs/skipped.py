@@ -13,7 +13,7 @@ from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
-from gs_codec.coding.sent_tables import SentModel
+from gs_codec.coding.frequency_table import SentModel
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.header import Header
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.coding.exact_math import combine
 from gs_codec.coding.far import find_far
-from gs_codec.coding.linear import combine
 from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.spacing import (
     NEIGHBOURS,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, expected_sensitivity
 from gs_codec.coding.axes import sort_axes
-from gs_codec.coding.linear import combine, main_axis
+from gs_codec.coding.exact_math import combine, main_axis
 from gs_codec.scene import Scene
 
 #: Number of times the cameras are halved: 16 regions.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera, facing
-from gs_codec.coding.linear import combine
+from gs_codec.coding.exact_math import combine
 from gs_codec.errors import InvalidInput
 from gs_codec.rendering.project import NEAR
 from gs_codec.rendering.renderer import render

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.clean import finite_gaussians
-from gs_codec.coding.linear import combine
+from gs_codec.coding.exact_math import combine
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.project import quaternion_turn
 from gs_codec.report import Progress, step_counter

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.cube import Cube
+from gs_codec.coding.extent import Cube
 from gs_codec.coding.far import find_far
 from gs_codec.coding.morton import decode_morton
 from viewer.pictures.cubes import Cubes

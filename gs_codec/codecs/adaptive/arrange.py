@@ -30,7 +30,7 @@ from gs_codec.codecs.adaptive.step_sizes import (
 )
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.axes import sort_axes
-from gs_codec.coding.linear import combine
+from gs_codec.coding.exact_math import combine
 from gs_codec.coding.morton import canonical_order, in_stream_order
 from gs_codec.config import Config
 from gs_codec.runtime.arrays import current

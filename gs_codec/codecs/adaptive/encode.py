@@ -17,9 +17,8 @@ from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET, RAW_WIDTHS
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encode_passes
-from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
-from gs_codec.coding.linear import dot
-from gs_codec.coding.sent_tables import SentModel
+from gs_codec.coding.exact_math import dot
+from gs_codec.coding.frequency_table import FrequencyTable, SentModel, shannon_bits
 from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.egs_file import Section, SectionId
 from gs_codec.egs.header import Feature, Header

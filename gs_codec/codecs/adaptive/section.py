@@ -27,8 +27,7 @@ from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.coding.context_rans import PRECISION
 from gs_codec.coding.fields import ByteReader
-from gs_codec.coding.frequency_table import FrequencyTable
-from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
+from gs_codec.coding.frequency_table import FrequencyTable, SentModel, decode_tables, encode_tables
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.egs.header import Feature

@@ -22,8 +22,8 @@ from gs_codec.codecs.adaptive.step_sizes import (
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.codecs.entropygs.symbols import fit_channel
 from gs_codec.coding.axes import sort_axes
+from gs_codec.coding.exact_math import combine
 from gs_codec.coding.far import bring_nearer
-from gs_codec.coding.linear import combine
 from gs_codec.config import AdaptiveProfile
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.scene import Scene

@@ -30,7 +30,7 @@ from gs_codec.codecs.adaptive.lattice import (
     to_fixed,
 )
 from gs_codec.codecs.adaptive.rotation import TURN_RULES, likeness
-from gs_codec.coding.linear import combine, fitting
+from gs_codec.coding.exact_math import combine, fitting
 from gs_codec.scene import SH_C0
 
 #: Number of classes; limited, so that Gaussians hardly visible in these views are not too coarse in

@@ -22,9 +22,15 @@ from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.cuda.block_streams import PADDING, Streams
 from gs_codec.codecs.cuda.colours import read_colours
-from gs_codec.codecs.cuda.floats import THREADS, fill_colours, fill_shapes
 from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH, pack_tables
-from gs_codec.codecs.cuda.places import find_widths, place, surround
+from gs_codec.codecs.cuda.per_gaussian import (
+    THREADS,
+    fill_colours,
+    fill_shapes,
+    find_widths,
+    place,
+    surround,
+)
 from gs_codec.codecs.cuda.sh_ac_levels import read_levels
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
 from gs_codec.codecs.cuda.sums import OF_SHARE, OF_SUM, read_shares, read_sums

@@ -11,16 +11,18 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.exact_math import dot
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.frequency_table import (
+    MAX_MANTISSA,
     MAX_PRECISION,
     MIN_PRECISION,
     FrequencyTable,
+    SentModel,
+    encode_tables,
     normalise,
     shannon_bits,
 )
-from gs_codec.coding.linear import dot
-from gs_codec.coding.sent_tables import MAX_MANTISSA, SentModel, encode_tables
 from gs_codec.config import Models
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import kernel

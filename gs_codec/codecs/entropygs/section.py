@@ -11,8 +11,8 @@ import numpy as np
 
 from gs_codec.codecs.entropygs.models import Model, pack_model, unpack_model
 from gs_codec.coding.fields import ByteReader
+from gs_codec.coding.frequency_table import SentModel, decode_tables, encode_tables
 from gs_codec.coding.quantise import CentredQuantiser, ConstantQuantiser, Quantiser, RangeQuantiser
-from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import DEPTH_GROUPS, MAX_DEPTH, SH_STREAMS
 from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream

@@ -1,0 +1,301 @@
+"""Other codecs to measure beside ours, each through its own library or program."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import struct
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from gs_codec.bench.host import version_of
+from gs_codec.config import Extra
+from gs_codec.errors import InvalidInput, MissingTool, ToolFailed, one_line
+from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.ply.writer import vertex_rows
+from gs_codec.runtime.programs import Limits, first_line, run_on_files
+from gs_codec.runtime.threads import available_threads, run_all
+from gs_codec.scene import GROUPS, Scene, channel_count, group_rows
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A codec, ours or another, and how it is called.
+
+    Attributes
+    ----------
+    name : str
+    version : str
+        Of the program, and of its file format or level where that has one.
+    encode : callable
+        From the path of a PLY to the bytes of the file. One that fails, or does not finish in
+        its time, raises `ToolFailed`; so do the others.
+    decode : callable
+        From these bytes to floats, as the codec lays them out.
+    scene : callable
+        From what `decode` returned to a `Scene`, which is not timed.
+    once : bool
+        Whether it is too slow to be timed more than once.
+    own_process : bool
+        Whether it is a program that is started each time, which is timed with it.
+    """
+
+    name: str
+    version: str
+    encode: Callable[[Path], bytes]
+    decode: Callable[[bytes], Any]
+    scene: Callable[[Any], Scene]
+    once: bool = False
+    own_process: bool = False
+
+
+@dataclass(frozen=True)
+class AbsentPeer:
+    """A codec that cannot be called: its name, why, and what would help."""
+
+    name: str
+    absent: str
+
+
+def scene_of_ply(data: bytes, extra: Extra) -> Scene:
+    """The scene that the bytes of a PLY file hold."""
+    with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
+        path = Path(folder, "decoded.ply")
+        path.write_bytes(data)
+        return read_ply(path, extra)
+
+
+#: A second for 50 MB; level 19 takes 15 to 30 times as long for files up to 13 % smaller.
+ZSTD_LEVEL = 9
+
+
+def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
+    """Pcodec with its default settings on each column, in the order of the file."""
+    from pcodec import ChunkConfig, standalone
+
+    config = ChunkConfig()
+
+    def encode(ply: Path) -> bytes:
+        scene = read_ply(ply, extra)
+        columns = [column for group in GROUPS for column in getattr(scene, group)]
+        parts = run_all(lambda column: standalone.simple_compress(column, config), columns, threads)
+        sizes = struct.pack(f"<{2 + len(parts)}I", len(parts), scene.count, *map(len, parts))
+        return sizes + b"".join(parts)
+
+    def decode(data: bytes) -> Scene:
+        number, count = struct.unpack_from("<2I", data)
+        bounds = np.cumsum([8 + 4 * number, *struct.unpack_from(f"<{number}I", data, 8)])
+        planes = np.empty((number, count), np.float32)
+
+        def unpack(row: int) -> None:
+            part = data[bounds[row] : bounds[row + 1]]
+            standalone.simple_decompress_into(part, planes[row])
+
+        run_all(unpack, range(number if count else 0), threads)
+        rows = group_rows((number - channel_count(0)) // 3)
+        ends = np.cumsum([rows[group] for group in GROUPS])
+        groups: dict[str, Any] = dict(zip(GROUPS, np.split(planes, ends[:-1]), strict=True))
+        scene = Scene(**groups)
+        vertex_rows(scene)
+        return scene
+
+    return Peer(
+        "pcodec, columns", version_of("pcodec") or "unknown", encode, decode, lambda scene: scene
+    )
+
+
+def zstd_peer(extra: Extra, threads: int | None = None) -> Peer:
+    """Zstandard on the PLY as it is."""
+    version = f"{'.'.join(map(str, zstandard.ZSTD_VERSION))}, level {ZSTD_LEVEL}"
+    workers = threads or available_threads()
+
+    def encode(ply: Path) -> bytes:
+        return zstandard.ZstdCompressor(level=ZSTD_LEVEL, threads=workers).compress(
+            ply.read_bytes()
+        )
+
+    def decode(data: bytes) -> bytes:
+        return zstandard.ZstdDecompressor().decompress(data)
+
+    return Peer("zstd, PLY", version, encode, decode, lambda data: scene_of_ply(data, extra))
+
+
+def spz_peer(extra: Extra, module: str = "spz") -> Peer | AbsentPeer:
+    """Niantic's spz as it comes."""
+    how = "'make peers', or pip install git+https://github.com/nianticlabs/spz"
+    try:
+        spz = import_module(module)
+    except ImportError:
+        return AbsentPeer("spz", f"spz: not installed ({how})")
+    if not hasattr(spz, "save_spz_to_buffer"):
+        return AbsentPeer("spz", f"spz: module '{module}' is not Niantic's ({how})")
+    pack, unpack = spz.PackOptions(), spz.UnpackOptions()
+    pack.from_coord = unpack.to_coord = spz.CoordinateSystem.RDF
+
+    def encode(ply: Path) -> bytes:
+        cloud = _to_cloud(spz.GaussianCloud(), read_ply(ply, extra))
+        with _silenced():
+            return spz.save_spz_to_buffer(cloud, pack)
+
+    def decode(data: bytes) -> dict[str, Any]:
+        with _silenced():
+            cloud = spz.load_spz_from_buffer(data, unpack)
+        names = ("positions", "colors", "sh", "alphas", "scales", "rotations")
+        return {"antialiased": cloud.antialiased} | {name: getattr(cloud, name) for name in names}
+
+    name = f"spz v{pack.version}"
+    return Peer(name, version_of("spz") or "unknown", encode, decode, _from_cloud)
+
+
+def _to_cloud(cloud: Any, scene: Scene) -> Any:
+    """Fill spz's cloud: rows, not planes; the colours of a coefficient together; w last."""
+    cloud.antialiased = scene.antialiased
+    cloud.sh_degree = scene.sh_degree
+    cloud.positions = scene.positions.T.ravel()
+    cloud.colors = scene.f_dc.T.ravel()
+    cloud.sh = scene.f_rest.reshape(3, -1, scene.count).transpose(2, 1, 0).ravel()
+    cloud.alphas = scene.opacity[0]
+    cloud.scales = scene.log_scale.T.ravel()
+    cloud.rotations = scene.rot[[1, 2, 3, 0]].T.ravel()
+    return cloud
+
+
+def _from_cloud(cloud: dict[str, Any]) -> Scene:
+    """The inverse of `_to_cloud`; infinite logits, as alphas of 0 and 255 decode to, are cut."""
+    count = len(cloud["alphas"])
+
+    def planes(name: str, channels: int) -> NDArray[np.float32]:
+        return np.ascontiguousarray(cloud[name].reshape(count, channels).T)
+
+    coefficients = len(cloud["sh"]) // (3 * count) if count else 0
+    sh = cloud["sh"].reshape(count, coefficients, 3).transpose(2, 1, 0)
+    return Scene(
+        positions=planes("positions", 3),
+        f_dc=planes("colors", 3),
+        f_rest=np.ascontiguousarray(sh).reshape(3 * coefficients, count),
+        opacity=np.clip(planes("alphas", 1), -30, 30),
+        log_scale=planes("scales", 3),
+        rot=planes("rotations", 4)[[3, 0, 1, 2]],
+        comments=("SplatRenderMode: mip",) if cloud["antialiased"] else (),
+    )
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """Drop what a library writes to stdout, where results go."""
+    sys.stdout.flush()
+    saved, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(sink)
+
+
+#: The environment variable that names the program.
+PROGRAM_VARIABLE = "GS_CODEC_SPLAT_TRANSFORM"
+
+_SPLAT_TRANSFORM = "splat-transform"
+
+#: Where `make peers` puts it.
+_PROGRAM_FOLDER = "peers/node_modules/.bin"
+
+_INSTALL = (
+    "'make peers', or npm install -g @playcanvas/splat-transform@3; "
+    f"found by {PROGRAM_VARIABLE} or PATH"
+)
+
+#: Its formats, by the ends of their names. SOG clusters SH, which takes minutes on a CPU.
+_SUFFIXES = {"compressed.ply": ".compressed.ply", "spz": ".spz", "SOG": ".sog"}
+_SLOW = "SOG"
+
+#: How long it may take, by the clock.
+SECONDS = 120.0
+
+_MOST_BYTES = 1 << 36
+
+
+def find_program() -> tuple[str, str]:
+    """Path and version of what the environment variable names, PATH or this environment has.
+
+    Raises
+    ------
+    MissingTool
+        If there is no such program, or it is another one.
+    """
+    given = os.environ.get(PROGRAM_VARIABLE)
+    found = shutil.which(given or _SPLAT_TRANSFORM)
+    if found is None and not given:
+        found = shutil.which(_SPLAT_TRANSFORM, path=os.path.join(sys.prefix, _PROGRAM_FOLDER))
+    if found is None:
+        which = f"{_SPLAT_TRANSFORM}: not installed" if not given else f"{given}: no such program"
+        raise MissingTool(f"{which} ({_INSTALL})")
+    found = os.path.abspath(found)
+    try:
+        line = first_line([found, "--version"], _limits())
+    except (OSError, ToolFailed) as error:
+        raise MissingTool(f"{found}: cannot be run, {one_line(error)} ({_INSTALL})") from error
+    if not line.startswith(_SPLAT_TRANSFORM):
+        raise MissingTool(f"{found}: not {_SPLAT_TRANSFORM}, it says '{line[:80]}' ({_INSTALL})")
+    return found, line.removeprefix(_SPLAT_TRANSFORM).strip()
+
+
+def splat_transform_peers(threads: int | None = None) -> list[Peer | AbsentPeer]:
+    """Each format that the program writes, or why there is none."""
+    try:
+        path, version = find_program()
+    except MissingTool as error:
+        return [AbsentPeer(_SPLAT_TRANSFORM, str(error))]
+    command = [path, "--quiet", "--gpu", "cpu"]
+    if threads is not None:
+        command += ["--max-workers", str(threads)]
+    return [_peer(command, version, label, f"coded{end}") for label, end in _SUFFIXES.items()]
+
+
+def _peer(command: list[str], version: str, label: str, coded: str) -> Peer:
+    def convert(source: str, inputs: Mapping[str, bytes], target: str) -> bytes:
+        return run_on_files([*command, source, target], inputs, target, _limits(), _MOST_BYTES)
+
+    def encode(ply: Path) -> bytes:
+        return convert(str(ply.absolute()), {}, coded)
+
+    def decode(data: bytes) -> bytes:
+        return convert(coded, {coded: data}, "decoded.ply")
+
+    name, slow = f"{_SPLAT_TRANSFORM}, {label}", label == _SLOW
+    return Peer(name, version, encode, decode, _read, once=slow, own_process=True)
+
+
+def _limits() -> Limits:
+    return Limits(SECONDS, 3600, None)
+
+
+def _read(ply: bytes) -> Scene:
+    """The scene of a PLY; infinite logits, as alphas of 0 and 255 decode to, are cut."""
+    try:
+        scene = scene_of_ply(ply, "error")
+    except InvalidInput as error:
+        raise ToolFailed(f"wrote a PLY that cannot be read: {error}") from error
+    return replace(scene, opacity=np.clip(scene.opacity, -30, 30))
+
+
+def find_peers(extra: Extra, threads: int | None = None) -> list[Peer | AbsentPeer]:
+    """All peers, present or not; `extra` is for the reader of the PLY."""
+    return [
+        spz_peer(extra),
+        *splat_transform_peers(threads),
+        columns_peer(extra, threads),
+        zstd_peer(extra, threads),
+    ]

@@ -1,8 +1,9 @@
 """Check that a wheel with compiled kernels compiles nothing: `check_kernels.py WHEEL [PYTHON]`.
 
-Installs the wheel into a clean venv of PYTHON, makes it read-only, and runs the commands of
-README.md and COMMANDS.md without a home; if this is root, as the user `nobody`, where that user can
-run PYTHON. Names all kernels that were compiled, by numba's events, and the commands that did it.
+It installs the wheel into a clean venv of PYTHON, makes it read-only, and runs the commands of
+README.md and COMMANDS.md without a home folder. Root runs them as user `nobody`, if that user can
+run PYTHON. It lists all kernels that were compiled, from numba's events, and the commands that
+compiled them.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ event.register("numba:compile", Compiled())
 
 
 def main() -> int:
-    """Run all commands; 1 if one failed or has compiled a kernel."""
+    """Run all commands; return 1 if one failed or compiled a kernel."""
     wheel, python = sys.argv[1], [*sys.argv[2:], sys.executable][0]
     with tempfile.TemporaryDirectory(prefix="check-kernels-") as name:
         folder = Path(name)
@@ -48,7 +49,7 @@ def main() -> int:
         work = folder / "work"
         work.mkdir()
         user = {}
-        # Others cannot run a Python in a folder that is root's alone.
+        # Other users cannot run a Python in a folder that only root can enter.
         if os.geteuid() == 0 and all(p.stat().st_mode & 1 for p in Path(python).resolve().parents):
             shutil.chown(work, "nobody")
             user = {"user": "nobody", "extra_groups": []}
@@ -89,7 +90,7 @@ def _installed(venv: Path, wheel: str, python: str) -> Path:
 
 
 def _commands() -> list[str]:
-    """What documents tell people to type, after the command that makes the scene."""
+    """Commands in the documents after the one that makes the scene."""
     sample = f"python {ROOT / 'samples/generate.py'} scene.ply --gaussians 1100 --sh-degree 1"
     lines = []
     for name in DOCUMENTS:

@@ -1,4 +1,4 @@
-"""Write recipes for package managers beside the source distribution, and checksums of all.
+"""Write recipes for package managers next to the source distribution, and all checksums.
 
 python .ci/recipes.py dist
 """
@@ -16,13 +16,13 @@ RECIPES = ("conda/recipe.yaml", "homebrew/gs-codec.rb")
 
 
 def fill(recipe: str, **values: str) -> str:
-    """The text of a recipe, with values in place of ``@NAME@``."""
+    """Fill in a recipe: replace ``@NAME@`` by values."""
     text = (ROOT / ".ci" / recipe).read_text(encoding="utf-8")
     return re.sub("@([A-Z0-9]+)@", lambda name: values[name[1]], text)
 
 
 def project_url() -> str:
-    """The one variable of setup.py."""
+    """The project's URL, the only variable of setup.py."""
     text = (ROOT / "setup.py").read_text(encoding="utf-8")
     return re.findall('^URL = "(.*)"$', text, re.MULTILINE)[0]
 

@@ -1,9 +1,9 @@
-"""Add what tests and documents have compiled to the list of kernels.
+"""Add the kernels that tests and documents have compiled to the list of kernels.
 
     NUMBA_CACHE_DIR=build/kernels make test
     .venv/bin/python .ci/record_kernels.py build/kernels
 
-prints the lines that are new, and those that were not compiled; `--write` changes the list.
+It prints new lines, and lines that were not compiled; `--write` updates the list.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ PACKAGE = Path(gs_codec.__file__).parent
 
 
 def compiled(folder: Path) -> Iterator[Entry]:
-    """Kernels that are in numba's index files in a folder."""
+    """Kernels in numba's index files in a folder."""
     from gs_codec.runtime.kernel_cache import place_name
 
     sources = {place_name(str(path)): path for path in PACKAGE.rglob("*.py")}
     for index in folder.rglob("*.nbi"):
         source = sources.get(index.parent.name)
         named = re.match(r"\w+\.(\w+)-\d+\.", index.name)
-        if source is None or named is None:  # of a test, or of an earlier source
+        if source is None or named is None:  # from a test, or from an earlier source
             continue
         module = ".".join(source.relative_to(PACKAGE.parent).with_suffix("").parts)
         with index.open("rb") as file:
@@ -40,7 +40,7 @@ def compiled(folder: Path) -> Iterator[Entry]:
 
 
 def main() -> None:
-    """Print what has changed, and write it if asked."""
+    """Print the changes, and write them if `--write` is given."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folder", type=Path, help="NUMBA_CACHE_DIR of the run")
     parser.add_argument("--write", action="store_true", help="add new lines to the list")

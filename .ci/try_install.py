@@ -1,4 +1,4 @@
-"""Install a wheel or a source distribution into a new environment, and use it there.
+"""Install a wheel or source distribution into a new environment, and use it there.
 
 python .ci/try_install.py dist/gs_codec-1.0.0-py3-none-any.whl
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: How a scene is made: the sample needs Open3D.
+#: How to make a scene: the sample needs Open3D.
 SAMPLE = (
     "python {root}/samples/generate.py scene.ply --gaussians 5000 --sh-degree 3"
     " --cameras cameras.json"
@@ -31,7 +31,7 @@ gs-codec share scene.ply scene.egs --cameras cameras.json --out page.html
 gs-viewer --version
 """
 
-#: What the page needs to show both scenes.
+#: Text that a page with two scenes must contain.
 IN_PAGE = '<script type="application/octet-stream" id="scene-1">'
 
 

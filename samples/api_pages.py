@@ -1,9 +1,9 @@
-"""Write HTML pages on the public names of gs_codec and viewer; `make docs` runs this.
+"""Write the HTML reference of the public names of gs_codec and viewer; run by `make docs`.
 
     python samples/api_pages.py build/docs
 
-Needs pdoc (extra ``docs``). It does not see names that are loaded when first used, nor which names
-of a module are public: both are set here.
+Needs pdoc (extra ``docs``). pdoc sees neither lazily loaded names nor which names of a module are
+public, so both are set here.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import gs_codec
 #: Packages whose names are public.
 PACKAGES = ("gs_codec", "gs_codec.edit", "viewer")
 
-#: What the names of `viewer` return, by the module it is imported from.
+#: Types returned by functions of `viewer`, by the module they are imported from.
 TYPES = {"viewer.plugin": ("Actions",)}
 
 
-#: The first page: every name with the first line about it.
+#: The first page: every name with its summary line.
 INDEX = """
 {% extends "default/index.html.jinja2" %}
 {% block title %}gs_codec {{ version }}{% endblock %}
@@ -57,7 +57,7 @@ header.pdoc h1 { width: 100%; margin: 1rem 0 0; }
 
 
 def pages() -> dict[str, tuple[str, ...]]:
-    """Names on each page: those of packages, then types that they refer to."""
+    """Names on each page: those of packages, then the types they refer to."""
     public = {name: tuple(import_module(name).__all__) for name in PACKAGES}
     return public | TYPES
 

@@ -1,4 +1,4 @@
-"""Attributes of Gaussians, distributed as in trained scenes."""
+"""Attributes of Gaussians, with the distributions of trained scenes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BAND_SCALE = np.repeat(np.array([0.055, 0.035, 0.025], np.float32), [3, 5, 7])
 
 
 def noisy(rgb: NDArray, rng: np.random.Generator) -> NDArray:
-    """Colours as training leaves them: noisy, mostly in brightness."""
+    """Colours with the noise that training leaves, mostly in brightness."""
     brightness = 0.035 * rng.standard_normal(rgb.shape[1])
     return rgb + brightness + 0.012 * rng.standard_normal(rgb.shape)
 
@@ -30,22 +30,23 @@ def log_scales(spacing: NDArray, axis: NDArray, rng: np.random.Generator) -> NDA
 
 
 def _axis_order(axis: NDArray) -> NDArray:
-    """Which of (tangent, tangent, normal) lies in each row, a cyclic turn."""
+    """Which of (tangent, tangent, normal) is in each row; a cyclic permutation."""
     return (np.arange(3)[:, None] + 2 - axis) % 3
 
 
 def rotations(points: SurfacePoints, axis: NDArray, rng: np.random.Generator) -> NDArray:
-    """Quaternions wxyz ``(4, N)``, norm 0.7-1.3, that lay local axis `axis` along the normal."""
+    """Quaternions wxyz ``(4, N)``, norm 0.7-1.3, that align local axis `axis` with the normal."""
     x, y, z = points.normals
-    # Shortest turn from z to the normal; straight down, where it is undefined, half a turn of x.
+    # The smallest rotation from z to the normal; straight down, where it is undefined, 180 degrees
+    # about x.
     down = z < -1 + 1e-9
     tilt = np.array([np.where(down, 0, 1 + z), np.where(down, 1, -y), x, 0 * z])
     half = np.pi * rng.random(len(axis))
     spin = np.array([np.cos(half), 0 * z, 0 * z, np.sin(half)])
-    # Cyclic turns of the axes: normal on x, on y, on z.
+    # Cyclic permutations of the axes: normal on x, on y, on z.
     cycle = np.array([[0.5, -0.5, -0.5, -0.5], [0.5, 0.5, 0.5, 0.5], [1, 0, 0, 0]]).T[:, axis]
     q = _multiply(_multiply(tilt, spin), cycle)
-    # Training starts at the identity, so w is seldom negative.
+    # Training starts at the identity, so w is rarely negative.
     q *= np.where((q[0] < 0) == (rng.random(len(axis)) < 0.95), -1, 1)
     norm = np.clip(1 + 0.1 * rng.standard_normal(len(axis)), 0.7, 1.3)
     return q * (norm / np.sqrt((q**2).sum(axis=0)))
@@ -66,7 +67,7 @@ def _multiply(p: NDArray, q: NDArray) -> NDArray:
 
 
 def opacities(count: int, rng: np.random.Generator) -> NDArray:
-    """Logits ``(N,)``: near-opaque ones, and a tail of faint ones down to the trainer's cut."""
+    """Logits ``(N,)``: nearly opaque ones, and a tail of faint ones down to the trainer's limit."""
     opaque = rng.random(count) < 0.65
     z = rng.standard_normal(count)
     # The trainer prunes below an opacity of 0.005, a logit of -5.29.
@@ -74,9 +75,10 @@ def opacities(count: int, rng: np.random.Generator) -> NDArray:
 
 
 def fill_sh(f_rest: NDArray[np.float32], gloss: NDArray, rng: np.random.Generator) -> None:
-    """Laplace SH-AC, smaller by band, mostly common to R, G, B, with a few strong Gaussians."""
+    """Laplace SH-AC: smaller in higher bands, mostly equal in R, G, B, a few Gaussians strong."""
     coefficients, count = len(f_rest) // 3, f_rest.shape[1]
-    # A log-normal strength per Gaussian makes the tails heavier than Laplace's.
+    # A log-normal strength per Gaussian makes the tails heavier than those of a Laplace
+    # distribution.
     strength = gloss * np.exp(0.45 * rng.standard_normal(count))
     strength[rng.random(count) < FLAT_COLOUR_SHARE] = 0
     scale = strength.astype(np.float32) * _BAND_SCALE[:coefficients, None]
@@ -86,6 +88,6 @@ def fill_sh(f_rest: NDArray[np.float32], gloss: NDArray, rng: np.random.Generato
 
 
 def _laplace(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float32]:
-    # A difference of exponentials: in float32 twice as fast as Generator.laplace.
+    # A difference of exponentials in float32 is twice as fast as Generator.laplace.
     a = rng.standard_exponential(shape, dtype=np.float32)
     return a - rng.standard_exponential(shape, dtype=np.float32)

@@ -2,9 +2,9 @@
 
     python samples/city.py city.ply --gaussians 100000000 bonsai.ply mouse.ply
 
-Scenes, of one SH degree, take turns. A tile is the middle of its scene, without the tenth that lies
-farthest out, scaled to the same size; its Gaussians are shuffled, and moved by a thousandth of it.
-Opacity changes, too, so that no two tiles are alike.
+Tiles alternate between the scenes, which must have the same SH degree. A tile is the middle of its
+scene, without the outermost tenth, scaled to a common size. Its Gaussians are shuffled, and moved
+by a thousandth of the size. Opacity changes too, so that no two tiles are equal.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from gs_codec.formats.ply.writer import ply_header, vertex_rows
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import Scene
 
-#: Share of a scene that a tile shows.
+#: Share of a scene's Gaussians in a tile.
 _MIDDLE = 0.9
 
-#: Standard deviation of the shift of a Gaussian.
+#: Standard deviation of the shift of a Gaussian, relative to the size.
 _MOVED = 1e-3
 
-#: Standard deviation of the change of its opacity, as a logit.
+#: Standard deviation of the change of a Gaussian's opacity logit.
 _FADED = 0.05
 
 
 def middle_of(scene: Scene) -> Scene:
-    """The middle of a scene, from -1 to 1 on each axis."""
+    """The middle of a scene, scaled to -1 to 1 on each axis."""
     centre = np.median(scene.positions, axis=1, keepdims=True)
     away = np.abs(scene.positions - centre).max(axis=0)
     reach = np.quantile(away, _MIDDLE)
@@ -45,7 +45,7 @@ def middle_of(scene: Scene) -> Scene:
 
 
 def tiles(scenes: list[Scene], count: int) -> Iterator[Scene]:
-    """Tiles of `count` Gaussians together, row by row on a square."""
+    """Tiles with `count` Gaussians in total, row by row in a square."""
     rng = np.random.default_rng(0)
     mean = sum(scene.count for scene in scenes) / len(scenes)
     side = math.ceil(math.sqrt(count / mean))

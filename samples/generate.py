@@ -1,4 +1,4 @@
-"""Seeded 3DGS scenes: of any size, made to look trained; or small, trained as people capture."""
+"""Seeded 3DGS scenes: synthetic ones of any size, or small ones trained on synthetic captures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-# Run as a script, only this folder is on the path, not the checkout around it.
+# When run as a script, only this folder is on the path, not the checkout.
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -31,10 +31,10 @@ SH_C0 = 0.28209479177387814
 #: Share of Gaussians far outside the room.
 FLOATER_SHARE = 0.015
 
-#: Most Gaussians `generate` makes: 24 GB of them at degree 3.
+#: Maximum number of Gaussians that `generate` makes: 24 GB at degree 3.
 MAX_COUNT = 100_000_000
 
-#: What the cameras look at: the middle of the objects on the table.
+#: Target of the cameras: the middle of the objects on the table.
 TARGET = (0.0, 0.0, 0.15)
 
 # Gaussians made at once: limits scratch memory. Scenes of a seed depend on it.
@@ -46,12 +46,12 @@ Planes = dict[str, NDArray[np.float32]]
 
 
 def generate(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
-    """Make a scene whose attributes are distributed as in a trained one.
+    """Make a scene with the attribute distributions of a trained one.
 
     Parameters
     ----------
     count : int
-        Number of Gaussians, 0 to `MAX_COUNT`. Their size follows, so that surfaces stay covered.
+        Number of Gaussians, 0 to `MAX_COUNT`. Their size adapts, so that surfaces stay covered.
     sh_degree : int
         SH degree, 0-3.
     seed : int
@@ -125,7 +125,7 @@ def _camera(number: int, angle: float, width: int, height: int) -> dict:
 
 
 def _whole(name: str, value: int, low: int, high: int | None = None) -> int:
-    """`value` as an int, or InvalidInput unless it is whole and within the bounds."""
+    """Convert `value` to an int; InvalidInput unless it is a whole number within the bounds."""
     expected = f"{low} or more" if high is None else f"{low}-{high}"
     try:
         number = operator.index(value)
@@ -147,7 +147,7 @@ def _fill(planes: Planes, total: int, rng: Generators) -> None:
     points = scene.sample(planes["positions"].shape[1], rng["surface"])
     spacing = 1 / np.sqrt(total * scene.densities[points.part])
     gloss = np.array([surface.gloss for surface in scene.surfaces])[points.part]
-    # Training leaves centres a little off the surface, by less than a splat is wide.
+    # Training leaves centres slightly off the surface, by less than the width of a splat.
     off = 0.08 * spacing * rng["surface"].standard_normal(len(spacing))
     planes["positions"][:] = points.positions + off * points.normals
     planes["f_dc"][:] = (noisy(scene.colours(points), rng["colour"]) - 0.5) / SH_C0
@@ -223,7 +223,7 @@ def _write(args: argparse.Namespace) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Write a scene, and cameras if asked; exits with status 2 and one line on bad arguments."""
+    """Write a scene, and optionally cameras; exit with status 2 and one line on bad arguments."""
     parser, args = _arguments(argv)
     _check_outputs(parser, args)
     try:
@@ -231,7 +231,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     except InvalidInput as error:
         parser.error(str(error))
     except OSError as error:
-        # The name in the error is that of a temporary file beside the output.
+        # The error names a temporary file next to the output.
         folder = Path(error.filename or args.out).parent
         parser.error(f"cannot write in {folder}: {error.strerror or error}")
 

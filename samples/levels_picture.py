@@ -1,4 +1,4 @@
-"""The picture of levels of detail: each from near, and what small pictures take of them.
+"""The picture of levels of detail: each level close up, and the blocks for small pictures.
 
     python samples/levels_picture.py gs_codec/bench/levels.jpg
 

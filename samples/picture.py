@@ -1,4 +1,4 @@
-"""The README's picture: a rendered view before and after coding, their difference, and the bits.
+"""The README's picture: a render before and after coding, their difference, and the bits.
 
     python samples/picture.py samples/picture.png
 
@@ -33,7 +33,7 @@ _WIDTH = 420
 _HEIGHT = 300
 _PROFILE = "s"
 
-#: Streams of each bar segment; colours of Okabe and Ito, distinct for the colour-blind too.
+#: Streams of each bar segment; colours of Okabe and Ito, also distinct for the colour-blind.
 _PARTS = {
     "positions": (("geometry", "low-bits"), "#000000"),
     "SH-DC": (("sh-dc",), "#e69f00"),
@@ -87,7 +87,7 @@ def show(axis, image: NDArray, title: str, interpolation: str | None = None) -> 
 
 
 def drawn(scene: Scene, camera: Camera) -> NDArray:
-    """What a camera sees of a scene, 0-1."""
+    """Render of a scene, 0-1."""
     return np.clip(render(scene, camera, device="cpu").colour, 0, 1)
 
 
@@ -96,7 +96,7 @@ def _draw(scene: Scene) -> NDArray:
 
 
 def _draw_bits(axis, scene: Scene, before: NDArray) -> None:
-    """Bits per Gaussian of each attribute, stacked, for each profile, and what the view loses."""
+    """Draw stacked bits per Gaussian by attribute for each profile, and the loss of the view."""
     for row, profile in enumerate(_SHOWN):
         data, report = encode_scene(scene, Config(profile))
         sizes = report.section_bytes

@@ -12,7 +12,7 @@ Point = tuple[float, float, float]
 
 
 def open3d_shapes() -> Any:
-    """Open3D's `TriangleMesh`, imported late: Open3D takes over a second to load."""
+    """Open3D's `TriangleMesh`, imported late, because Open3D takes over a second to load."""
     from open3d.geometry import TriangleMesh
 
     return TriangleMesh
@@ -25,7 +25,7 @@ def corners_of(mesh: Any, centre: Point) -> Array:
 
 
 def box(centre: Point, size: Point, turn: float = 0.0) -> Array:
-    """A box, turned about the vertical by `turn` radians."""
+    """A box, rotated about the vertical by `turn` radians."""
     mesh = open3d_shapes().create_box(*size)
     mesh.translate(-np.array(size) / 2)
     mesh.rotate(mesh.get_rotation_matrix_from_xyz((0, 0, turn)), center=(0, 0, 0))
@@ -33,7 +33,7 @@ def box(centre: Point, size: Point, turn: float = 0.0) -> Array:
 
 
 def knot() -> Array:
-    """Open3D's torus bent along a trefoil, the (2, 3) torus knot, standing upright."""
+    """Open3D's torus bent into an upright trefoil, the (2, 3) torus knot."""
     mesh = open3d_shapes().create_torus(1.0, 0.5, 240, 24)
     x, y, z = np.asarray(mesh.vertices).T
     t, out = np.arctan2(y, x), np.hypot(x, y) - 1.0
@@ -48,17 +48,18 @@ def knot() -> Array:
         ]
     )
     tangent /= np.sqrt((tangent**2).sum(axis=0))
-    # The normal of the torus the knot lies on is across the curve, and closes up with it.
+    # The normal of the torus around which the knot winds is perpendicular to the curve, and closes
+    # with it.
     across = curve - 2 * np.array([np.cos(2 * t), np.sin(2 * t), 0 * t])
     side = np.cross(tangent, across, axis=0)
     a, b, c = 0.13 * (curve + 1.1 * (out * across + z * side))
-    # Turned about x, so that the hole faces the cameras, and lifted onto the table.
+    # Rotated about x, so that the hole faces the cameras, and lifted onto the table.
     upright = np.array([a, 0.30 - c, b - b.min()])
     return np.ascontiguousarray(upright.T[np.asarray(mesh.triangles)].transpose(1, 2, 0))
 
 
 def join(parts: list[Array]) -> Array:
-    """One shape of several."""
+    """Join several shapes into one."""
     return np.concatenate(parts, axis=2)
 
 
@@ -68,7 +69,7 @@ def sphere(radius: float, centre: Point, resolution: int = 40) -> Array:
 
 
 def torus(radius: float, tube: float, centre: Point) -> Array:
-    """A ring that lies flat."""
+    """A horizontal ring."""
     return corners_of(open3d_shapes().create_torus(radius, tube, 60, 30), centre)
 
 
@@ -78,7 +79,7 @@ def cylinder(radius: float, height: float, centre: Point, around: int = 40) -> A
 
 
 def blob(centre: Point, radii: Point, depth: float, seed: int, resolution: int = 28) -> Array:
-    """An ellipsoid with bumps `depth` of its radius high, such as the crown of a tree."""
+    """An ellipsoid with bumps of relative height `depth`, such as the crown of a tree."""
     mesh = open3d_shapes().create_sphere(1.0, resolution)
     unit = np.asarray(mesh.vertices)
     bumps = waves(unit.T + 3.7 * seed, 4.0) + 0.6 * waves(unit.T - 2.1 * seed, 11.0)
@@ -87,7 +88,7 @@ def blob(centre: Point, radii: Point, depth: float, seed: int, resolution: int =
 
 
 def roof(base: Point, length: float, width: float, turn: float) -> Array:
-    """A saddle roof that juts out over a box of this length and width."""
+    """A gabled roof that overhangs a box of this length and width."""
     x, y, z = 0.54 * length, 0.58 * width, 0.45 * width
     vertices = np.array(
         [[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0], [-x, 0, z], [x, 0, z]], float

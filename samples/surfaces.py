@@ -1,4 +1,4 @@
-"""The still life: textured surfaces of Open3D's built-in shapes, and points drawn from them."""
+"""The still life: textured surfaces of Open3D's built-in shapes, and points sampled on them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from samples.textures import Array, Texture, checker, marble, rainbow, stripes, 
 #: Distance from the origin within which every surface lies, in scene units.
 ROOM_RADIUS = 8.0
 
-#: Footprints that darken what is under them: x, y, height of the support, radius.
+#: Footprints that darken the surface below them: x, y, height of the support, radius.
 _SHADOWS = (
     (-0.85, 0.40, 0.0, 0.30),
     (0.68, -0.42, 0.0, 0.40),
@@ -43,7 +43,7 @@ class Surface:
     gloss : float
         Strength of view-dependent colour, relative to the other surfaces.
     shines : bool
-        Whether it gives light itself, so that it has neither shade nor gloss.
+        Whether it emits light, and so has neither shade nor gloss.
     """
 
     name: str
@@ -56,14 +56,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points drawn from a still life.
+    """Points sampled from a still life.
 
     Parameters
     ----------
     positions, normals : ndarray, shape (3, N), float64
         Points and the unit normals of their triangles.
     part : ndarray, shape (N,), intp
-        Which surface each point lies on.
+        Index of the surface of each point.
     """
 
     positions: Array
@@ -87,7 +87,7 @@ class StillLife:
         return np.array([surface.density for surface in self.surfaces]) / self.cumulative[-1]
 
     def sample(self, count: int, rng: np.random.Generator) -> SurfacePoints:
-        """Draw `count` points, uniform on each surface."""
+        """Sample `count` points, uniformly on each surface."""
         at = rng.random(count) * self.cumulative[-1]
         triangle = np.minimum(
             np.searchsorted(self.cumulative, at, side="right"), len(self.cumulative) - 1
@@ -129,7 +129,7 @@ def still_life() -> StillLife:
 
 
 def _room() -> list[Surface]:
-    # Winding is reversed: the room is seen from inside.
+    # The winding is reversed, because the room is seen from inside.
     faces = box((0, 0, 0.5), (9, 9, 3))[::-1]
     bottom = np.all(faces[:, 2] < -0.99, axis=0)
     top = np.all(faces[:, 2] > 1.99, axis=0)
@@ -179,7 +179,7 @@ def _objects() -> list[Surface]:
 
 
 def _contact_shade(points: Array) -> Array:
-    """Darkening of supports near the things that stand on them."""
+    """Darkening of supports near the objects on them."""
     shade = np.ones(points.shape[1])
     for x, y, z, radius in _SHADOWS:
         under = np.flatnonzero(np.abs(points[2] - z) < 1e-3)

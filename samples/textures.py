@@ -13,7 +13,7 @@ Colour = tuple[float, float, float]
 
 
 def mix(a: Colour, b: Colour, share: Array) -> Array:
-    """Colours ``(3, N)`` from `a`, where `share` is 0, to `b`, where it is 1."""
+    """Blend from `a`, where `share` is 0, to `b`, where it is 1: colours ``(3, N)``."""
     return np.multiply.outer(a, 1 - share) + np.multiply.outer(b, share)
 
 
@@ -28,7 +28,7 @@ def waves(points: Array, frequency: float) -> Array:
 
 
 def checker(size: float, a: Colour, b: Colour, turn: float = 0.0) -> Texture:
-    """Cubes of two colours, turned about z."""
+    """Checks in space: cubes of two alternating colours, rotated about z."""
     cos, sin = np.cos(turn), np.sin(turn)
 
     def texture(p: Array) -> Array:

@@ -1,10 +1,10 @@
-"""A trainer's loop with the codec in it: a scene coded coarsely is trained back, coded as it goes.
+"""A trainer's loop with the codec: a coarsely coded scene is retrained, and coded on the way.
 
     python samples/trainer.py scene.ply cameras.json trained.pt --iterations 200
 
 The parameters are gsplat's (`means quats scales opacities sh0 shN`), optimised by Adam of torch.
-Gradients are those of our renderer, so that it runs on any CPU; a trainer with a GPU has
-``loss.backward()`` of `gsplat.rasterization` in their place, and all else stays.
+Gradients come from our renderer, so it runs on any CPU. A trainer with a GPU would use
+``loss.backward()`` with `gsplat.rasterization` instead; everything else stays the same.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _RATES = {
 
 
 def backward(splats: Mapping[str, torch.nn.Parameter], camera: Any, image: np.ndarray) -> None:
-    """Set the gradients of all parameters to those of a view's loss against an image."""
+    """Set the gradients of all parameters to those of a view's loss."""
     scene = from_cloud(gs_codec.from_tensors(splats))
     seen = differentiate(scene, camera, image, (0.0, 0.0, 0.0))
     planes = np.zeros((channel_count(len(scene.f_rest) // 3), scene.count), np.float32)
@@ -51,9 +51,9 @@ def backward(splats: Mapping[str, torch.nn.Parameter], camera: Any, image: np.nd
 def train(
     source: Path, cameras: Path, iterations: int, every: int, width: int | None = None
 ) -> torch.nn.ParameterDict:
-    """Train what profile `s` leaves of a scene towards views of the scene itself.
+    """Encode a scene with profile `s`, then train the result towards renders of the scene.
 
-    Prints iterations done, mean PSNR of the views, and times that profile `m` makes it smaller.
+    Prints iterations, mean PSNR of the views, and the compression ratio of profile `m`.
     """
     cloud = gs_codec.read(source)
     views = [(camera, view.colour) for camera, view in gs_codec.render(cloud, cameras, width=width)]
@@ -77,7 +77,7 @@ def train(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run as a program; the exit status."""
+    """Run as a program; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("source", type=Path, help="a scene")
     parser.add_argument("cameras", type=Path, help="cameras.json, or another file of cameras")

@@ -1,4 +1,4 @@
-"""A small scene trained on photographs of a made-up place, and its cameras."""
+"""A small scene trained on photographs of a synthetic place, and its cameras."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from samples.captures.photograph import Photographer
 from samples.captures.rigs import RIGS, cameras_of, frame_of
 from samples.captures.training import train
 
-#: Minimum number of Gaussians that training starts with.
+#: Minimum number of initial Gaussians.
 MIN_COUNT = 100
 
-#: Maximum number.
+#: Maximum number of initial Gaussians.
 MAX_COUNT = 100_000
 
-#: Iterations of training.
+#: Default number of training iterations.
 ITERATIONS = 600
 
-#: Logit of the opacity below which the trainer removes Gaussians: 0.005.
+#: Opacity logit below which the trainer removes Gaussians (opacity 0.005).
 _FAINTEST = -5.29
 
 
 @dataclass(frozen=True)
 class Capture:
-    """A trained scene, its cameras, and the photographs ``(H, W, 3)`` they took."""
+    """A trained scene, its cameras, and their photographs ``(H, W, 3)``."""
 
     scene: Scene
     cameras: tuple[Camera, ...]
@@ -63,13 +63,13 @@ def capture(
     style : str
         One of `RIGS`.
     count : int
-        Gaussians at the start, `MIN_COUNT` to `MAX_COUNT`. Training makes a few so faint that
-        they are removed.
+        Initial number of Gaussians, `MIN_COUNT` to `MAX_COUNT`. A few become so faint in training
+        that they are removed.
     seed : int
         0 or more. The same arguments give the same result.
     iterations : int
     width : int, optional
-        Of the images, pixels; by default 180 to 240.
+        Width of the images, pixels; by default 180 to 240.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def _points(
     few: int,
     rng: np.random.Generator,
 ) -> Points:
-    """Points on surfaces, and `few` floaters, `count` together."""
+    """Points on surfaces, and `few` floaters, `count` in total."""
     centres = np.array([camera.position for camera in cameras])
     radius = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
     candidates = np.concatenate(found)
@@ -128,7 +128,7 @@ def _without_faintest(scene: Scene) -> Scene:
 
 
 def _with_lost(scene: Scene, distance: float) -> Scene:
-    """A scene with its first Gaussian once more, so far away along x; as it is if that is 0."""
+    """A scene with its first Gaussian duplicated far away along x; unchanged if `distance` is 0."""
     if not distance:
         return scene
     lost = scene.take(np.zeros(1, np.int64))

@@ -1,4 +1,4 @@
-"""Places inside: the table of the still life, a bench before a window, and a flat of two rooms."""
+"""Indoor places: the table of the still life, a bench in front of a window, and a flat."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def table_room() -> Place:
 
 
 def window_bench() -> Place:
-    """The objects of the still life on a bench before a window, with trees outside."""
+    """The objects of the still life on a bench in front of a window, with trees outside."""
     left = {"floor", "walls", "table", "legs"}
     objects = [surface for surface in still_life().surfaces if surface.name not in left]
     planks = wood((0.42, 0.26, 0.14), (0.62, 0.42, 0.25))
@@ -106,7 +106,7 @@ def flat() -> Place:
         *_bedroom(),
         Surface("lamps", join(lamps), lambda p: np.full_like(p, 0.97), shines=True),
     ]
-    # Light comes from below the lamps, which would shade the rooms from inside.
+    # Lights are below the lamps, which would shade the rooms from inside.
     lights = tuple(Light((x, 2.0, 1.85), reach=2.4) for x in (2.5, 7.4))
     return Place(tuple(surfaces), lights)
 
@@ -226,7 +226,7 @@ def _parquet(p: Array) -> Array:
 
 
 def _books(p: Array) -> Array:
-    """Rows of coloured backs."""
+    """Rows of coloured book spines."""
     row = np.floor(p[2] / 0.31)
     hue = 2.4 * np.floor((p[0] + p[1]) / 0.075 + 0.3 * row) + 1.7 * row
     backs = 0.40 + 0.20 * np.cos(hue + np.array([[0.0], [0.9], [2.2]]))
@@ -234,7 +234,7 @@ def _books(p: Array) -> Array:
 
 
 def _window(p: Array) -> Array:
-    """A bright view, too far to have parallax, and bars."""
+    """A bright view, too far away for parallax, and bars."""
     share = 1 / (1 + np.exp(-9 * (p[2] - 1.2)))
     bars = np.abs(np.sin(4.2 * (p[0] + p[1]))) < 0.06
     rgb = mix((0.50, 0.62, 0.45), (0.86, 0.92, 0.98), share)

@@ -1,4 +1,4 @@
-"""Gaussians to start training from: what structure-from-motion and densification would give."""
+"""Initial Gaussians for training, like those of structure-from-motion and densification."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from samples.captures.photograph import Hits
 from samples.captures.rigs import Frame
 from samples.textures import Array
 
-#: Candidates for each point that is chosen.
+#: Number of candidates for each selected point.
 _CANDIDATES = 30
 
-#: Error of matched features in the images, pixels.
+#: Error of matched features in the images, in pixels.
 _FEATURE_ERROR = 0.5
 
-#: Where Gaussians float before the cameras, in medians of the distance.
+#: Range of the distance of floaters from cameras, relative to the median distance.
 _FLOATERS_AT = (0.08, 0.5)
 
 
 class Points(NamedTuple):
-    """Points that cameras see.
+    """Points visible to cameras.
 
     ``positions (N, 3)`` in metres, ``colours (N, 3)``, ``normals (N, 3)``, ``sizes (N,)``
     standard deviations in metres, and ``opacity (N,)``, logits.
@@ -42,7 +42,7 @@ class Points(NamedTuple):
 def seen_candidates(
     camera: Camera, image: NDArray, hits: Hits, count: int, rng: np.random.Generator
 ) -> Array:
-    """Points of some pixels ``(N, 13)``: position, colour, normal, distance and camera centre."""
+    """Candidates ``(N, 13)`` at some pixels: position, colour, normal, distance, camera centre."""
     pick = rng.choice(image.size // 3, min(count, image.size // 3), replace=False)
     centre = np.broadcast_to(camera.position, (len(pick), 3))
     rows = hits.points.T, image.reshape(-1, 3), hits.normals.T, hits.distances[:, None]
@@ -50,17 +50,17 @@ def seen_candidates(
 
 
 def candidates_of_each(count: int, cameras: int) -> int:
-    """Candidates that each camera gives."""
+    """Number of candidates from each camera."""
     return 1 + _CANDIDATES * count // cameras
 
 
 def surface_points(
     candidates: Array, count: int, parallax: float, rng: np.random.Generator
 ) -> Points:
-    """Choose points whose spacing grows with the distance of the nearest camera that sees them.
+    """Choose points with a spacing that grows with the distance of the nearest camera.
 
     They are denser where colours vary. `parallax`, the radius of the rig times the focal length,
-    says how well distances are known.
+    determines how accurately distances are known.
     """
     positions, distances = candidates[:, :3], candidates[:, 9]
     apart, near = Neighbours(positions).nearest(positions, min(9, len(positions)))
@@ -68,7 +68,7 @@ def surface_points(
     contrast = candidates[near, 3:6].std(axis=1).mean(axis=1)
     spacing = apart[:, -1] / nearest + 1e-3
     weights = spacing**2 * (0.35 + np.minimum(contrast / 0.08, 2))
-    # The `count` least are a weighted sample without replacement.
+    # The `count` smallest values are a weighted sample without replacement.
     chosen = np.argsort(rng.exponential(size=len(weights)) / weights)[:count]
     found, distance = candidates[chosen], distances[chosen]
     error = _FEATURE_ERROR / parallax * rng.standard_normal(len(chosen))
@@ -89,7 +89,7 @@ def floaters(
     distance: float,
     rng: np.random.Generator,
 ) -> Points:
-    """Faint points close before the cameras, coloured like the pixels behind."""
+    """Faint points close to the cameras, with the colours of the pixels behind them."""
     low, high = np.log(_FLOATERS_AT)
     depth = distance * np.exp(rng.uniform(low, high, count))
     spots = rng.random((2, count))
@@ -101,12 +101,12 @@ def floaters(
         positions[i] = camera.position + depth[i] * (local @ camera.rotation)
         colours[i] = images[view][int(y), int(x)]
     sizes = depth * np.exp(rng.normal(np.log(0.035), 0.5, count))
-    # Round: they have no surface.
+    # Spherical, because they have no surface.
     return Points(positions, colours, 0 * colours, sizes, rng.normal(-2.0, 1.0, count))
 
 
 def initial_scene(points: Points, frame: Frame, rng: np.random.Generator) -> Scene:
-    """Gaussians in any order, uneven in size and shape, a little flatter across their surface."""
+    """Gaussians in random order, uneven in size and shape, slightly flattened along the normal."""
     count = len(points.positions)
     rot = np.array([[1.0], [0.0], [0.0], [0.0]]) + 0.5 * rng.standard_normal((4, count))
     normals = (points.normals @ frame.turn.T).T

@@ -54,7 +54,7 @@ def papered_wall() -> Place:
 
 
 def turntable() -> Place:
-    """A sculpture and blocks on a disc before a plain backdrop."""
+    """A sculpture and blocks on a disc in front of a plain backdrop."""
     disc = wood((0.36, 0.24, 0.15), (0.62, 0.47, 0.3))
     veins = marble((0.86, 0.85, 0.82), (0.20, 0.34, 0.36))
     surfaces = [

@@ -1,4 +1,4 @@
-"""Places under the sky: a garden, and a village seen from the air."""
+"""Outdoor places: a garden, a pasture, and a village seen from the air."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from samples.textures import (
 
 _DAYLIGHT = (0.62, 0.72, 0.88)
 
-#: Half the length of the village's land, metres.
+#: Half the length of the village's land, in metres.
 _LAND = 420.0
 
-#: Half the length of the part with houses, metres.
+#: Half the length of the part with houses, in metres.
 _BUILT = 110.0
 
 
@@ -81,7 +81,7 @@ def _furniture() -> list[Surface]:
 def _plants() -> list[Surface]:
     bark = wood((0.30, 0.22, 0.16), (0.46, 0.36, 0.26))
     clay = mottled((0.62, 0.32, 0.20), 8.0, 0.12)
-    # Place, height of the middle of the crown, and radius of each tree.
+    # Position, height of the crown's centre, and radius of each tree.
     trees = [
         (-5.5, 8.5, 2.9, 1.7),
         (3.9, 7.6, 2.6, 1.5),
@@ -101,7 +101,7 @@ def _plants() -> list[Surface]:
 
 
 def surroundings(ground: float, hills: float) -> list[Surface]:
-    """A lawn at z = `ground`, a ring of hills at a distance, and the sky."""
+    """A lawn at z = `ground`, a ring of distant hills, and the sky."""
     ring = cylinder(hills, 12.0, (0, 0, ground + 2), 96)
     side = np.ptp(ring[:, 2], axis=0) > 1
     land = box((0, 0, ground - 0.05), (2.2 * hills, 2.2 * hills, 0.1))
@@ -153,7 +153,7 @@ def _houses(rng: np.random.Generator) -> tuple[list[Array], list[Array]]:
     for _ in range(80):
         x, y = rng.uniform(-_BUILT, _BUILT, 2)
         length, width, high = rng.uniform((8, 6, 4), (18, 10, 9))
-        # Along the road near it, and across otherwise.
+        # Parallel to the road near it, otherwise perpendicular.
         turn = rng.normal(0.3, 0.1) + (np.pi / 2 if abs(y - _road(x)) > 30 else 0)
         if abs(y - _road(x)) > 11:
             base = float(_height(x, y)) - 1
@@ -179,7 +179,7 @@ def _road(x: Array | float) -> Array:
 
 
 def _height(x: Array | float, y: Array | float) -> Array:
-    """Height of the land."""
+    """Height of the terrain."""
     x, y = np.asarray(x), np.asarray(y)
     return 5 * np.sin(x / 37 + 0.4) * np.cos(y / 51) + 3 * np.sin((x + y) / 23)
 

@@ -1,4 +1,4 @@
-"""Photographs of a place by ray casting, with shadows and with gloss that depends on the view."""
+"""Photographs of a place by ray casting, with shadows and view-dependent gloss."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from gs_codec.cameras.camera import Camera
 from samples.captures.place import Light, Place
 from samples.textures import Array
 
-#: Rays along each side of a pixel.
+#: Number of rays along each side of a pixel.
 _RAYS = 2
 
-#: Rays start this far off a surface, so that they do not hit it again, metres.
+#: Offset of rays from a surface, in metres, so that they do not hit it again.
 _OFF = 2e-3
 
-#: What glossy surfaces reflect from below.
+#: Colour that glossy surfaces reflect from below.
 _BELOW = (0.25, 0.22, 0.18)
 
 
 class Hits(NamedTuple):
-    """What rays met: colours, points and normals ``(3, N)``, and distances ``(N,)``."""
+    """Hit points of rays: colours, points and normals ``(3, N)``, and distances ``(N,)``."""
 
     colours: Array
     points: Array
@@ -39,7 +39,7 @@ class Photographer:
     """
 
     def __init__(self, place: Place) -> None:
-        # Imported late: Open3D takes over a second to load.
+        # Imported late, because Open3D takes over a second to load.
         from open3d import core
         from open3d.t.geometry import RaycastingScene
 
@@ -58,7 +58,7 @@ class Photographer:
     def photograph(
         self, camera: Camera, rng: np.random.Generator
     ) -> tuple[NDArray[np.float32], Hits]:
-        """Image ``(H, W, 3)`` in [0, 1], and what one ray of each pixel, row by row, met."""
+        """Image ``(H, W, 3)`` in [0, 1], and the hit of one ray for each pixel, row by row."""
         shape = camera.height, camera.width
         y, x = np.indices(shape)
         total = np.zeros((3, y.size))
@@ -81,7 +81,7 @@ class Photographer:
         normals = normals * -np.sign(_dot(normals, directions) + 1e-12)
         colours, gloss, lit = self._material(points, self._part[triangles])
         mirrored = directions - 2 * _dot(normals, directions) * normals
-        # Light from all around, most of it from above.
+        # Ambient light, mostly from above.
         diffuse, shine = 0.42 + 0.14 * normals[2], np.zeros(len(distances))
         for light in self._place.lights:
             to, power = self._light(light, points, normals, rng)
@@ -98,7 +98,7 @@ class Photographer:
         return hits["t_hit"].numpy().astype(np.float64), hits["primitive_ids"].numpy()
 
     def _material(self, points: Array, part: NDArray) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Reflectance, gloss, and whether light and shade count."""
+        """Reflectance, gloss, and whether a surface is lit and shaded."""
         colours = np.empty_like(points)
         for number, surface in enumerate(self._place.surfaces):
             inside = np.flatnonzero(part == number)
@@ -111,7 +111,7 @@ class Photographer:
     def _light(
         self, light: Light, points: Array, normals: Array, rng: np.random.Generator
     ) -> tuple[Array, Array]:
-        """Directions to a light, and what arrives of it; each ray has its own shadow ray."""
+        """Directions to a light, and the light that arrives; each ray has its own shadow ray."""
         to = np.array(light.position)[:, None] - points
         to += light.radius * rng.standard_normal(points.shape)
         distance = np.sqrt(_dot(to, to))
@@ -121,7 +121,7 @@ class Photographer:
         return to, np.where(clear < 0.98 * distance, 0, power)
 
     def _surroundings(self, directions: Array) -> Array:
-        """What a mirror shows: bright above, dark below, uneven all around."""
+        """Reflected surroundings: bright above, dark below, uneven all around."""
         x, y, z = directions
         above = 1 / (1 + np.exp(-4 * z))
         rgb = np.multiply.outer(self._place.above, above) + np.multiply.outer(_BELOW, 1 - above)

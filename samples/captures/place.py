@@ -1,4 +1,4 @@
-"""A place to be captured: surfaces and lights."""
+"""A place to capture: surfaces and lights."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Light:
     ----------
     position : Point
     radius : float
-        Its shadows are soft by this much.
+        Radius of the light, which softens its shadows.
     power : float
-        Of a lamp, right at it.
+        Power at the lamp itself.
     reach : float
-        Distance at which it has half its power.
+        Distance at which the power is halved.
     """
 
     position: Point
@@ -33,14 +33,14 @@ class Light:
 
 @dataclass(frozen=True)
 class Place:
-    """Surfaces that no ray leaves, and what lights them; metres, z up.
+    """Surfaces that enclose all rays, and lights; metres, z up.
 
     Parameters
     ----------
     surfaces : tuple of Surface
     lights : tuple of Light
     above : Colour
-        What glossy surfaces reflect from above.
+        Colour that glossy surfaces reflect from above.
     """
 
     surfaces: tuple[Surface, ...]

@@ -1,4 +1,4 @@
-"""Where cameras stand in each style of capture, and how the scene's axes and units lie."""
+"""Camera positions in each style of capture, and the axes and units of the scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from samples.captures.place import Place
 from samples.shapes import Point
 from samples.textures import Array
 
-#: Every so many-th camera is for tests, as in the trainers' evaluation.
+#: Every n-th camera is a test camera, as in the trainers' evaluation.
 _TEST_EVERY = 8
 
 
@@ -28,23 +28,23 @@ class Rig:
     ----------
     place : callable
     stand : callable
-        Makes, from a generator, centres ``(V, 3)`` and the points ``(V, 3)`` looked at; metres.
+        Makes, from a generator, centres ``(V, 3)`` and the target points ``(V, 3)``; metres.
     size : (int, int)
         Width and height of the images, pixels.
     field : float
-        Field of view across the width, degrees.
+        Horizontal field of view, degrees.
     unit : float
         Length of a metre in the scene.
     up : Point or None
-        Where about up points in the scene; None for anywhere.
+        Approximate up direction in the scene; None for a random one.
     roll : float
-        How much cameras roll, about radians.
+        Approximate roll of the cameras, radians.
     floaters : float
-        Share of the Gaussians that float before the cameras.
+        Share of the Gaussians that are floaters in front of the cameras.
     far : float
-        Distance from the origin of one Gaussian that training lost; 0 without it.
+        Distance from the origin of one stray Gaussian; 0 for none.
     exposure : float
-        Logarithm of how much brighter the last photograph is than the first.
+        Logarithm of the brightness ratio of the last photograph to the first.
     """
 
     place: Callable[[], Place]
@@ -61,24 +61,24 @@ class Rig:
 
 @dataclass(frozen=True)
 class Frame:
-    """From metres, z up, to a scene: ``unit * turn @ p + shift``."""
+    """Transform from metres, z up, to a scene: ``unit * turn @ p + shift``."""
 
     unit: float
     turn: Array
     shift: Array
 
     def points(self, points: Array) -> Array:
-        """Points ``(N, 3)`` in the scene."""
+        """Convert points ``(N, 3)`` to the scene."""
         return self.unit * points @ self.turn.T + self.shift
 
     def camera(self, camera: Camera) -> Camera:
-        """A camera in the scene."""
+        """Convert a camera to the scene."""
         position = self.points(camera.position[None])[0]
         return replace(camera, position=position, rotation=camera.rotation @ self.turn.T)
 
 
 def cameras_of(rig: Rig, rng: np.random.Generator, width: int | None = None) -> list[Camera]:
-    """The cameras in the place, in metres; images `width` pixels wide, by default the rig's."""
+    """The cameras in the place, in metres; images are `width` pixels wide, by default the rig's."""
     centres, targets = rig.stand(rng)
     w, h = rig.size
     focal = 0.5 * w / np.tan(np.radians(rig.field) / 2)
@@ -92,7 +92,7 @@ def cameras_of(rig: Rig, rng: np.random.Generator, width: int | None = None) -> 
 
 
 def _rotations(centres: Array, targets: Array, roll: float, rng: np.random.Generator) -> Array:
-    """World to camera ``(V, 3, 3)``, upright but for the roll."""
+    """World-to-camera rotations ``(V, 3, 3)``, upright except for the roll."""
     forward = targets - centres
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     steep = np.abs(forward[:, 2:]) > 0.97
@@ -103,7 +103,7 @@ def _rotations(centres: Array, targets: Array, roll: float, rng: np.random.Gener
 
 
 def frame_of(rig: Rig, rng: np.random.Generator) -> Frame:
-    """The scene's axes: up as the rig says to a few degrees, the heading and the origin any."""
+    """Axes of the scene: up within a few degrees of the rig's, random heading and origin."""
     up = rng.standard_normal(3)
     if rig.up is not None:
         up = np.array(rig.up) + 0.08 * up
@@ -115,7 +115,7 @@ def frame_of(rig: Rig, rng: np.random.Generator) -> Frame:
 
 
 def _orbit(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Three rings around the table, the highest the smallest."""
+    """Three rings around the table; the highest is the smallest."""
     centres = []
     for count, height, radius in ((26, 0.45, 2.6), (24, 1.05, 2.5), (14, 1.6, 1.9)):
         z = rng.standard_normal((3, count))
@@ -128,7 +128,7 @@ def _orbit(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _arc(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A hand-held camera that goes to and, lower, fro before the sculpture."""
+    """A hand-held camera that moves in front of the sculpture in one direction, then lower back."""
     there, back = np.linspace(-58, 52, 30), np.linspace(55, -50, 26)
     z = rng.standard_normal((3, 56))
     angle = np.radians(np.concatenate([there, back])) + 0.02 * z[0]
@@ -139,7 +139,7 @@ def _arc(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _room(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A walk through both rooms; every few steps it stops to look around."""
+    """A walk through both rooms that stops every few steps to look around."""
     x = [0.7, 1.5, 3.6, 4.2, 5.0, 5.9, 7.2, 8.6, 8.9, 7.3]
     y = [1.0, 2.8, 2.9, 1.9, 2.0, 1.3, 2.1, 1.1, 2.1, 2.3]
     stops = np.repeat(np.linspace(0, len(x) - 1, 30), 4)
@@ -154,7 +154,7 @@ def _room(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _forward(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A small plane of cameras that all look one way."""
+    """A small plane of cameras that look in the same direction."""
     x, z = np.meshgrid(np.linspace(-0.55, 0.55, 7), np.linspace(-0.28, 0.28, 5))
     centres = np.stack([x.ravel(), np.full(x.size, -2.2), 0.75 + z.ravel()], axis=1)
     centres += 0.03 * rng.standard_normal(centres.shape)
@@ -163,7 +163,7 @@ def _forward(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _aerial(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Lines of a drone that looks down, and a second flight that looks aslant."""
+    """Lines of a drone looking down, and a second flight looking obliquely."""
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-75, 75, 7)] * 2))
     down = np.stack([x, y, np.full(x.size, 72.0)], axis=1)
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-80, 80, 5)] * 2))
@@ -177,7 +177,7 @@ def _aerial(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _wall(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A phone to and, lower, fro before a head on a wall; the last six views are from above."""
+    """A phone moved along a head on a wall, and lower back; the last six views from above."""
     counts = (28, 16, 6)
     z = rng.standard_normal((3, sum(counts)))
     sweeps = zip([(-72, 60), (62, -55), (-12, 8)], counts, strict=True)
@@ -191,7 +191,7 @@ def _wall(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _corridor(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A walk of 14 m that looks ahead; at its end, six views back."""
+    """A walk of 14 m, looking ahead; at the end, six views back."""
     ahead = np.repeat([4.0, -4.0], [58, 6])
     x = np.concatenate([np.linspace(1.0, 15.0, 58), np.linspace(15.0, 13.0, 6)])
     centres = np.stack([x, 0.25 * np.sin(0.9 * x), np.full(x.size, 1.5)], axis=1)
@@ -212,7 +212,7 @@ def _strip(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _turntable(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Two rings of even angles, as a turntable makes them."""
+    """Two rings with even angles, as on a turntable."""
     angle = np.tile(2 * np.pi * np.arange(24) / 24, 2) + np.repeat([0.0, np.pi / 24], 24)
     r, height = np.repeat([1.05, 0.9], 24), np.repeat([0.3, 0.7], 24)
     centres = np.stack([r * np.cos(angle), r * np.sin(angle), height], axis=1)
@@ -220,7 +220,7 @@ def _turntable(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _sky(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Most of a ring around the sculpture, level; the last six from above, looking down on it."""
+    """Most of a level ring around the sculpture; the last six look down on it from above."""
     z = rng.standard_normal((3, 48))
     sides = [np.linspace(-120, 100, 42), np.linspace(150, 175, 6)]
     angle = np.radians(np.concatenate(sides)) + 0.03 * z[0]
@@ -230,7 +230,7 @@ def _sky(rng: np.random.Generator) -> tuple[Array, Array]:
     return centres, [0, 0, 1.25] + 0.2 * rng.standard_normal(centres.shape)
 
 
-#: Styles of capture by their names; a style's place in this order is part of its seeds.
+#: Styles of capture by name; the index of a style is part of its seeds.
 RIGS = {
     "orbit": Rig(table_room, _orbit, (240, 160), 62.0, 30.0, (0.0, -1.0, 0.0)),
     "arc": Rig(garden, _arc, (180, 240), 55.0, 1.4, None),

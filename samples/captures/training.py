@@ -1,4 +1,4 @@
-"""A short training of Gaussians on photographs, as the 3DGS trainer's without densification."""
+"""A short training of Gaussians on photographs, like the 3DGS trainer's without densification."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from gs_codec.preparation.optimise import take_steps, view_of, with_values
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.scene import GROUPS, Scene
 
-#: Step sizes of Adam at the start; positions in radii of the camera rig. Those of `optimise` are
-#: for scenes that are trained already: from initial points, after 200 iterations on `orbit`, test
-#: views were 4 dB worse with them, and the Gaussians nearly round.
+#: Initial step sizes of Adam; positions in radii of the camera rig. Those of `optimise` are for
+#: trained scenes: from initial points, after 200 iterations on `orbit`, test views were 4 dB worse
+#: with them, and the Gaussians nearly spherical.
 _RATES = {
     "positions": 1e-3,
     "f_dc": 2.5e-2,
@@ -26,10 +26,10 @@ _RATES = {
     "rot": 0.05,
 }
 
-#: Factor on all step sizes at the end; they fall exponentially.
+#: Factor on all step sizes at the end; they decay exponentially.
 _LAST = 0.03
 
-#: Share of the iterations on images of half the size.
+#: Share of the iterations with images of half size.
 _COARSE = 0.5
 
 Image = NDArray[np.float32]
@@ -38,7 +38,7 @@ Image = NDArray[np.float32]
 def train(
     scene: Scene, cameras: Sequence[Camera], images: Sequence[Image], iterations: int
 ) -> Scene:
-    """Fit all attributes of a scene's Gaussians to images, one view an iteration."""
+    """Fit all attributes of a scene's Gaussians to images, one view per iteration."""
     state = new_state(np.concatenate([getattr(scene, group) for group in GROUPS]))
     fitted = with_values(scene, state.values.T)
     rates = _RATES | {"positions": _RATES["positions"] * rig_radius(cameras)}
@@ -54,7 +54,7 @@ def train(
 
 
 def _halved(camera: Camera, image: Image) -> tuple[Camera, Image]:
-    """The view with four pixels in one; a last odd row or column is left out."""
+    """The view at half size; a last odd row or column is dropped."""
     h, w = camera.height // 2, camera.width // 2
     smaller = replace(camera, width=2 * w, height=2 * h).resized(w, h)
     mean = image[: 2 * h, : 2 * w].reshape(h, 2, w, 2, 3).mean(axis=(1, 3))

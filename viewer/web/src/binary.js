@@ -5,7 +5,7 @@ import { counted } from './wording.js';
 /** 131072 // (2 n + 3). */
 const RATES = Int32Array.from({ length: 256 }, (_, n) => Math.floor(131072 / (2 * n + 3)));
 
-/** Decodes decisions under adaptive contexts, all fresh at first. */
+/** Decodes decisions with adaptive contexts, all fresh at first. */
 export class BinaryCoder {
   constructor(data, contexts, where) {
     this.data = data;
@@ -46,7 +46,7 @@ export class BinaryCoder {
     return decision;
   }
 
-  /** Check that the data end where the decisions do. */
+  /** Check that the data end after the last decision. */
   finish() {
     let size = 0;
     while (size < 4 && this.high - (this.high % 2 ** (32 - 8 * size)) < this.low) size++;

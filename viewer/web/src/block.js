@@ -1,4 +1,4 @@
-// Section "Lattices" of FORMAT.md: the passes of a block of the profiles l, m, s.
+// Section "Lattices" of FORMAT.md: the passes of a block of profiles l, m, s.
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
 import { COARSE, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
@@ -25,7 +25,7 @@ class Stream {
   }
 }
 
-/** Decodes integers by lanes that take turns. */
+/** Decodes integers with lanes in rotation. */
 class Pass {
   constructor({ starts, tokens }, states) {
     this.starts = starts;
@@ -34,7 +34,7 @@ class Pass {
     this.lane = 0;
   }
 
-  /** The next integer, by the table that begins at a place of the lattice's tables. */
+  /** The next integer, with the table at a position in the lattice's tables. */
   integer(table, stream) {
     const { starts, states, lane } = this;
     const state = states[lane];
@@ -54,7 +54,7 @@ class Pass {
   }
 }
 
-/** What the last Gaussian and the one before it have in each list of the shape pass. */
+/** The values of the last two Gaussians in each list of the shape pass. */
 class Recent {
   constructor() {
     this.last = new Float64Array(5);
@@ -81,7 +81,7 @@ function bucket(n) {
   return Math.min(2 * k + ((n >> (k - 1)) & 1), 15);
 }
 
-/** x, y, z of the far Gaussians of a block, from a section that it may lack. */
+/** x, y, z of the far Gaussians of a block; the section may be missing. */
 function farCentres(content, count) {
   if (content === undefined) return new Float32Array(0);
   const size = content.length;
@@ -93,7 +93,7 @@ function farCentres(content, count) {
   return centres;
 }
 
-/** A block that is decoded part by part: `base`, then `band` for each band of SH-AC. */
+/** A block decoded in parts: `base`, then `band` for each band of SH-AC. */
 export class LatticeBlock {
   /**
    * @param {Lattice} lattice
@@ -109,7 +109,7 @@ export class LatticeBlock {
   }
 
   /**
-   * All but SH-AC.
+   * Everything but SH-AC.
    *
    * @param {object} sections `Uint8Array`s by name
    * @returns {Float32Array} 14 planes: x, y, z, f_dc, opacity, scales, rotation
@@ -121,13 +121,13 @@ export class LatticeBlock {
     const positionShifts = this.#shapes(sections, planes.subarray(6 * count));
     const places = this.#places(sections, positionShifts, planes);
     const near = new Neighbours(places);
-    this.nearest = near.nearest; // what bands need of them, so that the rest is not kept
+    this.nearest = near.nearest; // all that bands need of `near`
     this.#dc(sections['sh-dc'], near, planes.subarray(3 * count, 6 * count));
     if (this.degree === 0) checkLastStates(this.states);
     return planes;
   }
 
-  /** Shape pass: opacity, scales and rotation into `planes`; the shifts of positions. */
+  /** Shape pass: opacity, scales and rotation into `planes`; returns the shifts of positions. */
   #shapes(sections, planes) {
     const { lattice, count } = this;
     const { units, centres, lists } = lattice;
@@ -186,13 +186,13 @@ export class LatticeBlock {
     return shifts;
   }
 
-  /** Places on the axes; positions into `planes`. */
+  /** Positions on the axes, also converted into `planes`. */
   #places(sections, shifts, planes) {
     const { lattice, count } = this;
     const axes = axesOf(lattice.bits);
     const raw = new RawBits(sections['low-bits'], 'low-bits');
     const places = [0, 1, 2].map(() => new Int32Array(count));
-    // Of the lowest bits of a code: how many are of each axis.
+    // How many of the lowest bits of a code belong to each axis.
     const among = [0, 1, 2].map((axis) => {
       const counts = new Uint8Array(axes.length + 1);
       for (let k = 1; k <= axes.length; k++) {
@@ -260,7 +260,8 @@ export class LatticeBlock {
     const stream = new Stream(content, where);
     const pass = new Pass(lattice, this.states);
     const hasMore = band + 1 < degree;
-    // Lists: the sum of all, then for each band its own sum, if it is not the last, and colours.
+    // Lists: the sum of all bands; then for each band its own sum, unless it is the last, and
+    // colours.
     let list = 10 + (band > 0 ? 1 + 4 * band : 0);
     if (band === 0) this.left = this.#sums(pass, lattice.lists[list++], stream);
     let sums = this.left;
@@ -270,7 +271,7 @@ export class LatticeBlock {
     }
     const size = 2 * band + 3;
     const levels = new Array(3 * size);
-    // Gaussians with something left.
+    // Gaussians with a remaining sum.
     const active = new Int32Array(count);
     let some = 0;
     for (let i = 0; i < count; i++) if (sums[i] > 0) active[some++] = i;
@@ -314,7 +315,9 @@ export class LatticeBlock {
     return sums;
   }
 
-  /** Levels of one coefficient of one colour; how many Gaussians have something left. */
+  /**
+   * Levels of one coefficient of one colour; returns the number of Gaussians with a remaining sum.
+   */
   #plane(pass, contexts, stream, plane, left, active, some, j, isLast) {
     const { nearest } = this;
     let kept = 0;
@@ -375,7 +378,7 @@ function quaternion(pole, roll, tilt0, tilt1, planes, at, stride) {
   }
 }
 
-/** R, G, B of Y, Co, Cg in steps, into planes that are `stride` apart and 0. */
+/** R, G, B from Y, Co, Cg in steps, into zeroed planes that are `stride` apart. */
 function toColours([ys, cos, cgs], steps, planes, stride) {
   for (let i = 0; i < steps.length; i++) {
     if ((ys[i] | cos[i] | cgs[i]) === 0) continue;

@@ -1,13 +1,13 @@
-// What decodes blocks: here, or in a worker.
+// Decoding of blocks, in this thread or in a worker.
 import { LatticeBlock } from './block.js';
 import { Lattice } from './lattice.js';
 import { Channels, PaperBlock } from './paper.js';
 
-/** Decodes parts of blocks, which it keeps until their last part. */
+/** Decodes parts of blocks, and keeps their state until the last part. */
 export class Blocks {
   /**
    * @param {object} setup `{content, degree, wanted, isPaper}`: the section `lattice` or
-   *   `channels`, the SH degrees of the file and of what is decoded
+   *   `channels`, the SH degrees of the file and to decode
    */
   constructor({ content, degree, wanted, isPaper }) {
     this.common = isPaper ? new Channels(content, degree) : new Lattice(content, degree);
@@ -17,16 +17,16 @@ export class Blocks {
     this.open = new Map();
   }
 
-  /** Names of the sections that each block has, of the profiles paper-*. */
+  /** Names of the sections of each block, with profiles paper-*. */
   get sections() {
     return this.common.sections;
   }
 
   /**
-   * Decode a part of a block: 0 is all but SH-AC, 1 to 3 are bands of SH-AC, in this order.
+   * Decode a part of a block: 0 is everything but SH-AC, 1 to 3 are bands of SH-AC, in order.
    *
    * @param {object} job `{block, count, part, sections}`
-   * @returns {Float32Array} planes, as `LatticeBlock` gives them
+   * @returns {Float32Array} planes, as from `LatticeBlock`
    */
   decode({ block, count, part, sections }) {
     if (part === 0) this.open.set(block, new this.Block(this.common, count, this.degree));
@@ -35,10 +35,10 @@ export class Blocks {
     return part === 0 ? found.base(sections) : found.band(part - 1, sections[`sh${part}`]);
   }
   /**
-   * Decode all of a block, up to an SH degree.
+   * Decode a whole block, up to an SH degree.
    *
    * @param {object} job `{count, degree, sections}`
-   * @returns {Float32Array[]} planes of each of its parts
+   * @returns {Float32Array[]} planes of each part
    */
   whole({ count, degree, sections }) {
     const found = new this.Block(this.common, count, this.degree);
@@ -49,14 +49,14 @@ export class Blocks {
   }
 }
 
-/** Decodes blocks of several files, such as the levels of one, each by its own setup. */
+/** Decodes blocks of several files, such as the levels of one, each with its own setup. */
 export class Files {
   constructor(setups) {
     this.setups = setups;
     this.files = [];
   }
 
-  /** Decode what a job asks for, of its file: a part of a block, or, without `part`, all of it. */
+  /** Decode the block of a job: one part or, without `part`, all of it. */
   decode(job) {
     const blocks = (this.files[job.file] ??= new Blocks(this.setups[job.file]));
     return job.part === undefined ? blocks.whole(job) : blocks.decode(job);

@@ -1,4 +1,4 @@
-// Bytes and bits, never read past their end; checksums.
+// Bytes and bits, never read past the end; checksums.
 import { check } from './errors.js';
 import { counted } from './wording.js';
 
@@ -6,7 +6,7 @@ import { counted } from './wording.js';
 export class Reader {
   /**
    * @param {Uint8Array} data
-   * @param {string} where what the bytes are, for messages
+   * @param {string} where description of the bytes, for messages
    */
   constructor(data, where) {
     this.data = data;
@@ -54,7 +54,7 @@ export class Reader {
     return this.view.getFloat32(this.at - 4, true);
   }
 
-  /** What is left. */
+  /** All remaining bytes. */
   rest() {
     return this.take(this.data.length - this.at);
   }
@@ -80,7 +80,7 @@ export class RawBits {
     while (left > 0) {
       const free = 8 - (this.at & 7);
       const size = Math.min(free, left);
-      // Bytes past the end read as 0; `finish` tells that there were not so many.
+      // Bytes past the end read as 0; `finish` detects reading too many.
       const byte = this.data[this.at >> 3] & (0xff >> (8 - free));
       value = (value << size) | (byte >> (free - size));
       this.at += size;

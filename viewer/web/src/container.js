@@ -13,21 +13,21 @@ const NAMES = (
   'classes low-bits index gpcc tool coder level errors far'
 ).split(' ');
 
-/** Sections that a file has first, in this order. */
+/** Sections at the beginning of a file, in this order. */
 export const FIRST = ['index', 'errors', 'channels', 'lattice', 'tool', 'coder'];
 
 const OF_SCENE = [...FIRST, 'comments', 'extra'];
 
-/** Names of the bits of `features`; those after the first three are not used yet. */
+/** Names of the bits of `features`; those after the first three are reserved. */
 const FEATURES = ['G-PCC', 'torchac', 'far Gaussians', 'local SH basis', 'sequences'];
 
-/** Far Gaussians; files with this feature are of version 2. */
+/** Far Gaussians; files with this feature are version 2. */
 const FAR = 4;
 
-/** Blocks of a level that one of the next stands for, and Gaussians that one of it stands for. */
+/** Fan-out: one block, or Gaussian, replaces this many of the next finer level. */
 export const FANOUT = 4;
 
-/** Bytes that a reader needs to learn the size of the header. */
+/** Bytes needed to determine the size of the header. */
 export const PREFIX = 16;
 
 /** Size of the header, from the first `PREFIX` bytes of a file. */
@@ -52,12 +52,11 @@ export function headerSize(prefix) {
 /**
  * The header of a file.
  *
- * Attributes beside those of the format: `profile` is a name, `coordinates` three letters or null,
- * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `hasFar` whether
- * some have far Gaussians, `levelCounts` the
- * numbers of Gaussians of level 1, 2, ... if the file has levels, `sections` a list
- * of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file, `bytes`
- * that of each stream, by name.
+ * Attributes in addition to those of the format: `profile` is a name, `coordinates` three letters
+ * or null, `coefficients` the number of SH-AC per colour, `blocks` the number of blocks, `hasFar`
+ * whether some have far Gaussians, `levelCounts` the numbers of Gaussians of level 1, 2, ... if the
+ * file has levels, `sections` a list of `{name, block, at, size, checksum}` in the order of the
+ * file, `end` the size of the file, `bytes` that of each stream, by name.
  */
 export class Header {
   constructor(data) {
@@ -78,7 +77,7 @@ export class Header {
     this.blockSize = reader.u32();
     const sections = reader.u32();
     check(size === 48 + 20 * sections, 'header', `${counted(size, 'byte')} for ${counted(sections, 'section')}`);
-    // As many as a Set holds.
+    // The maximum size of a Set.
     if (sections >= 2 ** 24) throw new TooLargeError(counted(sections, 'section'));
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
@@ -159,9 +158,9 @@ export class Header {
   }
 
   /**
-   * Refuse a file of another size.
+   * Reject a file of another size.
    *
-   * @param {number | undefined} size undefined where it is not known
+   * @param {number | undefined} size undefined if unknown
    */
   checkSize(size) {
     if (size === undefined) return;
@@ -170,11 +169,11 @@ export class Header {
   }
 
   /**
-   * Check that exactly these sections are there, beside comments, extra and levels.
+   * Check that exactly these sections are present, besides comments, extra and levels.
    *
    * @param {string[]} ofScene
    * @param {string[]} ofBlocks
-   * @param {boolean} isLevel whether it is of a level, which has errors and nothing free
+   * @param {boolean} isLevel whether the file is a level, which has errors and no optional sections
    */
   checkPresence(ofScene, ofBlocks, isLevel) {
     const scene = [...ofScene];
@@ -190,7 +189,7 @@ export class Header {
     }
     const expected = new Map(scene.map((name) => [name, 1]));
     if (this.blocks > 0) for (const name of ofBlocks) expected.set(name, this.blocks);
-    // All of them, or none.
+    // All levels, or none.
     const mayHaveLevels = !isLevel && 'lms'.includes(this.profile);
     if (mayHaveLevels && counts.has('level')) expected.set('level', this.levelCounts.length);
     for (const name of new Set([...counts.keys(), ...expected.keys()])) {
@@ -214,10 +213,10 @@ function coordinatesOf(number) {
   return axes.map((axis) => 'RLUDBF'[axis]).join('');
 }
 
-/** Bytes that a section takes, with its padding. */
+/** Size of a section including padding. */
 export const paddedSize = (entry) => 4 * Math.ceil(entry.size / 4);
 
-/** Bytes of a section, of which the padding follows, after checks. */
+/** Bytes of a section, which the padding follows, after checks. */
 export function checked(entry, bytes) {
   const where = `section ${entry.name} of block ${entry.block}`;
   const content = bytes.subarray(0, entry.size);
@@ -235,7 +234,7 @@ export function checked(entry, bytes) {
 /**
  * Boxes of the blocks.
  *
- * @returns {{centres: number[][], reach: number[][]}[]} lowest and highest x, y, z of each
+ * @returns {{centres: number[][], reach: number[][]}[]} lowest and highest x, y, z of each block
  */
 export function readIndex(content, blocks) {
   check(content.length === 48 * blocks, 'index', `${counted(content.length, 'byte')} for ${counted(blocks, 'block')}`);
@@ -263,7 +262,7 @@ export function readErrors(content, blocks) {
   });
 }
 
-/** Check that no block has a lower error than those of the finer level that it stands for. */
+/** Check that no block has a lower error than the finer blocks it replaces. */
 export function checkErrors(finer, coarser) {
   finer.forEach((error, block) => {
     const above = Math.floor(block / FANOUT);
@@ -271,10 +270,10 @@ export function checkErrors(finer, coarser) {
   });
 }
 
-/** Check that a header is that of a level of a file. */
+/** Check that a header belongs to a level of a file. */
 export function checkLevel(header, level, file) {
   const same = ['coordinates', 'profile', 'degree', 'blockSize'];
-  // A level may lack far Gaussians.
+  // A level may have no far Gaussians.
   const isSame = same.every((name) => header[name] === file[name]) && header.hasFar <= file.hasFar;
   const isLevel = isSame && header.count === file.levelCounts[level - 1];
   check(
@@ -284,7 +283,7 @@ export function checkLevel(header, level, file) {
   );
 }
 
-/** Check that the box of a block is that of its centres, planes x, y, z of `count` values. */
+/** Check that the box of a block encloses exactly its centres, planes x, y, z of `count` values. */
 export function checkBox([low, high], planes, count, block) {
   for (let axis = 0; axis < 3; axis++) {
     let [least, most] = [Infinity, -Infinity];
@@ -306,14 +305,14 @@ export function readComments(content) {
     (byte) => (byte >= 32 && byte <= 126) || byte === 9 || byte === 10,
   );
   check(printable, 'comments', 'other than printable ASCII and tabs');
-  const lines = new TextDecoder().decode(content.slice()).split('\n'); // not of shared memory
+  const lines = new TextDecoder().decode(content.slice()).split('\n'); // in case memory is shared
   for (const line of lines) check(!ofHeader(line), 'comments', `belongs into the header: ${line}`);
   return lines;
 }
 
 /** Whether a line states the coordinate system or antialiasing. */
 function ofHeader(line) {
-  // Spaces at the end are part of the patterns: to search for them takes a time that is quadratic.
+  // Spaces at the end are part of the patterns; searching for them would take quadratic time.
   const text = line.toUpperCase();
   const system = /^[ \t]*COORDINATESYSTEM:[ \t]*([RLUDBF]{3})[ \t]*$/.exec(text);
   if (system) {
@@ -323,7 +322,7 @@ function ofHeader(line) {
   return /^[ \t]*(SPLATRENDERMODE:[ \t]*|ANTIALIASED[ \t]+)[A-Z0-9_]+[ \t]*$/.test(text);
 }
 
-/** Refuse what this decoder does not read. */
+/** Reject files that this decoder does not support. */
 export function checkSupport(header) {
   if (header.profile === 'lossless') {
     throw new UnsupportedError(

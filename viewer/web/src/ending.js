@@ -1,16 +1,16 @@
-// How work ends before it is done: by an error, by a signal, or when it is closed.
+// Ends work early: after an error, by a signal, or when closed.
 
 export class Ending {
   #controller = new AbortController();
   #ended;
   #links;
 
-  /** @param {(AbortSignal | undefined)[]} signals which end it, too */
+  /** @param {(AbortSignal | undefined)[]} signals that also end it */
   constructor(...signals) {
     this.#ended = new Promise((_, reject) => {
       this.signal.addEventListener('abort', () => reject(this.signal.reason));
     });
-    this.#ended.catch(() => {}); // it may be that nobody waits for it
+    this.#ended.catch(() => {}); // possibly nobody waits for it
     const given = signals.filter(Boolean);
     this.#links = given.map((signal) => ({ signal, abort: () => this.end(signal.reason) }));
     for (const { signal, abort } of this.#links) {
@@ -19,17 +19,17 @@ export class Ending {
     }
   }
 
-  /** Aborted at the end, for the reason that came first. */
+  /** Aborted at the end, with the first reason. */
   get signal() {
     return this.#controller.signal;
   }
 
-  /** End for a reason, whatever is waited for. */
+  /** End with a reason, whatever is pending. */
   end(reason) {
     this.#controller.abort(reason);
   }
 
-  /** What comes of work, unless the end comes first; an error of it is one. */
+  /** The result of work, unless the end comes first; an error of the work is an end. */
   async before(work) {
     try {
       return await Promise.race([work, this.#ended]);
@@ -39,7 +39,7 @@ export class Ending {
     }
   }
 
-  /** Listen to the signals no longer. */
+  /** Stop listening to the signals. */
   release() {
     for (const { signal, abort } of this.#links) signal.removeEventListener('abort', abort);
   }

@@ -1,4 +1,4 @@
-// Section "extra" of FORMAT.md: checked, and left out.
+// Section "extra" of FORMAT.md: checked, then ignored.
 import { Reader } from './bytes.js';
 import { TooLargeError, check } from './errors.js';
 import { counted } from './wording.js';
@@ -12,10 +12,10 @@ const NAME = /^[!-~]{1,255}$/;
 const LAYOUT = /^([xyz]|f_dc_[012]|f_rest_[0-9]+|opacity|scale_[012]|rot_[0123])$/;
 
 /**
- * Check the properties of `count` Gaussians as Python's decoder does, which keeps them.
+ * Check the properties of `count` Gaussians like Python's decoder, which keeps them.
  *
  * @param {Uint8Array} content
- * @param {number} most bytes that they may take
+ * @param {number} most their maximum size in bytes
  */
 export async function checkExtra(content, count, most) {
   const properties = propertiesOf(content);
@@ -44,16 +44,18 @@ function propertiesOf(content) {
   return properties;
 }
 
-/** Check that a zlib stream has so many bytes and ends with `packed`, where there is an inflater. */
+/**
+ * Check that a zlib stream has `size` bytes and ends with `packed`, if an inflater is available.
+ */
 async function checkValues(packed, size) {
   if (typeof DecompressionStream === 'undefined') return;
   check((await inflatedSize(packed, size)) === size, WHERE, `a property is not ${counted(size, 'byte')}`);
-  // Some inflaters pass over bytes after the end.
+  // Some inflaters ignore bytes after the end.
   const shorter = await inflatedSize(packed.subarray(0, -1), size);
   check(shorter === undefined, WHERE, 'bytes after a property');
 }
 
-/** Bytes of a zlib stream, a few more than `most` if there are more; undefined if it is damaged. */
+/** Size of an inflated zlib stream, up to a few more than `most`; undefined if it is damaged. */
 async function inflatedSize(packed, most) {
   const inflater = new DecompressionStream('deflate');
   const reader = new Blob([packed]).stream().pipeThrough(inflater).getReader();

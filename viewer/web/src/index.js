@@ -23,26 +23,26 @@ export { Scene };
  * Decode an .egs file.
  *
  * @param {ArrayBuffer | ArrayBufferView | Blob | Response | ReadableStream | string | URL} source
- *   the file, or where it is
+ *   the file, or its address
  * @param {object} [options]
- * @param {number} [options.shDegree] highest SH degree that is decoded, 0-3; what is above is not
- *   even fetched, if the file has it last, as ours have
- * @param {number[][]} [options.box] lowest and highest x, y, z: only blocks that have centres in
- *   there are decoded, and fetched by ranges if the source is a URL
- * @param {(scene: Scene, part: object) => void} [options.onBlock] called when `part.count`
- *   Gaussians, from `part.first` on, of `part.block`, are there up to `part.degree`
+ * @param {number} [options.shDegree] highest SH degree to decode, 0-3; higher bands are not even
+ *   fetched if they come last in the file, as in ours
+ * @param {number[][]} [options.box] lowest and highest x, y, z: only blocks with centres inside are
+ *   decoded; from a URL, they are fetched by ranges
+ * @param {(scene: Scene, part: object) => void} [options.onBlock] called when block `part.block` is
+ *   decoded up to SH degree `part.degree`: `part.count` Gaussians from `part.first` on
  * @param {(block: number, error: CorruptError) => void} [options.onDamage] called once for each
- *   block that is damaged, which is left out: its values stay 0, or what came before; without it,
- *   damage ends all
- * @param {(bytes: number, of: number) => void} [options.onProgress] called with bytes read
- * @param {number} [options.workers] how many decode at once; 0 is this thread
- * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`, where it cannot be
- *   found beside this module
- * @param {number} [options.maxBytes] most bytes of the floats that are decoded; by default 1 GiB or,
- *   where its size is known, 1000 times the file
+ *   damaged block, which is skipped: its values stay 0, or those decoded before; without it, damage
+ *   ends decoding
+ * @param {(bytes: number, of: number) => void} [options.onProgress] called with the bytes read
+ * @param {number} [options.workers] number of workers; 0 decodes in this thread
+ * @param {() => Worker} [options.createWorker] makes a worker that runs `worker.js`, if it is not
+ *   next to this module
+ * @param {number} [options.maxBytes] maximum bytes of the decoded floats; by default 1 GiB or, if
+ *   its size is known, 1000 times the file
  * @param {AbortSignal} [options.signal]
  * @returns {Promise<Scene>}
- * @throws {EgsError} one of its classes; the signal's reason; RangeError of options
+ * @throws {EgsError} or a subclass; the signal's reason; RangeError for invalid options
  */
 export async function decode(source, options = {}) {
   checkOptions(options);
@@ -60,7 +60,7 @@ export async function decode(source, options = {}) {
   }
 }
 
-/** Refuse options that mean nothing. */
+/** Reject invalid options. */
 function checkOptions({ shDegree, box, maxBytes }) {
   if (shDegree !== undefined && ![0, 1, 2, 3].includes(shDegree)) {
     throw new RangeError(`shDegree: ${shDegree}, expected 0-3`);
@@ -78,11 +78,11 @@ class Decoding {
   constructor(input, options, ending) {
     this.input = input;
     this.options = options;
-    this.ending = ending; // nothing is told after it
-    this.blocks = new Map(); // by number: where a block begins, and what of it waits
+    this.ending = ending; // no callbacks after it
+    this.blocks = new Map(); // by number: first Gaussian of a block, and its pending sections
     this.pending = [];
     this.lost = new Set(); // damaged blocks
-    this.broken = new Set(); // those of them that could not be decoded
+    this.broken = new Set(); // damaged blocks that could not be decoded
   }
 
   close() {
@@ -116,7 +116,7 @@ class Decoding {
     return this.scene;
   }
 
-  /** Read sections, neighbours together, and hand them on. */
+  /** Read sections, adjacent ones together, and pass them on. */
   async #read(entries, take) {
     const { input, options, header } = this;
     for (const run of runsOf(entries, input.atOnce)) {
@@ -131,7 +131,7 @@ class Decoding {
     }
   }
 
-  /** Learn from the first sections which blocks there are and what they have. */
+  /** Determine blocks and their sections from the first sections. */
   #begin(opened) {
     const { header, options, degree } = this;
     opened.begin(degree);
@@ -163,7 +163,7 @@ class Decoding {
     return checkExtra(content, count, this.#maxBytes - floatBytes(count, degree));
   }
 
-  /** Work that has to be done at the end, and whose error is one of all. */
+  /** Register work that must be done at the end; its error ends everything. */
   #await(work) {
     work.catch((error) => this.ending.end(error));
     this.pending.push(work);
@@ -179,7 +179,7 @@ class Decoding {
     return this.opened?.parts.some((names) => names.includes(name));
   }
 
-  /** Leave out a damaged block, if that is asked for; throw any other error. */
+  /** Skip a damaged block if allowed; rethrow any other error. */
   #lose(block, error) {
     const { onDamage } = this.options;
     if (!onDamage || !(error instanceof CorruptError) || !this.blocks.has(block)) throw error;
@@ -187,7 +187,7 @@ class Decoding {
     this.lost.add(block);
   }
 
-  /** As `#lose`, of a part that could not be decoded; those after it are of no use. */
+  /** Like `#lose`, for a part that could not be decoded; later parts are useless. */
   #break(block, error) {
     if (!this.broken.has(block)) this.#lose(block, error);
     this.broken.add(block);
@@ -195,12 +195,12 @@ class Decoding {
 
   /** Take a section of a block. */
   #take({ name, block }, content) {
-    // A copy: the bytes that were read are of other sections too, and go to a worker.
+    // A copy: the buffer may contain other sections, and its memory moves to a worker.
     this.blocks.get(block).sections[name] = content.slice();
     this.#advance(block);
   }
 
-  /** Decode what is complete of a block. */
+  /** Decode the complete parts of a block. */
   #advance(block) {
     const waiting = this.blocks.get(block);
     const { sections } = waiting;
@@ -228,7 +228,7 @@ class Decoding {
   }
 }
 
-/** Whether two boxes have a point in common. */
+/** Whether two boxes intersect. */
 function meets([low, high], box) {
   if (box === undefined) return true;
   return low.every((value, axis) => value <= box[1][axis] && high[axis] >= box[0][axis]);

@@ -1,4 +1,4 @@
-// Section "Lattices" of FORMAT.md: what is the same for all blocks, and the rules.
+// Section "Lattices" of FORMAT.md: what all blocks share, and the rules.
 import { BinaryCoder } from './binary.js';
 import { Reader } from './bytes.js';
 import { check } from './errors.js';
@@ -9,25 +9,25 @@ import { counted } from './wording.js';
 /** 1 in fixed point. */
 export const ONE = 2 ** 20;
 
-/** Values are below this in magnitude. */
+/** Values are below this magnitude. */
 const MOST = 1600 * ONE;
 
 export const PRECISION = 12;
 export const SLOTS = 2 ** PRECISION;
 
-/** Places of a table in arrays of all tables, which so fit into a processor's cache. */
+/** Entries per table in the arrays of all tables, which thus fit into a processor's cache. */
 const SYMBOLS = 256;
 
-/** Slots for which there is one place that says which token has the first of them. */
+/** Slots per entry that gives the token of the first of them. */
 export const COARSE = SLOTS / SYMBOLS;
 
 /** Number of contexts of the lists of the shape pass and the f_dc pass. */
 const LISTS = [31, 16, 256, 256, 256, 256, 32, 32, 32, 288];
 
-/** Powers of 2, which take longer to compute. */
+/** Powers of 2, which are slow to compute. */
 export const POWERS = Float64Array.from({ length: 32 }, (_, k) => 2 ** k);
 
-/** A value, if it is below 1600 in magnitude. */
+/** Check that a value is below 1600 in magnitude. */
 export function fixedPoint(value) {
   check(Math.abs(value) < MOST, 'section', 'a value of 1600 or more');
   return value;
@@ -44,7 +44,7 @@ class Rule {
     check(small, reader.where, 'a rule');
   }
 
-  /** The shift of a Gaussian of a class, whose opacity and scales are in fixed point. */
+  /** The shift of a Gaussian of a class, with opacity and scales in fixed point. */
   shift(number, opacity, s0, s1, s2, extra = 0) {
     const c = this.c;
     const total =
@@ -91,7 +91,7 @@ export class Lattice {
     this.#readTables(reader, degree);
   }
 
-  /** Check what holds if there are far Gaussians. */
+  /** Check the conditions for far Gaussians. */
   checkFar() {
     const [x, y, z] = this.bits;
     check(x + y + z <= 62, 'lattice', `bits ${this.bits} with far Gaussians`);
@@ -114,8 +114,8 @@ export class Lattice {
   }
 
   /**
-   * Tables: `lists` says where each context's begins in `starts`, the first slot of each token, and
-   * in `tokens`, those of every sixteenth slot.
+   * Read the tables. `lists` has the start of each context's table in `starts` (first slot of each
+   * token) and in `tokens` (token of every sixteenth slot).
    */
   #readTables(reader, degree) {
     const sizes = [...LISTS];

@@ -1,4 +1,4 @@
-// A file of which chosen blocks, of chosen levels of detail, are read and decoded.
+// A file from which selected blocks, of selected levels of detail, are read and decoded.
 import { checkBox, checkErrors, checkLevel, checkSupport } from './container.js';
 import { Ending } from './ending.js';
 import { EgsError, check } from './errors.js';
@@ -8,23 +8,23 @@ import { Scene } from './scene.js';
 import { selectBlocks } from './selection.js';
 import { openParts } from './source.js';
 
-/** Requests that wait for an answer at once, of a call of `decode`. */
+/** Number of concurrent requests of a call of `decode`. */
 const AT_ONCE = 4;
 
-/** Bytes of the first sections of a level beside those of its blocks: more are asked for, if need be. */
+/** Bytes of a level's first sections in addition to its blocks'; more are requested if needed. */
 const BESIDE = 512;
 
 /**
- * Open an .egs file, with or without levels of detail, to decode chosen blocks.
+ * Open an .egs file, with or without levels of detail, to decode selected blocks.
  *
  * @param {ArrayBuffer | ArrayBufferView | Blob | Response | ReadableStream | string | URL} source
- *   the file, or where it is; of a URL, ranges are asked for
+ *   the file, or its address; a URL is read by ranges
  * @param {object} [options]
- * @param {number} [options.workers] how many decode at once; 0 is this thread
- * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`
- * @param {AbortSignal} [options.signal] ends the opening, and later closes the file
+ * @param {number} [options.workers] number of workers; 0 decodes in this thread
+ * @param {() => Worker} [options.createWorker] makes a worker that runs `worker.js`
+ * @param {AbortSignal} [options.signal] aborts opening, and later closes the file
  * @returns {Promise<EgsFile>}
- * @throws {EgsError} one of its classes; the signal's reason
+ * @throws {EgsError} or a subclass; the signal's reason
  */
 export async function open(source, options = {}) {
   const { signal } = options;
@@ -35,7 +35,7 @@ export async function open(source, options = {}) {
   return ending.before(file.begin());
 }
 
-/** A source, positions in which count from a place in another, and of which the start may be known. */
+/** A source at an offset in another source; its start may already be known. */
 class Within {
   constructor(input, at) {
     this.input = input;
@@ -53,7 +53,7 @@ class Within {
   }
 }
 
-/** Say in errors of the format that they are of a level. */
+/** Name the level in errors of the format. */
 async function within(level, work) {
   try {
     return await work();
@@ -69,10 +69,11 @@ async function within(level, work) {
 /**
  * An open file.
  *
- * `levels` has for each level, of which 0 is the scene, `count` (Gaussians), `blocks` (how many),
- * `boxes` (`{centres, reach}` of each block, lowest and highest x, y, z) and `errors` (of each block,
- * scene units; none of level 0). `degree`, `profile`, `coordinates`, `antialiased`, `bytes` are those
- * of the scene; `size` is that of the file, and `fetched` how many bytes of it have been read.
+ * `levels` has for each level (0 is the scene): `count` (Gaussians), `blocks` (their number),
+ * `boxes` (`{centres, reach}` of each block, lowest and highest x, y, z) and `errors` (of each
+ * block, scene units; not for level 0). `degree`, `profile`, `coordinates`, `antialiased`, `bytes`
+ * are those of the scene; `size` is that of the file, and `fetched` the number of bytes read so
+ * far.
  */
 export class EgsFile {
   #input;
@@ -100,7 +101,7 @@ export class EgsFile {
     return data;
   }
 
-  /** Read what says which levels and blocks there are. */
+  /** Read the descriptions of levels and blocks. */
   async begin() {
     const header = await readHeader(this);
     checkSupport(header);
@@ -154,7 +155,7 @@ export class EgsFile {
     const level = entry.block;
     return within(level, async () => {
       const blocks = Math.ceil(header.levelCounts[level - 1] / header.blockSize);
-      // So many bytes as it should take are asked for at once.
+      // Request the expected number of bytes at once.
       const perBlock = 20 * Math.ceil(header.sections.length / header.blocks) + 52;
       const guess = blocks * perBlock + Math.ceil(1.25 * common.length) + BESIDE;
       const input = new Within(this, entry.at);
@@ -169,13 +170,14 @@ export class EgsFile {
   }
 
   /**
-   * Which blocks of which level a camera needs, as FORMAT.md says under "Selection".
+   * Select the blocks of each level that a camera needs (FORMAT.md, "Selection").
    *
    * @param {object} view `width`, `height`, `fx`, `fy`, `cx`, `cy` (pixels), `rotation` (its rows
    *   point right, down, forward) and `position`, in the file's axes
    * @param {object} [options]
-   * @param {number} [options.budget] most Gaussians
-   * @param {number} [options.tolerance] largest error of what is drawn in place of finer, pixels
+   * @param {number} [options.budget] maximum number of Gaussians
+   * @param {number} [options.tolerance] maximum error in pixels of a block drawn in place of finer
+   *   ones
    * @returns {number[][]} numbers of blocks of each level
    */
   select(view, { budget = Infinity, tolerance = 1 } = {}) {
@@ -184,7 +186,7 @@ export class EgsFile {
     return selectBlocks(this.#opened, view, budget, tolerance);
   }
 
-  /** For `look`: the header, boxes and errors of each level. */
+  /** The header, boxes and errors of each level, for `look`. */
   get described() {
     return this.#opened;
   }
@@ -193,14 +195,14 @@ export class EgsFile {
    * Decode blocks of a level.
    *
    * @param {number} level
-   * @param {number[]} blocks their Gaussians follow each other in this order
+   * @param {number[]} blocks in the order of their Gaussians in the result
    * @param {object} [options]
-   * @param {number} [options.shDegree] highest SH degree that is fetched and decoded, 0-3
-   * @param {(scene: Scene, part: object) => void} [options.onBlock] called when the `part.count`
-   *   Gaussians, from `part.first` on, of `part.block` are there
+   * @param {number} [options.shDegree] highest SH degree to fetch and decode, 0-3
+   * @param {(scene: Scene, part: object) => void} [options.onBlock] called when block `part.block`
+   *   is decoded: `part.count` Gaussians from `part.first` on
    * @param {AbortSignal} [options.signal]
    * @returns {Promise<Scene>}
-   * @throws {EgsError} one of its classes; the signal's reason
+   * @throws {EgsError} or a subclass; the signal's reason
    */
   async decode(level, blocks, { shDegree = 3, onBlock, signal } = {}) {
     this.#ending.signal.throwIfAborted();
@@ -220,7 +222,7 @@ export class EgsFile {
     }
   }
 
-  /** End all that is under way; what is asked for later fails. */
+  /** End everything in progress; later calls fail. */
   close(reason = new EgsError('closed')) {
     this.#ending.end(reason);
   }
@@ -233,7 +235,7 @@ class Chosen {
     const { header } = opened;
     this.degree = Math.min(shDegree, header.degree);
     this.names = new Set(opened.parts.slice(0, this.degree + 1).flat());
-    this.blocks = new Map(); // by number: where a block begins, and what of it waits
+    this.blocks = new Map(); // by number: first Gaussian of a block, and its pending sections
     let first = 0;
     for (const block of blocks) {
       this.blocks.set(block, { first, sections: {}, left: 0 });
@@ -261,7 +263,7 @@ class Chosen {
         signal.throwIfAborted();
         takeRun(run, data, ({ name, block }, content) => {
           const waiting = blocks.get(block);
-          waiting.sections[name] = content.slice(); // which goes to a worker
+          waiting.sections[name] = content.slice(); // its memory moves to a worker
           if (--waiting.left === 0) this.#decode(pool, block, signal);
         });
       }
@@ -273,7 +275,7 @@ class Chosen {
 
   #decode(pool, block, signal) {
     const done = this.#put(pool, block, signal);
-    done.catch(() => {}); // it is waited for later, or others have failed
+    done.catch(() => {}); // awaited later, unless others have failed
     this.pending.push(done);
   }
 

@@ -4,16 +4,14 @@ const FARTHEST = 2 ** 44 - 1;
 
 /** The up to four neighbours of each point of a block, nearest first, and their weights. */
 export class Neighbours {
-  /**
-   * @param {Int32Array[]} places of the points, on three axes
-   */
+  /** @param {Int32Array[]} places positions of the points, on three axes */
   constructor([xs, ys, zs]) {
     const count = xs.length;
     this.places = new Int32Array(4 * count);
     this.weights = new Uint16Array(4 * count);
     this.counts = new Uint8Array(count);
     this.totals = new Uint16Array(count);
-    /** The nearest two of each point; `count` instead of one that does not exist. */
+    /** The two nearest of each point; `count` if missing. */
     this.nearest = new Int32Array(2 * count).fill(count);
     const distances = new Float64Array(5);
     const near = new Int32Array(5);
@@ -23,7 +21,7 @@ export class Neighbours {
         const [x, y, z] = [xs[i] - xs[j], ys[i] - ys[j], zs[i] - zs[j]];
         const distance = x * x + y * y + z * z;
         let k = found;
-        // Later points come first here, so that they stay before others as far away.
+        // Later points are inserted first, so they stay before others at the same distance.
         for (; k > 0 && distance < distances[k - 1]; k--) {
           distances[k] = distances[k - 1];
           near[k] = near[k - 1];
@@ -47,7 +45,7 @@ export class Neighbours {
     }
   }
 
-  /** The prediction for point i from the neighbours' values, 0 without neighbours. */
+  /** The prediction for point i from its neighbours' values; 0 without neighbours. */
   predict(i, values) {
     const total = this.totals[i];
     if (total === 0) return 0;
@@ -58,7 +56,7 @@ export class Neighbours {
     return Math.floor((2 * sum + total) / (2 * total));
   }
 
-  /** The sum of the weighted differences of the neighbours' values from a prediction. */
+  /** The sum of weighted differences of the neighbours' values from a prediction. */
   spread(i, values, guess) {
     let sum = 0;
     for (let k = 4 * i; k < 4 * i + this.counts[i]; k++) {

@@ -1,4 +1,4 @@
-// A file whose header and first sections have been read: what they say of its blocks.
+// A file whose header and first sections have been read, which describe its blocks.
 import { Blocks } from './blocks.js';
 import {
   FIRST,
@@ -12,7 +12,7 @@ import {
 } from './container.js';
 import { check } from './errors.js';
 
-/** Sections of a block of profile l, m or s that its first part needs. */
+/** Sections needed for the first part of a block of profile l, m or s. */
 const BASE = 'geometry sh-dc states opacity scaling rotation classes low-bits'.split(' ');
 
 const BANDS = ['sh1', 'sh2', 'sh3'];
@@ -28,8 +28,7 @@ export async function readHeader(input) {
 }
 
 /**
- * Sections, in the order of a file, that are read together: neighbours, until they have `atOnce`
- * bytes.
+ * Group sections, in file order, into runs to read together: adjacent ones, up to `atOnce` bytes.
  *
  * @returns {{begin: number, end: number, entries: object[]}[]}
  */
@@ -45,8 +44,8 @@ export function runsOf(sections, atOnce) {
 }
 
 /**
- * Give `take` the sections of a run, from its bytes, after checks; `lose` an error of one, which it
- * throws unless the others are to be taken.
+ * Pass the sections of a run to `take`, after checks. `lose` gets the error of a section; unless it
+ * throws, the others still follow.
  */
 export function takeRun({ begin, entries }, data, take, lose = raise) {
   for (const entry of entries) {
@@ -66,14 +65,14 @@ function raise(_, error) {
 }
 
 /**
- * What the first sections say.
+ * The content of the first sections.
  *
- * Attributes: `header`; `boxes` of the blocks; `errors`, of a level.
+ * Attributes: `header`; `boxes` of the blocks; `errors`, for a level.
  */
 export class Opened {
   /**
    * @param {Header} header
-   * @param {boolean} isLevel whether it is that of a level
+   * @param {boolean} isLevel whether it belongs to a level
    */
   constructor(header, isLevel = false) {
     this.header = header;
@@ -93,24 +92,27 @@ export class Opened {
     const { blocks } = this.header;
     if (name === 'index') this.boxes = readIndex(content, blocks);
     if (name === 'errors') this.errors = readErrors(content, blocks);
-    // A copy, as workers are sent the memory that bytes are in: that may be the whole file.
+    // A copy, because workers receive the whole buffer, which may be the entire file.
     if (name === this.commonName) this.common = content.slice();
   }
 
-  /** Learn, after the first sections, what blocks have; `wanted` is the SH degree to decode. */
+  /**
+   * Determine, after the first sections, the sections of blocks; `wanted` is the SH degree to
+   * decode.
+   */
   begin(wanted) {
     const { header, commonName, isPaper } = this;
     const bands = BANDS.slice(0, header.degree);
     check(this.common !== undefined, `section ${commonName}`, 'missing');
-    /** What decodes blocks; see `Blocks`. */
+    /** The setup of `Blocks`. */
     this.setup = { content: this.common, degree: header.degree, wanted, isPaper };
-    const blocks = new Blocks(this.setup); // which checks it
+    const blocks = new Blocks(this.setup); // also checks it
     const names = isPaper ? blocks.sections : [...BASE, ...bands];
     header.checkPresence([commonName], names, this.isLevel);
     if (header.hasFar) blocks.common.checkFar();
     const far = header.sections.filter(({ name }) => name === 'far');
     this.blocksWithFar = new Set(far.map(({ block }) => block));
-    /** Names of the sections that parts of blocks need, up to the wanted degree; see `namesOf`. */
+    /** Names of the sections for parts of blocks, up to the wanted degree; see `namesOf`. */
     this.parts = [names.filter((each) => !BANDS.includes(each))];
     if (header.hasFar) this.parts[0].push('far');
     for (const band of bands.slice(0, wanted)) {
@@ -118,7 +120,7 @@ export class Opened {
     }
   }
 
-  /** Names of the sections that a part of a block needs. */
+  /** Names of the sections for a part of a block. */
   namesOf(block, part) {
     const isThere = (name) => name !== 'far' || this.blocksWithFar.has(block);
     return this.parts[part].filter(isThere);

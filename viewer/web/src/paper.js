@@ -1,4 +1,4 @@
-// Annex A and B of FORMAT.md: the profiles paper-l, paper-m, paper-s.
+// Annexes A and B of FORMAT.md: profiles paper-l, paper-m, paper-s.
 import { BinaryCoder } from './binary.js';
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
@@ -15,17 +15,17 @@ const BANDS = [
 ];
 const NORMAL = normalTable();
 
-/** What a channel's values are: the quantiser, and the table of its symbols. */
+/** A channel: its quantiser, and the table of its symbols. */
 class Channel {
   constructor(stream, plane) {
     this.stream = stream;
-    this.plane = plane; // of the part of its stream
-    this.depth = 0; // 0 if it is constant
+    this.plane = plane; // plane within the part of its stream
+    this.depth = 0; // 0 if constant
     this.first = 0;
     this.step = 0;
   }
 
-  /** Values of symbols into a plane. */
+  /** Fill a plane with the values of symbols. */
   fill(plane, symbols) {
     const { first, step } = this;
     if (this.depth === 0) {
@@ -61,7 +61,7 @@ class Channel {
     }
   }
 
-  /** Set the table: of each slot symbol, frequency and place in the run of its slots. */
+  /** Set the table: symbol, frequency and offset of each slot. */
   setTable(weights) {
     const size = 2 ** this.precision;
     this.symbols = new Uint16Array(size);
@@ -120,7 +120,7 @@ export class Channels {
     return this.all.filter((channel) => channel.stream === stream);
   }
 
-  /** Names of the sections that each block has. */
+  /** Names of the sections of each block. */
   get sections() {
     const names = new Set(this.all.filter((c) => c.depth > 0).map((c) => c.stream));
     if ([...names].some((name) => !['geometry', 'sh-dc'].includes(name))) names.add('states');
@@ -196,7 +196,7 @@ function normalTable() {
   return Float64Array.from(sums, (sum) => 2 ** 29 + Number(((1n << 29n) * sum) / sums[512]));
 }
 
-/** A block that is decoded part by part, as `LatticeBlock`. */
+/** A block decoded in parts, like `LatticeBlock`. */
 export class PaperBlock {
   constructor(channels, count, degree) {
     this.channels = channels;
@@ -281,7 +281,7 @@ export class PaperBlock {
     });
   }
 
-  /** Decode the channels of a stream by rANS. */
+  /** Decode the channels of a stream with rANS. */
   #stream(name, sections, planes) {
     const { count, states } = this;
     const words = new Words(sections[name] ?? new Uint8Array(0), name);

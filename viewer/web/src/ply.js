@@ -1,4 +1,4 @@
-// Scenes as PLY files, for programs that read nothing else.
+// Convert scenes to PLY, for programs that read no other format.
 
 /** The bytes of a binary PLY file in the layout of the INRIA trainer. */
 export function toPly(scene) {

@@ -1,8 +1,8 @@
-// Who decodes blocks: this thread, or workers beside it.
+// Decoding in this thread, or in workers.
 import { Files } from './blocks.js';
 import * as errors from './errors.js';
 
-/** Decodes on this thread, and lets others have it between two parts. */
+/** Decodes in this thread, and yields to other tasks between parts. */
 export class Here {
   constructor(setups) {
     this.files = new Files(setups);
@@ -14,16 +14,16 @@ export class Here {
     return this.files.decode(job);
   }
 
-  /** Decode nothing more. */
+  /** Stop decoding. */
   close() {
     this.files = null;
   }
 }
 
-/** Decodes in workers, each block always in the same. */
+/** Decodes in workers; a block always goes to the same one. */
 export class WorkerPool {
   /**
-   * @param {object[]} setups of files, each as for `Blocks`
+   * @param {object[]} setups setups of files, as in `Blocks`
    * @param {number} size
    * @param {() => Worker} create
    */
@@ -51,7 +51,7 @@ export class WorkerPool {
     worker.postMessage({ setups });
   }
 
-  /** Do a job as for `Files`; the memory of its sections goes to the worker. */
+  /** Run a job as in `Files`; the memory of its sections moves to the worker. */
   decode(job) {
     if (this.failure) return Promise.reject(this.failure);
     const id = this.sent++;
@@ -96,7 +96,7 @@ const defaultWorkers = () =>
 
 const defaultWorker = () => new Worker(new URL('./worker.js', import.meta.url), { type: 'module' });
 
-/** What does so many jobs at most, as the options of `decode` say. */
+/** Create a decoder for at most `jobs` jobs, according to the options of `decode`. */
 export function createPool(setups, jobs, { workers = defaultWorkers(), createWorker }) {
   const size = Math.min(workers, jobs);
   return size > 0 ? new WorkerPool(setups, size, createWorker ?? defaultWorker) : new Here(setups);

@@ -11,22 +11,22 @@ const ARRAYS = [
   ['rotation', 4],
 ];
 
-/** Bytes of the floats of so many Gaussians, up to an SH degree. */
+/** Bytes of the floats of `count` Gaussians, up to an SH degree. */
 export const floatBytes = (count, degree) => 4 * count * (14 + 3 * ((degree + 1) ** 2 - 1));
 
-/** Refuse so many Gaussians, up to an SH degree, if their floats take more than `maxBytes`. */
+/** Reject `count` Gaussians, up to an SH degree, if their floats take more than `maxBytes`. */
 export function checkFloats(count, degree, maxBytes) {
   const floats = floatBytes(count, degree);
   if (floats > maxBytes) throw new TooLargeError(`${counted(floats, 'byte')} of floats, at most ${maxBytes}`);
 }
 
 /**
- * Gaussians, as the INRIA trainer's PLY has them: planar, one value of each Gaussian after another.
+ * Gaussians as in the INRIA trainer's PLY, but planar: the values of a property are consecutive.
  *
  * `positions`: x, y, z; `fDc`: R, G, B; `fRest`: all SH-AC of R, then of G, then of B; `opacity`:
- * logits; `logScale`: natural logarithms; `rotation`: w, x, y, z, of length 1 (paper-*: any).
- * `coordinates` says where x, y, z point (three letters of RLUDBF), or is null. `bytes` of the file
- * are told by the name of their stream.
+ * logits; `logScale`: natural logarithms; `rotation`: w, x, y, z, of length 1 (paper-*: any
+ * length). `coordinates` gives the directions of x, y, z (three letters of RLUDBF), or is null.
+ * `bytes` is the size of each stream of the file, by name.
  */
 export class Scene {
   constructor(header, count, degree) {
@@ -55,7 +55,7 @@ export class Scene {
     ];
   }
 
-  /** The plane of a property, which shares memory with the scene. */
+  /** The plane of a property, sharing memory with the scene. */
   property(name) {
     const [, kind, number] = /^(.*?)(?:_(\d+))?$/.exec(name);
     const arrays = {
@@ -73,7 +73,7 @@ export class Scene {
     return arrays[kind].subarray(plane * this.count, (plane + 1) * this.count);
   }
 
-  /** Take a part of a block, whose first Gaussian is `first` of the scene. */
+  /** Copy a part of a block into the scene, starting at Gaussian `first`. */
   put(part, planes, first, count) {
     const copy = (array, plane, from) => {
       const values = planes.subarray(from * count, (from + 1) * count);

@@ -1,10 +1,10 @@
-// Section "Selection" of FORMAT.md: which blocks of which level a camera needs.
+// Section "Selection" of FORMAT.md: select the blocks of each level that a camera needs.
 import { FANOUT } from './container.js';
 
-/** The eight corners of a box, by what each has of it: 0 the lowest, 1 the highest x, y, z. */
+/** The eight corners of a box: for each axis, 0 for the lowest and 1 for the highest value. */
 const CORNERS = Array.from({ length: 8 }, (_, k) => [k & 1, (k >> 1) & 1, (k >> 2) & 1]);
 
-/** Distance from a place to a box; 0 from within. */
+/** Distance from a position to a box; 0 inside. */
 function distanceTo([low, high], place) {
   const [a, b, c] = place.map((p, axis) => Math.max(Math.max(low[axis] - p, p - high[axis]), 0));
   return Math.sqrt(a * a + b * b + c * c);
@@ -29,11 +29,12 @@ function isInView(box, { width, height, fx, fy, cx, cy, rotation, position }) {
 }
 
 /**
- * What a view shows of all levels.
+ * Evaluate all levels for a view.
  *
- * @param {{header: Header, boxes: object[], errors?: Float64Array}[]} levels the scene, then coarser
- * @returns {{count(block: number): number, inView: boolean[], distances: number[],
- *   errors: number[]}[]} for each level; errors in pixels
+ * @param {{header: Header, boxes: object[], errors?: Float64Array}[]} levels the scene, then
+ *   coarser levels
+ * @returns {{count(block: number): number, inView: boolean[], distances: number[], errors:
+ *   number[]}[]} for each level; errors in pixels
  */
 export function look(levels, view) {
   const focal = Math.max(view.fx, view.fy);
@@ -52,7 +53,7 @@ export function look(levels, view) {
   });
 }
 
-/** Whether a block is refined before another: of the larger error, the coarser, the first. */
+/** Whether a block is refined before another: larger error, then coarser, then lower number. */
 const isBefore = (a, b) =>
   a.error !== b.error
     ? a.error > b.error
@@ -60,7 +61,7 @@ const isBefore = (a, b) =>
       ? a.level > b.level
       : a.block < b.block;
 
-/** A heap, whose first item is before all others. */
+/** A heap; its first item comes before all others. */
 class Heap {
   items = [];
 
@@ -73,7 +74,7 @@ class Heap {
     items[at] = item;
   }
 
-  /** Take the first one away. */
+  /** Remove and return the first item. */
   pop() {
     const { items } = this;
     const item = items.pop();
@@ -89,7 +90,7 @@ class Heap {
   }
 }
 
-/** The blocks of the level below that a block stands for. */
+/** The finer blocks that a block replaces. */
 export function childrenOf(level, block, blocks) {
   const first = FANOUT * block;
   const count = Math.max(0, Math.min(FANOUT, blocks - first));
@@ -97,15 +98,15 @@ export function childrenOf(level, block, blocks) {
 }
 
 /**
- * Refine blocks of the coarsest level, the largest error first.
+ * Refine blocks of the coarsest level, largest error first.
  *
- * @param {object[]} seen as by `look`
+ * @param {object[]} seen result of `look`
  * @param {number[]} first blocks of the coarsest level
  * @param {number} tolerance pixels
- * @param {(parent: object, children: object[]) => boolean} fits whether blocks may take another's
- *   place; where not, that is all
- * @returns {{chosen: object[], refined: {parent: object, children: object[]}[]}} `{level, block}` to
- *   draw, and which were refined by which, in this order
+ * @param {(parent: object, children: object[]) => boolean} fits whether children may replace their
+ *   parent; if not, refinement stops
+ * @returns {{chosen: object[], refined: {parent: object, children: object[]}[]}} `{level, block}`
+ *   to draw, and the refinements, in order
  */
 export function refine(seen, first, tolerance, fits) {
   const heap = new Heap();
@@ -125,7 +126,7 @@ export function refine(seen, first, tolerance, fits) {
   return { chosen: heap.items, refined };
 }
 
-/** Blocks that are in view. */
+/** Numbers of the blocks in view. */
 export const inView = ({ inView: found }) => [...found.keys()].filter((block) => found[block]);
 
 /** Numbers of the blocks of each level to draw, ascending. */
@@ -154,7 +155,7 @@ export function selectBlocks(levels, view, budget, tolerance) {
   return chosen;
 }
 
-/** The nearest of some blocks, as many as a budget holds, ascending. */
+/** The nearest blocks that fit into the budget, ascending. */
 function nearest({ count, distances }, blocks, budget) {
   const sorted = [...blocks].sort((a, b) => distances[a] - distances[b] || a - b);
   const kept = [];

@@ -1,12 +1,12 @@
-// Where the bytes of a file come from: memory, a stream, or a server.
+// Sources of the bytes of a file: memory, a stream, or a server.
 import { Ending } from './ending.js';
 import { CorruptError, SourceError } from './errors.js';
 
 /**
- * A source of bytes, of one of the kinds that `decode` takes.
+ * Open a source of bytes, of any kind accepted by `decode`.
  *
- * @param {boolean} ranged whether parts of the file will be left out: then a server is asked for
- *   parts instead of for all
+ * @param {boolean} ranged whether parts of the file will be skipped; then a server is asked for
+ *   ranges
  * @param {AbortSignal} [signal]
  */
 export async function openSource(source, ranged, signal) {
@@ -25,9 +25,9 @@ export async function openSource(source, ranged, signal) {
 }
 
 /**
- * A source of which any part can be read at any time, also several at once.
+ * Open a source with random access, also for concurrent reads.
  *
- * Of a stream, or a server that does not know ranges, all that has come is kept.
+ * All bytes of a stream, or of a server without ranges, are kept.
  */
 export async function openParts(source, signal) {
   if (source instanceof Blob) return new BlobSource(source);
@@ -39,15 +39,15 @@ export async function openParts(source, signal) {
   return opened instanceof StreamSource ? new KeptSource(opened) : opened;
 }
 
-/** Milliseconds in which a server sends nothing after which it is not waited for any longer. */
+/** Maximum time without data from a server, in milliseconds. */
 const SILENCE = 20_000;
 
-/** How much has come from servers, by their host: browsers let requests for one wait for others. */
+/** Bytes received from servers, by host, because browsers queue requests to the same host. */
 const heard = new Map();
 
 const hostOf = (url) => new URL(url, globalThis.location?.href).host;
 
-/** Wait for what a server sends, while it sends anything. */
+/** Wait for data from a server, as long as it sends anything. */
 async function heardFrom(host, coming) {
   let timer;
   const silence = new Promise((_, reject) => {
@@ -79,15 +79,15 @@ async function request(url, { headers, signal } = {}) {
   }
 }
 
-/** Leave the body of a response unread. */
+/** Discard the body of a response. */
 function release(response) {
   response.body?.cancel().catch(() => {});
 }
 
-/** What a response to a request has, which is of the file from byte `begin` on. */
+/** The body of a response, which starts at byte `begin` of the file. */
 const answered = (response, url, begin) => ofResponse(response, url, begin, hostOf(url));
 
-/** What a response has; `host` is that of a server which is not waited for for ever. */
+/** The body of a response; `host` identifies a server, for which there is a timeout. */
 function ofResponse(response, url, begin = 0, host = undefined) {
   if (!response.ok) {
     release(response);
@@ -95,19 +95,19 @@ function ofResponse(response, url, begin = 0, host = undefined) {
   }
   if (!response.body) throw new SourceError(`${url}: no body`);
   const { headers, type } = response;
-  // Of a server of another origin, browsers tell the length but not whether it is of coded bytes.
+  // For another origin, browsers give the length, but not whether it is of encoded bytes.
   const coded = type === 'cors' || headers.has('Content-Encoding');
   const length = headers.get('Content-Length') ?? '';
   const size = coded || !/^\d+$/.test(length) ? undefined : Number(length);
   return new StreamSource(response.body, size, begin, host);
 }
 
-/** Most bytes of neighbouring sections that are read at once: a request for each takes long. */
+/** Maximum bytes of adjacent sections read at once, because each request takes long. */
 const AT_ONCE = 2 ** 20;
 
 const cutOff = (end) => new CorruptError(`cut off before byte ${end}`, 'file');
 
-/** What a stream gave, as bytes: a `Buffer` of Node is not sliced as other arrays are. */
+/** A chunk of a stream as bytes: slicing a Node `Buffer` differs from other arrays. */
 function bytesOf(chunk) {
   if (!ArrayBuffer.isView(chunk)) throw new TypeError('the stream gives other than bytes');
   return new Uint8Array(chunk.buffer, chunk.byteOffset, chunk.byteLength);
@@ -122,7 +122,7 @@ function grown(bytes, size) {
 class MemorySource {
   constructor(data) {
     this.data = data;
-    this.size = data.length; // of the file; undefined where it is not known
+    this.size = data.length; // of the file; undefined if unknown
     this.atOnce = AT_ONCE;
   }
 
@@ -131,7 +131,7 @@ class MemorySource {
     return this.data.subarray(begin, end);
   }
 
-  /** Whether there is nothing from a byte on. */
+  /** Whether the file ends at a byte. */
   async endsAt(end) {
     return this.data.length === end;
   }
@@ -154,14 +154,14 @@ class BlobSource {
   close() {}
 }
 
-/** Keeps what a stream has given. */
+/** Keeps everything that a stream has delivered. */
 class KeptSource {
   constructor(stream) {
     this.stream = stream;
     this.size = stream.size;
     this.atOnce = AT_ONCE;
     this.bytes = new Uint8Array(0);
-    this.length = 0; // of what has come
+    this.length = 0; // of the bytes received so far
     this.coming = null;
   }
 
@@ -180,7 +180,7 @@ class KeptSource {
     if (length > this.bytes.length) this.bytes = grown(this.bytes, Math.max(2 * length, 2 ** 16));
     this.bytes.set(chunk, this.length);
     this.length = length;
-    if (isMore) this.coming = null; // after the end it stays, as after an error
+    if (isMore) this.coming = null; // kept after the end, or after an error
     return isMore;
   }
 
@@ -194,10 +194,10 @@ class StreamSource {
   constructor(stream, size, begin = 0, host = undefined) {
     this.size = size;
     this.host = host;
-    this.atOnce = 0; // Sections are decoded as they come.
+    this.atOnce = 0; // Decode sections as they arrive.
     this.reader = stream.getReader();
     this.chunk = new Uint8Array(0);
-    this.at = begin; // of the chunk's first byte
+    this.at = begin; // position of the chunk's first byte
   }
 
   /** The next chunk; false at the end. */
@@ -216,7 +216,7 @@ class StreamSource {
   }
 
   async read(begin, end) {
-    let bytes = new Uint8Array(0); // which grows, as there may be less than a damaged file says
+    let bytes = new Uint8Array(0); // grows: damaged files may claim too much
     for (let at = begin; at < end;) {
       if (at >= this.at && at < this.at + this.chunk.length) {
         const part = this.chunk.subarray(at - this.at, end - this.at);
@@ -237,13 +237,15 @@ class StreamSource {
     return false;
   }
 
-  /** Not waited for: a stream that gives nothing more may not end at once either. */
+  /** Not awaited: a stream that delivers no more may not close either. */
   close() {
     this.reader.cancel().catch(() => {});
   }
 }
 
-/** Asks a server for ranges; if it sends all instead, reads that, as a source that `ofAll` makes. */
+/**
+ * Requests ranges from a server; if it sends the whole file, reads that with a source from `ofAll`.
+ */
 class RangeSource {
   constructor(url, ofAll, signal) {
     this.url = url;
@@ -265,7 +267,7 @@ class RangeSource {
       if (this.whole) {
         release(response);
       } else if (signal !== this.signal && response.ok) {
-        release(response); // it would end with what asked for it
+        release(response); // otherwise it would be cancelled with its caller
         return this.read(begin, end);
       } else {
         this.whole = this.ofAll(response);
@@ -285,7 +287,7 @@ class RangeSource {
     throw new SourceError(`${this.url}: more bytes than were asked for`);
   }
 
-  /** Read of all that the server sends; it is asked again after its connection was lost. */
+  /** Read from the whole file that the server sends; request it again after a lost connection. */
   async #ofWhole(begin, end) {
     const { whole } = this;
     try {
@@ -300,7 +302,7 @@ class RangeSource {
   }
 
   async endsAt() {
-    return true; // It was not asked for more.
+    return true; // the server was not asked again
   }
 
   close() {

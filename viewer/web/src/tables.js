@@ -5,7 +5,7 @@ import { check } from './errors.js';
 export const LANES = 32;
 const LEAST_STATE = 65536;
 
-/** Frequencies of sum 2^precision of symbols of these weights. */
+/** Frequencies, with sum 2^precision, of symbols with these weights. */
 export function frequencies(weights, precision, where) {
   const size = 2 ** precision;
   let total = 0;
@@ -30,11 +30,11 @@ export function frequencies(weights, precision, where) {
   return result;
 }
 
-/** Take 1 from the largest of these numbers, of equal ones the first, so many times. */
+/** Subtract 1 from the largest of these numbers (ties: the first), `times` times. */
 function lowerLargest(numbers, times) {
   if (times <= 0) return;
   const above = (level) => numbers.reduce((sum, n) => sum + Math.max(n - level, 0), 0);
-  // The lowest level to which it is enough to lower all that are above it.
+  // The lowest level to which lowering all larger numbers suffices.
   let level = 0;
   for (let most = Math.max(...numbers); level < most;) {
     const middle = (level + most) >> 1;
@@ -47,7 +47,7 @@ function lowerLargest(numbers, times) {
   }
 }
 
-/** Weights of tables of these `{size, mantissa}`. */
+/** Weights of tables with these `{size, mantissa}`. */
 export function sentTables(data, shapes) {
   const where = 'sent tables';
   if (shapes.length === 0) {
@@ -105,7 +105,7 @@ export function checkLastStates(states) {
   );
 }
 
-/** The words of a section, which states of lanes take one after another. */
+/** The words of a section, which lanes read one after another. */
 export class Words {
   constructor(bytes, where) {
     this.words = wordsOf(bytes, where);
@@ -113,10 +113,10 @@ export class Words {
     this.at = 0;
   }
 
-  /** The state after one that is of a symbol of `share` slots, at place `place` of these. */
+  /** The state after a symbol of `share` slots, at offset `place` in these. */
   next(state, precision, share, place) {
     const next = (Math.imul(share, state >>> precision) + place) >>> 0;
-    // Words past the end read as 0; `finish` tells that there were not so many.
+    // Words past the end read as 0; `finish` detects reading too many.
     return next < LEAST_STATE ? ((next << 16) | this.words[this.at++]) >>> 0 : next;
   }
 
@@ -125,7 +125,7 @@ export class Words {
   }
 }
 
-/** Words of a section as u16, wherever they begin. */
+/** Words of a section as u16, at any alignment. */
 function wordsOf(bytes, where) {
   check(bytes.length % 2 === 0, where, 'half a word');
   if (bytes.byteOffset % 2 === 0) {

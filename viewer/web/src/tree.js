@@ -10,7 +10,7 @@ export function axesOf(depths) {
   return axes;
 }
 
-/** Add bits `begin` to `end` of a Morton code, which are raw, to the cells of a point. */
+/** Add raw bits `begin` to `end` of a Morton code to the cells of a point. */
 export function addBits(cells, axes, begin, end, raw) {
   for (let k = begin; k < end; k++) cells[axes[k]] = (cells[axes[k]] << 1) | raw.take(1);
 }
@@ -20,14 +20,14 @@ export function addBits(cells, axes, begin, end, raw) {
  *
  * @param {Uint8Array} data
  * @param {number} count
- * @param {number[]} axes as `axesOf` gives them
+ * @param {number[]} axes from `axesOf`
  * @param {(x: number, y: number, z: number, missing: number, count: number) => void} leaf called
  *   with the cells of a node without children, which lack its lowest `missing` bits
  */
 export function walkTree(data, count, axes, leaf) {
   const coder = new BinaryCoder(data, 864, 'geometry');
   const bits = axes.length;
-  // Nodes that wait, at most one for each bit: count, bits left, cells, and whether the parent's
+  // Pending nodes, at most one for each bit: count, bits left, cells, and whether the parent's
   // points were all on one side.
   const stack = new Int32Array(6 * (bits + 2));
   let top = 0;
@@ -63,7 +63,7 @@ export function walkTree(data, count, axes, leaf) {
   coder.finish();
 }
 
-/** How many of the n points of a node have a next bit of 0. */
+/** How many of the n points of a node have 0 as the next bit. */
 function split(coder, n, lopsided) {
   const size = n < 10 ? n - 2 : 8 + Math.max(28 - Math.clz32(n), 0);
   if (coder.bit(4 * size + 2 * lopsided)) return 0;

@@ -1,4 +1,4 @@
-// Numbers in messages, with their nouns.
+// Numbers with their nouns, for messages.
 
 const GROUPED = new Intl.NumberFormat('en-US');
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.table import FORMATS, SceneFormat, format_of
 from gs_codec.runtime.arguments import check_fields
 
 #: Handling of properties beyond the INRIA layout.
@@ -296,21 +297,16 @@ def as_rate_target(target: RateTarget | Mapping[str, float]) -> RateTarget:
     return RateTarget(**target)  # type: ignore[arg-type]
 
 
-#: Our own format; the others that scenes are encoded to, of which the first are written as finely
-#: as profiles `l`, `m` and `s` ask, and the others as finely as they can.
+#: Our own format, and all that scenes are encoded to.
 EGS = "egs"
-ROUNDED_FORMATS = ("spz", "sog")
-EXACT_FORMATS = ("glb", "gltf", "usd", "usda", "usdc", "usdz")
-FORMATS = (EGS, *ROUNDED_FORMATS, "compressed.ply", "splat", *EXACT_FORMATS)
-
-#: File name of a SOG scene that is a folder of files, not a zip.
-UNBUNDLED = "meta.json"
-
-#: File name of a streamed SOG scene, which has coarser levels.
-STREAMED = "lod-meta.json"
-
-#: Suffix of a zip of a streamed SOG scene.
-SSOG = ".ssog"
+CODED_FORMATS = tuple(
+    dict.fromkeys(
+        known.code(suffix)
+        for known in FORMATS
+        if known.writes in ("steps", "fixed")
+        for suffix in known.written
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -456,7 +452,7 @@ class Config:
     format: str = option(
         EGS,
         "Format of files in a batch, or of stdout; other files have that of their suffix.",
-        metavar="NAME", values=FORMATS,
+        metavar="NAME", values=CODED_FORMATS,
     )  # fmt: skip
     lod: bool = option(
         False, "With profiles l, m, s: add coarser levels of detail, a third more bytes.", kind=bool
@@ -506,8 +502,10 @@ class Config:
 
     def _check_format(self) -> None:
         """Reject options that only `.egs` supports."""
-        if self.spz_version != 3 and self.format != "spz":
-            raise InvalidInput(f"spz_version: format '{self.format}', expected 'spz'")
+        for other in FORMATS:
+            for name in other.options if other is not self.scene_format else ():
+                if getattr(self, name) != getattr(Config, name):
+                    raise InvalidInput(f"{name}: format '{self.format}', expected '{other.name}'")
         if self.format == EGS:
             return
         where = f"format '{self.format}'"
@@ -517,7 +515,7 @@ class Config:
         if self.depths or self.block_size != Config.block_size:
             what = "depths" if self.depths else "block_size"
             raise InvalidInput(f"{what}: {where} has none")
-        if self.coarseness != 1 and self.format not in ROUNDED_FORMATS:
+        if self.coarseness != 1 and not self.has_steps:
             raise InvalidInput(f"coarseness: {where} has none")
 
     def _check_geometry(self) -> None:
@@ -566,7 +564,12 @@ class Config:
     @property
     def has_steps(self) -> bool:
         """Whether the output follows the step sizes of profile ``l``, ``m`` or ``s``."""
-        return self.profile in ADAPTIVE_PROFILES and self.format in (EGS, *ROUNDED_FORMATS)
+        return self.profile in ADAPTIVE_PROFILES and self.scene_format.writes == "steps"
+
+    @property
+    def scene_format(self) -> SceneFormat:
+        """What `format` is."""
+        return format_of(f".{self.format}")
 
     def adaptive_profile(self) -> AdaptiveProfile:
         """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""

@@ -21,9 +21,10 @@ from gs_codec.bench.peers import AbsentPeer, find_program, spz_peer
 from gs_codec.errors import MissingTool
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.activated import logits_of
-from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, turn_axes
+from gs_codec.formats.coordinates import CONVENTION, turn_axes
 from gs_codec.formats.packed_values import sigmoid, unit_quaternions
 from gs_codec.formats.ply.file import read_ply
+from gs_codec.formats.table import SPZ, format_of
 from gs_codec.formats.tensors import NAMES, scene_of_tensors
 from gs_codec.scene import Scene, property_names
 
@@ -88,7 +89,7 @@ def read_by_spz(paths: Sequence[Path]) -> list[Scene]:
     if isinstance(peer, AbsentPeer):
         raise MissingTool(peer.absent)
     scenes = [peer.scene(peer.decode(path.read_bytes())) for path in paths]
-    return [turn_axes(scene, OWN_SYSTEMS[".spz"]) for scene in scenes]
+    return [turn_axes(scene, SPZ.system) for scene in scenes]
 
 
 def read_by_splat_transform(paths: Sequence[Path]) -> list[Scene]:
@@ -140,7 +141,7 @@ PROGRAMS = {
 
 def stored_numbers(path: Path) -> Scene:
     """What our reader reads from a file, in the coordinate system of the format."""
-    return turn_axes(read_scene(path), OWN_SYSTEMS.get(path.suffix, CONVENTION))
+    return turn_axes(read_scene(path), format_of(path.suffix).system or CONVENTION)
 
 
 def check(theirs: Scene, ours: Scene, form: str, exact: bool) -> None:

@@ -524,7 +524,7 @@ REFUSED = {
     "decode .ply": ("decode scene.ply out.ply", "scene.ply: ply, not an .egs file"),
     "inspect missing": ("inspect missing.egs", "missing.egs: No such file"),
     "inspect directory": ("inspect some.dir", "some.dir: a directory, expected a file"),
-    "inspect text": ("inspect text.md", "text.md: begins with b'# Ti', expected .egs, .ply"),
+    "inspect text": ("inspect text.md", "text.md: begins with b'# Ti', expected .ply, .egs"),
     "inspect zip": ("inspect zip.pt", "zip.pt: pickle: 'pickle exhausted before seeing STOP'"),
     "inspect other zip": ("inspect zip.sog", "zip.sog: a zip without meta.json, expected a SOG"),
     "channels of a .ply": ("inspect scene.ply --channels", "--channels has no effect on scene.ply"),

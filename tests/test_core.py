@@ -131,6 +131,7 @@ print(status, *sorted(sys.modules), file=sys.stderr)
 #: Modules that start a command, and that define its options.
 STARTED = {
     "cli", "cli.*", "config", "edit", "edit.actions", "errors", "files", "files.suffixes",
+    "formats", "formats.table",
     "preparation", "preparation.presets", "preparation.steps", "report", "runtime", "runtime.*",
 }  # fmt: skip
 

@@ -191,7 +191,7 @@ def test_editing_below_a_limit_takes_files_and_not_memory(tmp_path, monkeypatch)
         held.extend(not plane.flags.owndata for plane in (scene.positions, scene.f_rest))
         return write(path, scene)
 
-    monkeypatch.setitem(sys.modules["gs_codec.files.scenes"]._WRITERS, ".ply", written)
+    monkeypatch.setattr("gs_codec.formats.ply.writer.write_ply", written)
     actions = [Action("crop-sphere", "0,0,0,2"), Action("rotate", "1,2,3")]
     convert_file(tmp_path / "scene.ply", tmp_path / "o.ply", actions=actions, max_memory=10**10)
     assert held == [True, True]

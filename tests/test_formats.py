@@ -921,7 +921,7 @@ def test_content_decides_before_the_suffix(suffix, tmp_path):
 @pytest.mark.parametrize("data", [b"hello", bytes(64), b"%PD", b"\x89PNG\r\n"], ids=repr)
 def test_what_is_no_scene_is_refused_in_one_line(data, tmp_path):
     path = written(tmp_path / "a.bin", data)
-    with pytest.raises(InvalidInput, match=r"expected .egs, .ply, .splat, .spz") as caught:
+    with pytest.raises(InvalidInput, match=r"expected .ply, .egs, .spz, .sog") as caught:
         read_scene(path)
     assert_one_line(caught.value, path)
     for suffix in (".ply", ".egs", ".spz", ".sog", ".json"):

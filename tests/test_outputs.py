@@ -21,13 +21,13 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.preparation.steps import Plan, Steps
 
 WRONG_SUFFIX = {
-    "encode scene.ply b.ply": ".usdz or meta.json; `convert` writes that",
+    "encode scene.ply b.ply": ".usdc or .usdz; `convert` writes that",
     "encode scene.ply b.ksplat": "b.ksplat: suffix '.ksplat', expected .egs",
     "encode scene.ply b": "b: suffix '', expected .egs",
     "decode scene.egs b.splat": "b.splat: suffix '.splat', expected .ply; `convert` writes that",
     "decode scene.egs b.egs": "b.egs: suffix '.egs', expected .ply; `convert` writes that",
     "decode scene.egs b.compressed.ply": "suffix '.compressed.ply', expected .ply",
-    "convert scene.ply b.OBJ": "suffix '.obj', expected .egs, .spz, .sog, .compressed.ply",
+    "convert scene.ply b.OBJ": "suffix '.obj', expected .egs, .spz, .sog, meta.json, .comp",
     "prepare scene.ply b.obj --prune 9": "suffix '.obj', expected .egs, .spz",
     "prepare scene.ply - --prune 9": "-: suffix '', expected .egs, .spz",
 }

@@ -21,7 +21,7 @@ from web_pages import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, 
 
 from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.coding.morton import spatial_order
-from gs_codec.config import STREAMED, Config
+from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
@@ -30,6 +30,7 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import check_file, open_scene, overview_of
+from gs_codec.formats.table import STREAMED
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.runtime.atomic import write_files

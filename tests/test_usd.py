@@ -18,8 +18,9 @@ from scenes import assert_same_bits, random_scene
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.files.scenes import read_scene, stated_bytes
 from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.table import USD
 from gs_codec.formats.usd import scene as usd
-from gs_codec.formats.usd.scene import SUFFIXES, pack_usd
+from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
@@ -55,7 +56,7 @@ def written(path: Path, data: bytes) -> Path:
 
 
 @pytest.mark.one_in(4)
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", USD.written)
 @pytest.mark.parametrize(("count", "degree"), [(0, 3), (1, 0), (200, 1), (200, 2), (200, 3)])
 def test_what_is_written_is_read(count, degree, suffix, tmp_path):
     scene = random_scene(count, degree, seed=degree)

@@ -15,14 +15,14 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.formats.usd import scene as usd
+from gs_codec.formats.table import EGS, FORMATS
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
 
 log = logging.getLogger(__name__)
 
-#: Suffixes of the files in a folder that are taken as scenes.
-SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".ssog", ".glb", *usd.SUFFIXES)
+#: Suffixes of the files in a folder that are taken as scenes, beside `.egs`.
+SUFFIXES = tuple(suffix for known in FORMATS if known is not EGS for suffix in known.batched)
 
 
 @dataclass(frozen=True)

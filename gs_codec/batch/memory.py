@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from gs_codec.formats.table import format_of_file
 
 #: Bytes for Python, its packages, and compiled kernels.
 _FIXED = 400 << 20
@@ -13,9 +13,6 @@ _ENCODING = 4
 #: The same if views are drawn (16 measured), and bytes per pixel of the views (280 measured).
 _DRAWING = 20
 _PIXEL = 320
-
-#: Bytes of raw floats per byte of a compressed file, by suffix.
-_PACKED = {".splat": 2, ".ksplat": 4, ".spz": 20, ".sog": 20, ".ssog": 20, ".egs": 30}
 
 #: If its header was not read, a file may have this many times the floats that its size suggests.
 _MARGIN = 4
@@ -31,8 +28,8 @@ def needed_bytes(floats: int, pixels: int = 0) -> int:
 
 def expected_floats(size: int, name: str) -> int:
     """Estimated bytes of raw floats in a file of `size` bytes; a size below 0 counts as 0."""
-    packed = 5 if name.lower().endswith(".compressed.ply") else _PACKED.get(Path(name).suffix, 1)
-    return packed * max(size, 0)
+    known = format_of_file(name)
+    return max(size, 0) * (1 if known is None else known.floats_per_byte)
 
 
 def most_floats(size: int, name: str) -> int:

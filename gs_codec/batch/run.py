@@ -23,7 +23,7 @@ from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.work import encode_one, versions
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
-from gs_codec.formats.usd.scene import require_usd_core
+from gs_codec.formats.table import format_of
 from gs_codec.runtime.memory import available_bytes
 from gs_codec.runtime.redaction import redacted, without_secrets
 from gs_codec.runtime.threads import available_threads
@@ -142,7 +142,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         that the format needs is not installed.
     """
     start, watcher, records = time.perf_counter(), watcher or Watcher(), list[Record]()
-    require_usd_core(f".{batch.options.format}")
+    format_of(f".{batch.options.format}").check_installed()
     sources, targets = storage_of(batch.source), storage_of(batch.target)
     options = batch.options.absolute()
     path = batch.report or _default_report(targets)

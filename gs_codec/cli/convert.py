@@ -20,12 +20,12 @@ from gs_codec.cli.output import (
 )
 from gs_codec.cli.request import Typed, action_plan, config_of, refuse_coding, takes
 from gs_codec.cli.streams import is_stdout, piped
-from gs_codec.config import SSOG, STREAMED, Config
+from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
-from gs_codec.files.suffixes import PLAIN, format_of, known_suffix
+from gs_codec.files.suffixes import LEVELLED, PLAIN, format_name, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
 from gs_codec.report import bits_per_gaussian
-from gs_codec.runtime.wording import counted, size_text
+from gs_codec.runtime.wording import counted, listed, size_text
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
@@ -45,7 +45,7 @@ def command(
         Path,
         typer.Argument(
             metavar="OUT",
-            help=f"File to write: {WRITTEN_SHOWN}; {SSOG} or {STREAMED}. - is stdout.",
+            help=f"File to write: {WRITTEN_SHOWN}; {listed(LEVELLED)}. - is stdout.",
         ),
     ],
     typed: Typed,
@@ -84,7 +84,7 @@ def command(
             told = asdict(done)
             print_document(
                 input=inputs if len(inputs) > 1 else inputs[0], output=str(target),
-                profile=None if suffix in PLAIN else config.profile, format=format_of(suffix),
+                profile=None if suffix in PLAIN else config.profile, format=format_name(suffix),
                 bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
                 stages=told.pop("seconds"), **told,
             )  # fmt: skip

@@ -10,17 +10,19 @@ from typing import Any
 
 import typer
 
-from gs_codec.config import FORMATS, Config, Option, RateTarget
+from gs_codec.config import CODED_FORMATS, Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import ENCODED, PLAIN, READ
+from gs_codec.files.suffixes import ENCODED, PLAIN, READ_NAMES
+from gs_codec.formats.table import unmarked_names
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.runtime.wording import listed
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 
 #: Suffixes that scenes are encoded to, and all that are written.
-ENCODED_SHOWN = ", ".join(ENCODED[:-1]) + f" or {ENCODED[-1]}"
+ENCODED_SHOWN = listed(ENCODED)
 WRITTEN_SHOWN = f"{', '.join(PLAIN)}, {ENCODED_SHOWN}"
 
 #: How numbers are typed, and what they are called.
@@ -46,7 +48,8 @@ OPTIONS = {
         "Use the workers of a Dask scheduler, or local ones.", metavar="ADDRESS",
     ),
     "input_format": Option(
-        "Format of stdin or a pipe; splat, ksplat and gltf need it.", metavar="NAME", values=READ,
+        f"Format of stdin or a pipe; {listed(unmarked_names(), 'and')} need it.",
+        metavar="NAME", values=READ_NAMES,
     ),
     "overwrite": Option("Overwrite existing output.", bool),
     "json": Option("Print the report as JSON.", bool),
@@ -78,7 +81,7 @@ for _settings in (Config, RateTarget, Plan, Steps):
                 DEFAULTS[_described.name or _field.name] = _field.default
 
 OPTIONS["format"] = replace(
-    OPTIONS["format"], values=(*FORMATS, *(suffix.removeprefix(".") for suffix in PLAIN))
+    OPTIONS["format"], values=(*CODED_FORMATS, *(suffix.removeprefix(".") for suffix in PLAIN))
 )
 
 

@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gs_codec.errors import printable
+from gs_codec.formats.table import read_names
 from gs_codec.report import Progress, RenderedLoss
-from gs_codec.runtime.wording import as_typed, log_warnings, size_text
+from gs_codec.runtime.wording import as_typed, listed, log_warnings, size_text
 
 if TYPE_CHECKING:
     from gs_codec.pages.tables import Table
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
 SECONDS_A_LINE = 10
 
 #: What commands read.
-SCENES = (
-    "A scene: .ply, .egs, .splat, .ksplat, .spz, .glb, .usd, .sog, .ssog, meta.json, "
-    "lod-meta.json, .pt, .ckpt."
-)
+SCENES = f"A scene: {listed(read_names())}."
 SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
 
 

@@ -19,7 +19,7 @@ from gs_codec.cli.request import Typed, config_of, plan_of, takes
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import PLAIN, format_of, known_suffix
+from gs_codec.files.suffixes import PLAIN, format_name, known_suffix
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import bits_per_gaussian
 
@@ -53,7 +53,7 @@ def command(
     if typed["json"]:
         size, suffix = written_bytes(target), known_suffix(target)
         print_document(
-            input=str(source), output=str(target), format=format_of(suffix), output_bytes=size,
+            input=str(source), output=str(target), format=format_name(suffix), output_bytes=size,
             profile=None if suffix in PLAIN else config.profile,
             bits_per_gaussian=bits_per_gaussian(size, done.steps[-1].count), **done.as_dict(),
         )  # fmt: skip

@@ -16,19 +16,18 @@ from gs_codec.cli.output import set_loudness
 from gs_codec.cli.streams import is_stdout
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
+    CODED_FORMATS,
     EGS,
-    EXACT_FORMATS,
-    FORMATS,
     PAPER_OPTIONS,
     PROFILES,
-    ROUNDED_FORMATS,
     Config,
     RateTarget,
     options_of,
 )
 from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import IN_PARTS, PLAIN, format_of, known_suffix
+from gs_codec.files.suffixes import format_name, known_suffix
+from gs_codec.formats.table import format_of
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -209,25 +208,25 @@ def config_of(typed: Typed, target: Path | None = None) -> Config:
         If an option is out of its range, or has no effect.
     """
     form = _format_of(typed, target)
-    if form in FORMATS and form != EGS:
+    if form in CODED_FORMATS and form != EGS:
         refuse_coding(typed, form, target)
     profile = Config(typed["profile"]).profile
     if profile not in PROFILES:
         typed.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
         typed.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
-    return typed.build(Config, format=form if form in FORMATS else EGS)
+    return typed.build(Config, format=form if form in CODED_FORMATS else EGS)
 
 
 def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     """Refuse options of coding that have no effect on a format other than `.egs`."""
     settings: list[Any] = [Config]
-    if f".{form}" in PLAIN:
+    known = format_of(f".{form}")
+    if known.writes == "floats":
         settings += [RateTarget, Steps]
         typed.refuse(["gt_images"], f"has no effect on {target or form}")
-    used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
-    used = (*used, "spz_version") if form == "spz" else used
-    used = (*used, "max_memory") if f".{form}" in IN_PARTS else used
+    used = (*_OF_ALL, *known.options, *(_OF_STEPS if known.writes == "steps" else ()))
+    used = (*used, "max_memory") if known.in_parts else used
     names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
     unused = [name for name in ("preset", "max_memory", *names) if name not in used]
     typed.refuse(unused, f"has no effect on {target or form}, expected an .egs")
@@ -237,7 +236,7 @@ def _format_of(typed: Typed, target: Path | None) -> str:
     """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
     if target is None or is_stdout(target):
         return typed["format"] or EGS
-    form = format_of(known_suffix(target))
+    form = format_name(known_suffix(target))
     if form and typed["format"] not in (None, form):
         typed.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
     return form
@@ -305,9 +304,9 @@ def _goes_by_views(typed: Typed, config: Config) -> bool:
         why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
         typed.refuse(["cameras", "views", "width", "background"], why)
     # Where no step sizes can be chosen, a target prunes.
-    fixed = config.format not in (EGS, *ROUNDED_FORMATS)
+    fixed = config.scene_format.writes != "steps"
     prunes = fixed and any(typed[name] is not None for name in _TARGETS)
-    if config.format in EXACT_FORMATS and not prunes:
+    if config.scene_format.is_exact and not prunes:
         why = f"has no effect on .{config.format}, whose values stay: expected --prune or --refine"
         typed.refuse(["cameras", "views", "width", "background"], why)
     if typed["cameras"] is not None or measured or typed["allow_prune"] or prunes:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +13,12 @@ from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_s
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.coding.clean import clean_scene, finite_ends
 from gs_codec.coding.morton import spatial_order
-from gs_codec.config import ROUNDED_FORMATS, Config
+from gs_codec.config import Config
 from gs_codec.formats.attribute_steps import AttributeSteps, ShGrid
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
-from gs_codec.formats.gltf.scene import pack_gltf
-from gs_codec.formats.ply import packed as packed_ply
 from gs_codec.formats.registry import open_scene
-from gs_codec.formats.sog.writer import pack_sog
-from gs_codec.formats.splat import pack_splat
-from gs_codec.formats.spz import scene as spz
-from gs_codec.formats.usd.scene import SUFFIXES, pack_usd
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
-
-#: Formats with Gaussians in Morton order; the others keep the scene's order.
-_SORTED = ("spz", "sog", "compressed.ply")
 
 
 def encode_interchange(
@@ -63,14 +52,14 @@ def _packed(
     scene: Scene, config: Config, wanted: AttributeSteps | None, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Write a scene with the wanted step sizes, or as finely as the format allows."""
+    known, suffix = config.scene_format, f".{config.format}"
+    assert known.writer is not None  # .egs is encoded elsewhere
+    arguments = {name: getattr(config, field) for field, name in known.options.items()}
+    if known.writes == "steps":
+        arguments["steps"] = wanted
     with times.stage("pack"):
-        if config.format == "spz":
-            data, lost = spz.pack_spz(scene, config.spz_version, wanted)
-        elif config.format == "sog":
-            data, lost = pack_sog(scene, wanted)
-        else:
-            data, lost = _PACKERS[config.format](scene)
-    if wanted is not None and config.format in ROUNDED_FORMATS:
+        data, lost = known.writer(scene, **arguments, **known.written[suffix])
+    if wanted is not None and known.writes == "steps":
         lost = (f"{lost[0]}, or to the steps of profile {config.profile}", *lost[1:])
     report = EncodeReport(
         scene.count,
@@ -80,18 +69,9 @@ def _packed(
         rectified=0,
         seconds=times.seconds,
         lost=lost,
-        sh_degree=0 if config.format == "splat" else scene.sh_degree,
+        sh_degree=known.sh_degrees.get(suffix, scene.sh_degree),
     )
     return [data], report
-
-
-_PACKERS: Mapping[str, Callable[[Scene], tuple[bytes, tuple[str, ...]]]] = {
-    "compressed.ply": packed_ply.pack_ply,
-    "splat": pack_splat,
-    "glb": pack_gltf,
-    "gltf": partial(pack_gltf, as_text=True),
-    **{suffix[1:]: partial(pack_usd, suffix=suffix) for suffix in SUFFIXES},
-}
 
 
 @dataclass(frozen=True)
@@ -120,12 +100,13 @@ class RoundedScene:
     @property
     def is_sparse(self) -> bool:
         """Whether SH-AC of 0 make the file smaller."""
-        return self.config.format in ROUNDED_FORMATS
+        return self.config.scene_format.writes == "steps"
 
     def decoded(self) -> Scene:
         """The rounded scene with the source's SH, up to the degree that the format supports."""
         source = self.source.take(self.order)
-        f_rest = source.f_rest[:0] if self.config.format == "splat" else source.f_rest
+        degree = self.config.scene_format.sh_degrees.get(f".{self.config.format}", source.sh_degree)
+        f_rest = source.f_rest if degree else source.f_rest[:0]
         return replace(self.rounded, f_dc=source.f_dc, f_rest=f_rest)
 
     def sh_steps(self) -> NDArray[np.float32]:
@@ -134,9 +115,8 @@ class RoundedScene:
 
     def sh_grid(self) -> ShGrid | None:
         """Levels of SH-AC in file order; None if rounding to the nearest is as good."""
-        if self.config.format == "compressed.ply":
-            return packed_ply.sh_grid(len(self.order))
-        return None
+        grid = self.config.scene_format.sh_grid
+        return None if grid is None else grid(len(self.order))
 
     def with_colours(self, coloured: Scene) -> RoundedScene:
         """Replace the SH by that of `coloured`, which is in file order."""
@@ -152,7 +132,7 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
     # SH-AC are not needed here, and would take most of the time.
     [data], _ = _packed(replace(scene, f_rest=scene.f_rest[:0]), config, wanted, times)
     rounded = decode_interchange(data, config, system_of(scene))
-    in_order = config.format in _SORTED
+    in_order = config.scene_format.sorts
     order = spatial_order(scene.positions, scene.log_scale) if in_order else np.arange(scene.count)
     return RoundedScene(scene, config, wanted, order, rounded)
 

@@ -23,9 +23,7 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
     EGS,
-    EXACT_FORMATS,
     LOSSLESS,
-    ROUNDED_FORMATS,
     Config,
     RateTarget,
     as_rate_target,
@@ -107,7 +105,7 @@ def _prepared_or_to_target(
     target: RateTarget | None,
     progress: Progress | None,
 ) -> tuple[bytes, EncodeReport]:
-    if target is not None and config.format not in (EGS, *ROUNDED_FORMATS):
+    if target is not None and config.scene_format.writes != "steps":
         from gs_codec.rate.fixed_rate import meet_target
 
         def encode(plan: Plan | None) -> tuple[bytes, EncodeReport]:
@@ -176,7 +174,7 @@ def encode_planned(
 
     `references` are these views, if they are known.
     """
-    fixed = config.profile not in ADAPTIVE_PROFILES or config.format in EXACT_FORMATS
+    fixed = config.profile not in ADAPTIVE_PROFILES or config.scene_format.is_exact
     if plan is None or fixed or not scene.count:
         return _camera_free(scene, config, progress)
     from gs_codec.preparation.pipeline import guiding_views

@@ -26,7 +26,8 @@ from gs_codec.files.scenes import (
 )
 from gs_codec.files.shifted import early_shifts, edit_shifted
 from gs_codec.files.suffixes import IN_PARTS, check_target
-from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
+from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
+from gs_codec.formats.table import format_of
 from gs_codec.levels.adding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
@@ -37,9 +38,6 @@ from gs_codec.scene import Scene, Shift
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
-
-#: SH degrees of formats that have but one.
-_DEGREES = {".splat": 0, ".ckpt": 3}
 
 
 @dataclass(frozen=True)
@@ -167,8 +165,9 @@ def convert_file(
         check_levels(config, max_memory=max_memory)
     check_actions(actions, plan, max_memory is not None)
     stated, _, wanted = coordinates.rpartition(":")
-    own = OWN_SYSTEMS.get(suffix)
-    if own is not None and wanted.upper() not in ("KEEP", CONVENTION, own):
+    known = format_of(suffix)
+    own = known.system
+    if own and wanted.upper() not in ("KEEP", CONVENTION, own):
         raise InvalidInput(f"{target}: coordinates {wanted!a:.20}, expected {own} of its format")
     dropped, times = 0, StageTimes()
     finest = keeps_rounding(sources, suffix, config, by_profile)
@@ -187,7 +186,7 @@ def convert_file(
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)
-            if own is not None:
+            if own:
                 scene = turn_scene(scene, CONVENTION)
             else:
                 scene = turn_scene(scene, before if wanted == "keep" else wanted.upper())
@@ -197,7 +196,7 @@ def convert_file(
     size = written_bytes(target)
     return ConvertReport(
         scene.count,
-        _DEGREES.get(suffix, scene.sh_degree),
+        known.sh_degrees.get(suffix, scene.sh_degree),
         after,
         before if before != after else None,
         scene.antialiased,

@@ -6,7 +6,7 @@ import io
 import logging
 import os
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,18 +21,16 @@ from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.interchange import encode_finest
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
-from gs_codec.config import ROUNDED_FORMATS, SSOG, STREAMED, UNBUNDLED, Config, Extra
+from gs_codec.config import Config, Extra
 from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
 from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import LEVELLED, PLAIN, config_for, format_of, suffix_of
-from gs_codec.formats.checkpoint import write_checkpoint
+from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
-from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.extra_properties import scene_without
 from gs_codec.formats.ply.dialects import with_filter
-from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.table import SSOG, STREAMED, UNBUNDLED, format_of
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.adding import add_levels
 from gs_codec.levels.streaming import stream_levels
@@ -54,7 +52,7 @@ class Written(NamedTuple):
     lost : tuple of str
         What the format cannot hold, in words; also logged as warnings.
     rendered : RenderedLoss or None
-        What rendered views lose; None in formats of `PLAIN`, which hold floats.
+        What rendered views lose; None in formats of floats.
     """
 
     lost: tuple[str, ...]
@@ -68,7 +66,7 @@ def write_scene(
     overwrite: bool = True,
     finest: bool = False,
 ) -> Written:
-    """Write a scene in a format of `PLAIN`, encoded in one of `FORMATS`, or as streamed SOG.
+    """Write a scene in any format that is written.
 
     If `finest`, `.spz` and SOG are written as finely as they can be, whatever the profile; coarser
     levels of detail by the profile all the same.
@@ -80,9 +78,11 @@ def write_scene(
     """
     suffix = suffix_of(path)
     check_writable(path, overwrite)
-    if suffix in PLAIN:
-        written = Written(_WRITERS[suffix](path, scene))
-    elif suffix in LEVELLED:
+    known = format_of(suffix)
+    if known.writes == "floats":
+        assert known.writer is not None
+        written = Written(known.writer(path, scene))
+    elif known.writes == "levels":
         with located(path):
             config = config_for(path, config, LEVELLED)
             files, lost = stream_levels(scene, config, finest=finest)
@@ -95,7 +95,6 @@ def write_scene(
     else:
         with located(path):
             config = config_for(path, config)
-            finest = finest and config.format in ROUNDED_FORMATS
             encode = encode_finest if finest else encode_camera_free
             parts, report = add_levels(*encode(scene, config), config)
         write_parts(path, parts)
@@ -113,12 +112,14 @@ def keeps_rounding(
     Not if a profile or a coarseness is asked for.
     """
     asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
-    return not asked and format_of(suffix) in ROUNDED_FORMATS and all(map(_is_rounded, sources))
+    known = format_of(suffix)
+    takes_steps = known.is_rounded and known.writes in ("steps", "levels")
+    return not asked and takes_steps and all(map(_is_rounded, sources))
 
 
 def _is_rounded(source: str | Path) -> bool:
     with open_scene(source) as file:
-        return file.is_rounded
+        return file.scene_format.is_rounded
 
 
 def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
@@ -129,14 +130,6 @@ def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | N
     with open_scene(path) as file:
         decoded, _ = finite_ends(file.scene(exact=True))
         return Check.by_plan(clean, None).measure(turn_axes(decoded))
-
-
-_WRITERS: Mapping[str, Callable[[str | Path, Scene], tuple[str, ...]]] = {
-    ".ply": write_ply,
-    ".pt": write_checkpoint,
-    ".ckpt": write_checkpoint,
-    ".csv": write_csv,
-}
 
 
 def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:

@@ -7,22 +7,24 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gs_codec.config import EGS, FORMATS, SSOG, STREAMED, UNBUNDLED, Config
+from gs_codec.config import EGS, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.table import FORMATS, STREAMED, format_of, read, written
 from gs_codec.runtime.atomic import check_writable
+from gs_codec.runtime.wording import listed
 
 #: Of formats that scenes are encoded to, of those of plain floats, of those with levels made by
 #: `convert`, and of all that are written.
-ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)
-PLAIN = (".ply", ".pt", ".ckpt", ".csv")
-LEVELLED = (SSOG, STREAMED)
+ENCODED = written("steps", "fixed")
+PLAIN = written("floats")
+LEVELLED = written("levels")
 WRITTEN = (*ENCODED, *LEVELLED, *PLAIN)
 
 #: Names of formats that are read from one file.
-READ = ("splat", "ksplat", "gltf", "ply", "egs", "spz", "sog", "usd", "pt")
+READ_NAMES = tuple(known.name for known in FORMATS if f".{known.name}" in read())
 
 #: Of formats that are written part by part, below a memory limit.
-IN_PARTS = (".egs", ".ply", ".csv")
+IN_PARTS = tuple(suffix for known in FORMATS if known.in_parts for suffix in known.written)
 
 
 def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
@@ -36,9 +38,8 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
     suffix = known_suffix(path)
     if suffix not in known:
         suffix = suffix or Path(path).suffix.lower()
-        expected = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
         other = "; `convert` writes that" if suffix in WRITTEN else ""
-        raise InvalidInput(f"{path}: suffix '{suffix}', expected {expected}{other}")
+        raise InvalidInput(f"{path}: suffix '{suffix}', expected {listed(known)}{other}")
     if suffix == STREAMED and Path(path).name != STREAMED:
         raise InvalidInput(f"{path}: expected the name {STREAMED}, which viewers look for")
     return suffix
@@ -50,9 +51,9 @@ def known_suffix(path: str | Path) -> str:
     return max((s for s in WRITTEN if name.endswith(s)), key=len, default="")
 
 
-def format_of(suffix: str) -> str:
-    """The format of a suffix from `suffix_of`."""
-    return "sog" if suffix in (UNBUNDLED, *LEVELLED) else suffix.removeprefix(".")
+def format_name(suffix: str) -> str:
+    """The format of a suffix from `known_suffix`, as `Config.format` has it."""
+    return format_of(suffix).code(suffix) if suffix else ""
 
 
 def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODED) -> Config:
@@ -63,7 +64,7 @@ def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODE
     InvalidInput
         If it is none of `known`, or the configuration asks for another format.
     """
-    form = format_of(suffix_of(path, known))
+    form = format_name(suffix_of(path, known))
     if config.format not in (EGS, form):
         raise InvalidInput(f"{path}: format '{config.format}', expected .{config.format}")
     return replace(config, format=form)
@@ -81,8 +82,5 @@ def check_target(
             raise InvalidInput(f"{target}: input and output are the same file")
     check_writable(target, overwrite)
     suffix = suffix_of(target, known)
-    if suffix.startswith(".usd"):
-        from gs_codec.formats.usd.scene import require_usd_core
-
-        require_usd_core(suffix)
+    format_of(suffix).check_installed()
     return suffix

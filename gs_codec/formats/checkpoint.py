@@ -20,6 +20,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count, most_bytes, refusing
 from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
+from gs_codec.formats.table import CHECKPOINT
 from gs_codec.formats.tensors import (
     NAMES,
     NERFSTUDIO,
@@ -56,7 +57,7 @@ _MULTIPLE = 64
 _MODEL = "_model.gauss_params."
 
 
-def is_checkpoint(data: FileBytes) -> bool:
+def is_checkpoint(path: Path, data: FileBytes) -> bool:
     """Whether the first entry of a zip file is the pickle of a checkpoint."""
     name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
     return name.rpartition(b"/")[2] == PICKLE.encode()
@@ -166,7 +167,7 @@ def write_checkpoint(path: str | Path, scene: Scene) -> tuple[str, ...]:
     }
     with atomic_writer(path) as file:
         write_zip(file, head | entries, _MULTIPLE)
-    return tuple(left_out_of(scene, flag=True))
+    return tuple(left_out_of(scene, CHECKPOINT))
 
 
 def _splatfacto(arrays: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:

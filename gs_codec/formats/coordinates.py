@@ -18,13 +18,6 @@ from gs_codec.scene import Scene, Shift, coordinates_comment, coordinates_of, of
 #: The system of a scene that states none.
 CONVENTION = "RDF"
 
-#: Systems of formats that have one of their own, by their suffix.
-OWN_SYSTEMS = {
-    ".spz": "RUB",
-    **dict.fromkeys((".glb", ".gltf"), "LUF"),
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "RUB"),
-}
-
 #: Letters of opposite directions, along right, up and forward.
 _LETTERS = ("LR", "DU", "BF")
 

@@ -12,6 +12,7 @@ import numpy as np
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.packed_values import spans
 from gs_codec.formats.ply.writer import vertex_rows
+from gs_codec.formats.table import CSV
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import Scene
 
@@ -38,4 +39,4 @@ def write_csv(path: str | Path, scene: Scene) -> tuple[str, ...]:
         for some in spans(scene.count):
             rows = vertex_rows(scene.between(some.start, some.stop))
             np.savetxt(file, rows, formats, ",")
-    return tuple(left_out_of(replace(scene, extra={}), flag=True))
+    return tuple(left_out_of(scene, CSV))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.table import COMMENTS, FLAG, PROPERTIES, SceneFormat
 from gs_codec.scene import NORMALS, Scene, other_comments
 
 log = logging.getLogger(__name__)
@@ -49,11 +50,15 @@ def say_left_out(
         log.warning("%s: %s", where, line)
 
 
-def left_out_of(scene: Scene, flag: bool = False, others: Sequence[str] = ()) -> list[str]:
-    """What a format without properties, comments, and perhaps the antialias flag leaves out."""
-    flags = ["antialias flag"] if flag and scene.antialiased else []
-    lines = {"comments": len(other_comments(scene.comments))}
-    return left_out([*scene.extra], lines=lines, others=[*others, *flags])
+def left_out_of(scene: Scene, known: SceneFormat) -> list[str]:
+    """What a format leaves out of a scene, if anything, as one line."""
+    others = []
+    if scene.sh_degree and 0 in known.sh_degrees.values():
+        others.append(f"SH of degrees 1 to {scene.sh_degree}")
+    if scene.antialiased and FLAG not in known.keeps:
+        others.append(FLAG)
+    lines = {} if COMMENTS in known.keeps else {COMMENTS: len(other_comments(scene.comments))}
+    return left_out([] if PROPERTIES in known.keeps else [*scene.extra], (), lines, others)
 
 
 def say_degree_4(where: str | Path) -> None:

@@ -6,6 +6,7 @@ quaternion are a byte each.
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from gs_codec.formats.packed_values import (
     sigmoid,
     unit_quaternions,
 )
+from gs_codec.formats.table import SPLAT
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, Scene
@@ -61,6 +63,11 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     )
 
 
+def stated_size(path: Path, data: Sized) -> tuple[int, int]:
+    """Number of Gaussians that a file of this size has, and their SH degree."""
+    return len(data) // RECORD, 0
+
+
 def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a `.splat` file, and what it cannot hold, in words.
 
@@ -82,6 +89,4 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     rot = np.rint(128 * unit_quaternions(scene.rot))
     # A byte holds -128 but not 128; the negative quaternion is the same rotation.
     rows["rot"] = 128 + np.where((rot > 127).any(axis=0), -rot, rot).T
-    lost = ["opacity, colour and rotation rounded to 8 bits", *clipped.sentences()]
-    harmonics = [f"SH of degrees 1 to {scene.sh_degree}"] if scene.sh_degree else []
-    return rows.tobytes(), (*lost, *left_out_of(scene, flag=True, others=harmonics))
+    return rows.tobytes(), (SPLAT.rounding, *clipped.sentences(), *left_out_of(scene, SPLAT))

@@ -14,8 +14,6 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import most_bytes, refusing
 from gs_codec.runtime.wording import counted
 
-ZIP = b"PK\x03\x04"
-
 _ENTRIES = 10_000
 
 #: Unused bytes are read in parts of this size.

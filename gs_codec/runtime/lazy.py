@@ -39,6 +39,22 @@ def lazy_names(
     return list(homes), find
 
 
+class Lazy:
+    """A function of a module that is imported when the function is first called.
+
+    Parameters
+    ----------
+    module, name : str
+    """
+
+    def __init__(self, module: str, name: str) -> None:
+        self.module, self.name = module, name
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Call the function."""
+        return getattr(import_module(self.module), self.name)(*arguments, **options)
+
+
 def from_extra(module: str, extra: str, what: str) -> ModuleType:
     """Import a module of ours that needs packages of an extra.
 

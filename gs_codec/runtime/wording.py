@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import SupportsIndex, TextIO
 
@@ -18,6 +19,12 @@ _ACTION = re.compile(r'\bAction\("([a-z-]+)"(?:, "([^"]*)")?\)')
 def counted(number: SupportsIndex, noun: str) -> str:
     """A number and its noun: "1 Gaussian", "1,234 Gaussians", "2 properties"."""
     return f"{number:,} {noun if number == 1 else _plural(noun)}"
+
+
+def listed(names: Sequence[str], word: str = "or") -> str:
+    """Names in a sentence: ``a, b or c``."""
+    *first, last = names
+    return f"{', '.join(first)} {word} {last}" if first else last
 
 
 def _plural(noun: str) -> str:

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
+from gs_codec.formats.table import GLTF
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.wording import counted
 
-MAGIC = b"glTF"
+MAGIC = GLTF.signatures[0]
 
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
-from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
+from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.gltf.file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
@@ -26,12 +26,13 @@ from gs_codec.formats.packed_values import (
     unit_quaternions,
 )
 from gs_codec.formats.similarity import move_scene, rotation_of
+from gs_codec.formats.table import GLTF
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
 
 _EXTENSION = "KHR_gaussian_splatting"
-_SYSTEM = OWN_SYSTEMS[".glb"]
+_SYSTEM = GLTF.system
 
 #: Maximum number of primitives that nodes show, for each node and primitive of the file.
 _SHOWN = 16
@@ -258,6 +259,5 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [primitive]}],
     }
-    lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
     data = pack_document(document, arrays, as_text)
-    return data, (lost, *clipped.sentences(), *left_out_of(scene, flag=True))
+    return data, (GLTF.rounding, *clipped.sentences(), *left_out_of(scene, GLTF))

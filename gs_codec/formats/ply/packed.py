@@ -30,6 +30,7 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.ply.body import Ply
 from gs_codec.formats.ply.header import PlyHeader
+from gs_codec.formats.table import COMPRESSED_PLY
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import DEGREE_4, SH_C0, SH_COEFFICIENTS, Scene, stated_comments
@@ -189,8 +190,8 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     clipped = Clipped()
     sh = _packed_sh(scene, clipped)
     data = b"".join([_header_of(scene).encode(), ranges.tobytes(), vertex.tobytes(), sh.tobytes()])
-    lost = "centres and scales rounded to 10 or 11 bits of a chunk's range, other values to 8 or 10"
-    return data, (lost, *moved, *clipped.sentences(), *left_out_of(scene))
+    left_out = left_out_of(scene, COMPRESSED_PLY)
+    return data, (COMPRESSED_PLY.rounding, *moved, *clipped.sentences(), *left_out)
 
 
 def _header_of(scene: Scene) -> str:

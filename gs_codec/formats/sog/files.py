@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.config import STREAMED, UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import images
 from gs_codec.formats.limits import DECODED_BYTES, refusing
-from gs_codec.formats.zip_file import ZIP, Archive, only_scene, opened_zip
+from gs_codec.formats.table import STREAMED, UNBUNDLED, ZIP
+from gs_codec.formats.zip_file import Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
-from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.codebook import choose_colours, choose_levels, make_table
@@ -28,6 +27,7 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.sog.files import FIRST_TAG, PALETTE_COLUMNS
 from gs_codec.formats.sog.palette import fit_palette
+from gs_codec.formats.table import SOG, UNBUNDLED
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
@@ -94,8 +94,7 @@ def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes],
             images |= of_group
     written = run_all(write_webp, images.values())
     files = {UNBUNDLED: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
-    lost = "centres rounded to 16 bits, other values to 8, SH to rows of a palette"
-    return files, (lost, *clipped.sentences(), *left_out_of(scene))
+    return files, (SOG.rounding, *clipped.sentences(), *left_out_of(scene, SOG))
 
 
 def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:

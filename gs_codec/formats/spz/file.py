@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.coordinates import OWN_SYSTEMS
 from gs_codec.formats.extra_properties import say_degree_4, say_left_out
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.formats.table import SPZ
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
@@ -30,8 +30,8 @@ log = logging.getLogger(__name__)
 #: Data of attributes; parts of a memoryview are not copies.
 Bytes = bytes | memoryview
 
-MAGIC = b"NGSP"
-GZIP = b"\x1f\x8b\x08"
+MAGIC = SPZ.signatures[0]
+GZIP = SPZ.short_signatures[0]
 
 _HEADER = struct.Struct("<4sIIBBBB")
 _ZSTD_HEADER = struct.Struct("<4sIIBBBBI12x")
@@ -51,7 +51,7 @@ _NODE = 6
 
 #: Adobe's extension for other coordinate systems than the format's own; its values start at 1.
 _SYSTEM_EXTENSION = 0xADBE0003
-SYSTEM = OWN_SYSTEMS[".spz"]
+SYSTEM = SPZ.system
 _SYSTEMS = (
     *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
     *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),

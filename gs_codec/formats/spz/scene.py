@@ -36,6 +36,7 @@ from gs_codec.formats.spz.file import (
     pack_streams,
     read_streams,
 )
+from gs_codec.formats.table import SPZ
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, stated_comments
 
@@ -152,8 +153,8 @@ def pack_spz(
         packed = _bytes_of(part, steps.take(some), bits, clipped)
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
-    lost = "opacity, colours, scales and SH rounded to 8 bits, rotations to 10"
-    return pack_streams(header, streams), (lost, *moved, *clipped.sentences(), *left_out_of(scene))
+    lost = (SPZ.rounding, *moved, *clipped.sentences(), *left_out_of(scene, SPZ))
+    return pack_streams(header, streams), lost
 
 
 def _fraction_bits(farthest: float) -> int:

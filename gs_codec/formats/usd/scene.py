@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
-from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
+from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import (
@@ -28,23 +28,15 @@ from gs_codec.formats.packed_values import (
     unit_quaternions,
 )
 from gs_codec.formats.similarity import move_scene
+from gs_codec.formats.table import USD, ZIP
 from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
-from gs_codec.formats.zip_file import ZIP, write_zip
+from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.programs import Limits, run_on_files
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
 
-#: First bytes of a text layer.
-TEXT = b"#usda"
-
-#: First bytes of a binary layer.
-CRATE = b"PXR-USDC"
-
-#: Suffixes of what may be read: layers, and zips of them.
-SUFFIXES = (*LAYERS, ".usdz")
-
-_SYSTEM = OWN_SYSTEMS[".usd"]
+_SYSTEM = USD.system
 _SYSTEM_Z_UP = "RFU"
 
 #: Files in a `.usdz` begin at multiples of so many bytes.
@@ -79,14 +71,16 @@ _SECONDS = 20
 _BYTES_A_SECOND = 1 << 20
 
 
-def require_usd_core(suffix: str = ".usd") -> None:
-    """`MissingTool` if files with this suffix need usd-core, and it is not installed."""
-    if suffix in SUFFIXES and find_spec("pxr") is None:
+def require_usd_core() -> None:
+    """Raise `MissingTool` if usd-core is not installed."""
+    if find_spec("pxr") is None:
         raise MissingTool(f"usd-core is not installed: {pip_install('usd')}")
 
 
-def is_usdz(data: FileBytes) -> bool:
-    """Whether the first entry of a zip file is a layer of USD."""
+def is_usd(path: Path, data: FileBytes) -> bool:
+    """Whether a file is no zip, or its first entry is a layer of USD."""
+    if data[: len(ZIP)] != ZIP:
+        return True
     name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
     return name.lower().endswith(tuple(suffix.encode() for suffix in LAYERS))
 
@@ -111,7 +105,7 @@ def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
 def _read_apart(view: memoryview, most: int) -> dict[str, NDArray]:
     """What `usd_stage.main` finds; sizes alone if the floats take more than `most` bytes."""
     require_usd_core()
-    suffix = {TEXT: ".usda", CRATE: ".usdc", ZIP: ".usdz"}
+    suffix = dict(zip(USD.signatures, (".usda", ".usdc", ".usdz"), strict=True))
     name = "scene" + next((s for begin, s in suffix.items() if view[: len(begin)] == begin), ".usd")
     package = Path(__file__).parents[2]
     command = [sys.executable, "-c", _READ, str(package), name, "found.npz", str(most)]
@@ -165,7 +159,7 @@ def _scenes(found: dict[str, NDArray]) -> list[Scene]:
 
 
 def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a file with a suffix of `SUFFIXES`, and what it cannot hold, in words.
+    """The bytes of a file with a suffix that is written, and what it cannot hold, in words.
 
     Raises
     ------
@@ -187,8 +181,7 @@ def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
         zipped = io.BytesIO()
         write_zip(zipped, {name: data}, _MULTIPLE)
         data = zipped.getvalue()
-    lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
-    return data, (lost, *clipped.sentences(), *left_out_of(scene, flag=True))
+    return data, (USD.rounding, *clipped.sentences(), *left_out_of(scene, USD))
 
 
 def _stage(scene: Scene, clipped: Clipped) -> Any:

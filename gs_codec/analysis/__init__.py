@@ -1,1 +1,1 @@
-"""Analyse why coding works on a scene, and where not (paper, Section 3): numbers, plots, report."""
+"""Analyse how well coding works on a scene (paper, Section 3): numbers, plots, report."""

@@ -24,7 +24,7 @@ from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 from gs_codec.views.find import find_cameras
 
-#: The profile whose depths are used for histograms, models and the marks on curves.
+#: Profile whose depths are used for histograms, models and the marks on curves.
 REFERENCE = "paper-m"
 
 #: Number of views in which sensitivities are measured.
@@ -69,7 +69,7 @@ class Analysis:
 
     @property
     def notes(self) -> list[str]:
-        """What was left out, and why."""
+        """Sentences on what was left out, and why."""
         notes = []
         if self.dropped:
             notes.append(f"Left out: {counted(self.dropped, 'Gaussian')} with NaN or infinity.")
@@ -106,7 +106,7 @@ class Analysis:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as plain types, for JSON."""
+        """Convert to plain types, for JSON."""
         return {
             "gs_codec": __version__,
             "schema": SCHEMA,
@@ -146,20 +146,20 @@ def analyse_scene(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Analysis:
-    """Analyse a scene; Gaussians with NaN or infinity are left out, and a note says so.
+    """Analyse a scene; Gaussians with NaN or infinity are dropped, which a note reports.
 
     Parameters
     ----------
     scene : Scene
     name : str
     cameras : str, optional
-        As for `find_cameras`; without cameras, sensitivities are not measured.
+        As in `find_cameras`; without cameras, sensitivities are not measured.
     width : int, optional
         Width of the views, pixels.
     error_scale : {"deviation", "mean"}
         Scale of the errors of `sensitivity`; see `gs_codec.analysis.sensitivity`.
     sample : int
-        Most Gaussians to use for maps and fits; entropies, bits and views use all of them.
+        Maximum Gaussians for maps and fits; entropies, bits and views use all.
     seed : int
         Random seed for sample, shuffling and noise.
     progress : callable, optional
@@ -211,7 +211,7 @@ def _sample(scene: Scene, count: int, seed: int) -> Scene:
 def _encode(
     scene: Scene, progress: Progress | None
 ) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, float]]]:
-    """Entropies of the paper's profiles by the best models, and bits per attribute of all."""
+    """Entropies of the paper's profiles with the best models; bits by attribute of all profiles."""
     advance = step_counter(progress, "profiles", len(PROFILE_CHOICES))
     # Extra properties and comments would count as bits.
     scene = replace(scene, extra={}, comments=())

@@ -1,4 +1,4 @@
-"""Entropy of each group beside the published figures, and where the bits of a file go."""
+"""Entropy of each group next to the published figures, and the bits of each attribute."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _SECTIONS = {
 def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
     """Coded bits of each rANS-coded group, its Shannon entropy, and the paper's figures.
 
-    Coded bits are all that a decoder needs: words, and for each channel an equal share of states,
-    models and quantisers, which channels have together.
+    Coded bits include everything a decoder needs: words, and for each channel an equal share of the
+    common states, models and quantisers.
     """
     groups: dict[str, list[ChannelCost]] = {}
     for cost in report.costs:
@@ -51,7 +51,7 @@ def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
 
 
 def depths_by_group(config: Config, sh_degree: int) -> dict[str, str]:
-    """Bits per symbol of each group of a paper profile; if SH bands differ, as ``4/3/3``."""
+    """Bits per symbol of each group of a paper profile; ``4/3/3`` if SH bands differ."""
     depths = config.resolved_depths()
     bands = [str(depths.pop(band)) for band in SH_STREAMS][:sh_degree]
     named = {group: str(bits) for group, bits in depths.items()}

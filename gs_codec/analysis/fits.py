@@ -20,11 +20,11 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Number of bars of a histogram, and the quantiles between which values are shown.
+#: Number of bars of a histogram; and the quantiles between which values are shown.
 _BARS = 96
 _SHOWN = (0.001, 0.999)
 
-#: Another component must save at least this share of the code length, as in the codec.
+#: Minimum share of the code length that another component must save, as in the codec.
 _WORTHWHILE = 2e-4
 
 
@@ -35,9 +35,9 @@ class Fit:
     Attributes
     ----------
     channel : Channel
-        With the quantiser that a paper profile would use for these values.
+        The channel, with the quantiser of a paper profile for these values.
     model : {"laplace", "mixture", "none"}
-        ``none`` for positions, which are coded as a tree, and constant channels.
+        ``none`` for positions, which are coded as a tree, and for constant channels.
     parameters : dict
         In units of the attribute: ``median`` and ``scale`` (mean absolute deviation), or
         ``weights``, ``means``, ``sigmas``.
@@ -54,7 +54,7 @@ class Fit:
         Kullback-Leibler divergence of the model from the histogram of the symbols: cost of coding
         with the model beyond the entropy, bits per symbol.
     ks_nonzero : float or None
-        As `ks`, for the other values only, with a Laplace distribution fitted to them.
+        Like `ks`, for the non-zero values only, with a Laplace distribution fitted to them.
     """
 
     channel: Channel
@@ -77,7 +77,7 @@ class Fit:
         return _weighted(norm.pdf, values, self.parameters)
 
     def as_dict(self) -> dict:
-        """For JSON."""
+        """Convert for JSON."""
         return {
             "channel": self.channel.name,
             "group": self.channel.stream,
@@ -170,7 +170,7 @@ def _in_units(model: MixtureModel, quantiser: Quantiser) -> dict[str, list[float
 def _weighted(
     function: Callable, values: NDArray[np.float64], known: Mapping[str, list[float]]
 ) -> NDArray[np.float64]:
-    """The pdf or cdf of a mixture, from that of a normal distribution."""
+    """The pdf or cdf of a mixture, from the function of a normal distribution."""
     parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
     return sum((w * function(values, m, s) for w, m, s in parts), np.zeros(len(values)))
 
@@ -183,7 +183,7 @@ def _ks_mixture(values: NDArray[np.float32], known: Mapping[str, list[float]]) -
 
 
 def _laplace(values: NDArray[np.float32]) -> tuple[dict[str, float], float | None]:
-    """Median, mean absolute deviation, and KS distance from that Laplace distribution."""
+    """Median, mean absolute deviation, and KS distance from the Laplace distribution with these."""
     from scipy.stats import ks_1samp, laplace
 
     if values.size == 0:

@@ -16,20 +16,21 @@ from gs_codec.runtime.threads import run_all
 Bins = Literal["counts", "widths"]
 BINS: tuple[Bins, ...] = ("counts", "widths")
 
-# Quantiles between which bins of equal widths lie; outliers would leave most values in one bin.
+# Quantiles that bound bins of equal widths; outliers would leave most values in one bin.
 _INNER = (0.001, 0.999)
 
-#: Most bins per channel; values that each pair of bins should hold if channels are independent.
+#: Maximum number of bins per channel; and values per pair of bins expected for independent
+#: channels.
 MAX_BINS = 32
 _VALUES_A_CELL = 50
 
-# Values counted at a time, so that those of several channels stay in the cache.
+# Number of values counted at a time, so that those of several channels stay in the cache.
 _CHUNK = 1 << 14
 
 
-#: Threshold relative to the channel's mean magnitude. Quantised formats store several values next
-#: to zero. With a Laplace distribution, one value in a hundred is below it, but never all of a
-#: colour.
+#: Threshold relative to the channel's mean magnitude. Quantised formats may not represent zero, and
+#: store several values near it. With a Laplace distribution, one value in a hundred is below it,
+#: but never all of a colour.
 _SHARE = 0.01
 
 
@@ -55,7 +56,7 @@ class Information:
 
 
 def bin_count(samples: int) -> int:
-    """Bins for a sample of this size, 2 to `MAX_BINS`."""
+    """Number of bins for a sample of this size, 2 to `MAX_BINS`."""
     return int(np.clip(math.isqrt(samples // _VALUES_A_CELL), 2, MAX_BINS))
 
 
@@ -64,8 +65,8 @@ def into_bins(planes: NDArray[np.floating], bins: int, kind: Bins = "counts") ->
 
     ``counts``: about equally many values in each bin; a frequent value that fills several bins
     leaves some empty. ``widths``: equally wide bins from the 0.1 % quantile to the 99.9 % quantile;
-    the outermost hold all values beyond. If the two quantiles are equal, the bins reach from the
-    lowest value to the highest. A constant channel has one bin of either kind.
+    the outermost also contain all values beyond. If the two quantiles are equal, the bins reach
+    from the lowest value to the highest. A constant channel has one bin of either kind.
     """
     codes = np.zeros(planes.shape, np.int8)
     edges_of = _equal_counts if kind == "counts" else _equal_widths
@@ -100,7 +101,7 @@ def mutual_information(
     raw = _normalised(first, second, bins)
     shuffled = np.ascontiguousarray(second[:, rng.permutation(second.shape[1])])
     bias = _normalised(first, shuffled, bins)
-    # With a bias of 1 the sample is too small to show anything: the result is 0.
+    # With a bias of 1, the sample is too small to show anything, and the result is 0.
     room = np.where(bias < 1.0, 1.0 - bias, np.inf)
     return Information((raw - bias) / room, raw, bias)
 

@@ -33,7 +33,7 @@ _COMPONENTS = {"rot": "wxyz", "log_scale": "012", "opacity": " ", "f_dc": "RGB"}
 class Map:
     """Normalised mutual information of the channels `rows` with the channels `columns`.
 
-    `information` is by bins of equal ``counts``, and by bins of equal ``widths``.
+    `information` has results for bins of equal ``counts`` and of equal ``widths``.
     """
 
     rows: tuple[str, ...]
@@ -42,7 +42,7 @@ class Map:
     information: Mapping[Bins, Information]
 
     def as_dict(self) -> dict:
-        """For JSON."""
+        """Convert for JSON."""
         return {
             "rows": self.rows,
             "columns": self.columns,
@@ -59,7 +59,7 @@ class Map:
 
 
 class _Channels(NamedTuple):
-    """Channels in bins of either kind ``(C, N)``, and what each is called."""
+    """Binned channels, with either kind of bins ``(C, N)``, and their names."""
 
     codes: Mapping[Bins, NDArray[np.int8]]
     labels: tuple[str, ...]
@@ -69,9 +69,9 @@ def maps_of(scene: Scene, bins: int, seed: int, progress: Progress | None = None
     """The maps of a scene, by name; SH-AC maps only if it has SH-AC.
 
     ``sh-ac`` and ``sh-dc`` compare the channels of the three colours with each other, as stored
-    and, with ``-ycocg``, after the colour transform. ``sh-ac-others`` compares SH-AC with the
-    other attributes. ``coloured`` leaves out Gaussians that have a colour channel whose SH-AC are
-    all (nearly) zero, because these make otherwise independent channels look dependent.
+    and, with ``-ycocg``, after the colour transform. ``sh-ac-others`` compares SH-AC with the other
+    attributes. ``coloured`` excludes Gaussians in which the SH-AC of a colour are all (nearly)
+    zero, because these make independent channels look dependent.
     """
     rngs = {kind: np.random.default_rng(seed) for kind in BINS}
     advance = step_counter(progress, "mutual information", 8 if scene.sh_degree else 2)
@@ -146,7 +146,7 @@ def _mean(values: NDArray) -> float | None:
 
 
 def _by_colour(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Planes ``(3 K, N)`` as ``(3, K, N)``."""
+    """Reshape planes ``(3 K, N)`` to ``(3, K, N)``."""
     return planes.reshape(3, len(planes) // 3, planes.shape[1])
 
 

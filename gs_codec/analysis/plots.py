@@ -25,10 +25,10 @@ _MARKERS = "osD^vX"
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 _HATCHES = ("", "//", "", "\\\\", "", "xx", "", "..", "")
 
-#: Maps of all Gaussians and of coloured ones, and what plots call them.
+#: Maps of all Gaussians and of coloured ones, with their labels in plots.
 _WHICH = {"sh-ac": "all Gaussians", "sh-ac-coloured": "coloured Gaussians"}
 
-#: Colours as they are stored, and after the transform.
+#: Colours as stored, and after the transform.
 _COLOURS = ("R, G, B", "Y, Co, Cg")
 
 #: Light grey.
@@ -58,7 +58,7 @@ def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[
 
 
 def _plots(analysis: Analysis) -> Iterator[tuple[Any, ...]]:
-    """Name of each picture, the function that plots it, and what it plots."""
+    """Name of each picture, the function that plots it, and its arguments."""
     if analysis.sh_degree:
         yield "sh_ac_within_colours", plot_within_colours, analysis.maps
         yield "sh_ac_across_colours", plot_across_colours, analysis.maps
@@ -125,11 +125,11 @@ def _without_self(found: Map) -> NDArray[np.float64]:
 
 
 def _draw_maps(figure: Figure, panels: Sequence[tuple[Axes, str, NDArray[np.float64]]]) -> None:
-    """Titles and values of panels on one scale, which has a bar; NaN is grey."""
+    """Draw panels with titles on one colour scale, with a colour bar; NaN is grey."""
     top = max(0.01, *(float(np.nanmax(values)) for _, _, values in panels))
     for axis, title, values in panels:
         axis.set_facecolor("0.75")
-        # This colour map reads well in greyscale and with colour blindness too.
+        # This colour map is also readable in greyscale and with colour blindness.
         image = axis.imshow(values, cmap="cividis", vmin=0.0, vmax=top, interpolation="nearest")
         axis.set_title(title, fontsize=10)
         axis.tick_params(length=0)
@@ -164,7 +164,7 @@ def _mark_colours(set_ticks: Callable, draw_line: Callable, found: Map) -> None:
 
 
 def plot_sensitivity(sensitivity: SensitivityCurves) -> Figure:
-    """PSNR against the error of each attribute; hollow marks show the profile's own errors."""
+    """PSNR against the error of each attribute; hollow marks show the errors of the profile."""
     from matplotlib import colormaps
 
     figure = new_figure(9.5, 5.6)
@@ -247,14 +247,14 @@ def plot_sh(fits: Sequence[Fit], colour: int) -> Figure:
     _draw_rows(axes, [[mine[size * colour + k] for k in band] for band in bands])
     seen = np.concatenate([fit.density[fit.density > 0] for fit in mine.values()])
     if seen.size:
-        axes[0, 0].set_yscale("log", subs=(2, 5))  # each tick of so many axes takes time
+        axes[0, 0].set_yscale("log", subs=(2, 5))  # each tick of many axes takes time
         axes[0, 0].set_ylim(seen.min() / 2, seen.max() * 30)
     figure.subplots_adjust(0.045, 0.25 / height, 0.995, 1 - 0.25 / height, 0.08, 0.32)
     return figure
 
 
 def _draw_rows(axes: NDArray, rows: Sequence[Sequence[Fit]]) -> None:
-    """A histogram on each axis; those that a row has too many are hidden."""
+    """Draw a histogram on each axis; hide unused axes of a row."""
     for row, fits in zip(axes, rows, strict=True):
         for axis, fit in zip(row, fits, strict=False):
             _draw_histogram(axis, fit)
@@ -263,7 +263,7 @@ def _draw_rows(axes: NDArray, rows: Sequence[Sequence[Fit]]) -> None:
 
 
 def _draw_histogram(axis: Axes, fit: Fit) -> None:
-    """Bars, the model's curve, and how far the model is off."""
+    """Draw bars, the model's curve, and the distance of the model."""
     title = _TITLES.get(fit.channel.stream)
     axis.set_title(f"{title}: {fit.channel.name}" if title else fit.channel.name, fontsize=8)
     axis.tick_params(labelsize=6)
@@ -281,4 +281,4 @@ def _draw_histogram(axis: Axes, fit: Fit) -> None:
     axis.set_xlim(fit.edges[0], fit.edges[-1])
     if title:
         axis.set_yticks([])
-        axis.set_ylim(0, 1.4 * axis.get_ylim()[1])  # room for the numbers
+        axis.set_ylim(0, 1.4 * axis.get_ylim()[1])  # space for the numbers

@@ -1,4 +1,4 @@
-"""Analyse the file of a scene, and write a report: a page of text, tables and pictures; JSON."""
+"""Analyse a scene file, and write a report: an HTML page with tables and pictures; JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gs_codec.runtime.atomic import check_writable, write_files
 from gs_codec.runtime.lazy import check_installed
 from gs_codec.runtime.wording import counted
 
-#: Errors in the titles of columns, and what they mean.
+#: Units of errors in column titles.
 _ERRORS: dict[ErrorScale, str] = {"deviation": "std.", "mean": "MSE/mean"}
 _SCALE_TEXTS: dict[ErrorScale, str] = {
     "deviation": "Errors are root mean squares, in standard deviations of the channel, so that "
@@ -57,7 +57,7 @@ def analyse_file(
 ) -> dict[str, Any]:
     """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
 
-    Nothing is written if `folder` is None. `options` are those of `analyse_scene`.
+    Nothing is written if `folder` is None. `options` are the options of `analyse_scene`.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def analyse_file(
     """
     check_installed("scipy", "analyze")
     if folder is not None:
-        # Find out that the report cannot be written before doing the work.
+        # Check this before doing the work.
         check_installed("matplotlib", "plots")
         target = Path(folder)
         there = next(path for path in (target, *target.absolute().parents) if path.exists())
@@ -159,7 +159,7 @@ def _colour_table(analysis: Analysis) -> str:
 def _means_table(
     analysis: Analysis, caption: str, column: str, kinds: Sequence[str], form: str
 ) -> str:
-    """Means over pairs of channels, of all Gaussians and of the coloured ones, by either bins."""
+    """Means over channel pairs, of all Gaussians and of coloured ones, for either kind of bins."""
     columns = ["all Gaussians", "coloured", "all, widths", "coloured, widths"]
     means, rows = [analysis.means(bins) for bins in BINS], []
     for kind in kinds:
@@ -279,7 +279,7 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
 
 
 def _tolerance(curve: Curve) -> str:
-    """The error at the threshold, or the largest one measured if views stay above it."""
+    """The error at the threshold; or the largest error measured, if views stay above it."""
     if curve.tolerance is not None:
         return f"{curve.tolerance:.2e}"
     return f"> {curve.errors[-1]:.2e}" if curve.errors[-1] else ""

@@ -1,10 +1,10 @@
-"""Measure how errors of one attribute lower the quality of views (paper, Section 3.3).
+"""Measure how errors of one attribute reduce the quality of views (paper, Section 3.3).
 
 Errors are given in one of two scales. ``deviation`` is ours: the root mean square error in standard
 deviations of the channel. ``mean`` is the paper's: the mean squared error of the attribute over the
 attribute's mean. Positions and SH-AC have means of about zero, so we take the mean of the
 magnitudes, over all stored values of the attribute (logits, log-scales); this is our reading of the
-paper. The quotient has a unit: with positions it depends on the scene's unit and origin.
+paper. The quotient is not dimensionless: with positions it depends on the scene's unit and origin.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from gs_codec.scene import Scene
 
 ErrorScale = Literal["deviation", "mean"]
 
-#: What the numbers of each scale are.
+#: Description of the numbers of each scale.
 SCALES: dict[ErrorScale, str] = {
     "deviation": "root mean square, in standard deviations of the channel",
     "mean": "mean square over the attribute's mean magnitude",
 }
 
-#: Levels of noise: root-mean-square errors, in standard deviations of the channel.
+#: Noise levels: root mean square errors, in standard deviations of the channel.
 LEVELS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 
-#: PSNR at which attributes are ranked, dB.
+#: PSNR at which attributes are ranked, in dB.
 THRESHOLD = 40.0
 
 #: Attributes by the name of their group in a scene.
@@ -51,7 +51,7 @@ ATTRIBUTES = {
     "rot": "rotation",
 }
 
-# Cap, because PSNR of equal images is infinite.
+# Cap, because the PSNR of equal images is infinite.
 _HIGHEST = 120.0
 
 
@@ -63,20 +63,19 @@ class Curve:
     ----------
     attribute : str
     errors : tuple of float
-        The error that noise of each of `LEVELS` makes; in the scale ``mean`` all 0 if the attribute
-        is constant.
+        The error of noise at each of `LEVELS`; in the scale ``mean`` all 0 if the attribute is
+        constant.
     psnr : tuple of float
-        PSNR at each of `LEVELS`, dB, against views of the unchanged scene, mean over the views; at
-        most 120.
+        Mean PSNR at each of `LEVELS`, dB, relative to views of the unchanged scene; at most 120.
     tolerance : float or None
         The error at which PSNR falls to `THRESHOLD`; the lowest of `errors` if PSNR is below
-        `THRESHOLD` even there; None if it never falls so far.
+        `THRESHOLD` even there; None if PSNR stays above it.
     tolerance_of_range : float or None
-        The same error, root mean square, as a share of the channel's range, from lowest to highest
+        The same error as root mean square relative to the channel's range, from lowest to highest
         value; in either scale.
     profile_error : float
-        The quantisation error of the paper's profile; in the scale ``mean``, that of noise of the
-        same level in standard deviations.
+        The quantisation error of the paper's profile; in the scale ``mean``, the error of noise at
+        the same level in standard deviations.
     """
 
     attribute: str
@@ -104,7 +103,7 @@ class SensitivityCurves:
         )
 
     def as_dict(self) -> dict:
-        """For JSON."""
+        """Convert for JSON."""
         return {
             "views": [camera.name for camera in self.cameras],
             "width": self.cameras[0].width,
@@ -146,7 +145,7 @@ def measure_sensitivity(
         noise = _noise(deviations, planes.shape[1], seed)
         qualities = []
         for level in LEVELS:
-            # Values that overflow become infinite; such Gaussians are not drawn.
+            # Overflowing values become infinite; such Gaussians are not drawn.
             with np.errstate(over="ignore"):
                 noisy = replace(scene, **{group: planes + np.float32(level) * noise})
             qualities.append(_quality(_views(noisy, cameras), original))
@@ -212,9 +211,10 @@ def _curve(
 
 
 def _error_over_mean(planes: NDArray[np.float32], deviations: NDArray[np.float64]) -> float:
-    """Mean squared error of an attribute ``(C, N)`` over its mean magnitude, at noise of level 1.
+    """Mean squared error of an attribute ``(C, N)`` over its mean magnitude, with noise of level 1.
 
-    It grows with the square of the level. If all values are zero, there is no noise: 0.
+    It grows with the square of the level. If all values are zero, there is no noise, and the result
+    is 0.
     """
     magnitude = float(np.abs(planes).mean(dtype=np.float64))
     return float(np.square(deviations).mean()) / magnitude if magnitude else 0.0

@@ -208,7 +208,8 @@ def encode(
     ------
     InvalidInput
         As in `write`; or if the rate target cannot be reached.
-    MissingTool, ToolFailed As in `write`.
+    MissingTool, ToolFailed
+        As in `write`.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""Measurements behind every number the documents state."""
+"""Measurements for every number in the documents."""

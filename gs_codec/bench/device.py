@@ -1,4 +1,4 @@
-"""Decoding and refining on a CUDA device, which says that it is absent where it is."""
+"""Measure decoding and refinement on a CUDA device; without one, report that it is absent."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from gs_codec.preparation.steps import BACKGROUNDS
 from gs_codec.rendering.gsplat_backend import is_chosen
 from gs_codec.scene import Scene
 
-#: Gaussians of blocks: the usual number, and one for more blocks than processors.
+#: Block sizes in Gaussians: the default, and one that gives more blocks than processors.
 BLOCK_SIZES = (16384, 4096)
 
-#: Number of views that are refined to.
+#: Number of views to refine to.
 VIEWS = 32
 
-#: Their width, pixels.
+#: Width of these views, in pixels.
 WIDTH = 800
 
 #: Iterations of the refinement.
@@ -39,10 +39,9 @@ Lines = Iterator[dict[str, Any]]
 def measure_device(
     measured: MeasuredScene, sizes: Sequence[int], repeats: int, device: str = "cuda"
 ) -> Lines:
-    """Result lines of a scene, and of it tiled to `sizes`: medians of seconds, by the clock.
+    """Result lines of a scene and of its tilings to `sizes`: medians of wall times, in seconds.
 
-    Tensors are compared with those of the CPU. What needs a tool that is missing has
-    one line that says so.
+    Tensors are compared with those of the CPU. If a tool is missing, a line reports that.
     """
     works: tuple[tuple[str, Callable[[], object], Any], ...] = (
         ("decoding", partial(require_device, device), _decoding),
@@ -70,7 +69,7 @@ def _name(device: str) -> str:
 
 
 def _decoding(_: MeasuredScene, scene: Scene, repeats: int, device: str) -> Lines:
-    """Profile `m`, from a stream to tensors, by the device and by the CPU."""
+    """Decode profile `m` from a stream to tensors, on the device and on the CPU."""
     import torch
 
     for block_size in BLOCK_SIZES:
@@ -88,13 +87,13 @@ def _decoding(_: MeasuredScene, scene: Scene, repeats: int, device: str) -> Line
 
 
 def _refining(measured: MeasuredScene, scene: Scene, _repeats: int, device: str) -> Lines:
-    """Iterations that fit nine tenths of a scene to its own views."""
+    """Iterations that fit 90 % of a scene's Gaussians to its own views."""
     chosen = [*evenly(measured.guides, VIEWS)]
     cameras = [c.resized(WIDTH, max(1, round(WIDTH * c.height / c.width))) for c in chosen]
     views = draw_targets(scene, cameras, BACKGROUNDS["black"], "cuda")
     fewer = scene.take(np.flatnonzero(np.arange(scene.count) % 10))
     curve = optimise(fewer, views, ITERATIONS, device="cuda")[1]["curve"]
-    # The first point has what is loaded and compiled.
+    # The first point includes loading and compiling.
     first, last = curve[0], curve[-1]
     rate = (last["iteration"] - first["iteration"]) / (last["seconds"] - first["seconds"])
     yield {
@@ -107,7 +106,7 @@ def _refining(measured: MeasuredScene, scene: Scene, _repeats: int, device: str)
 
 
 def _timed(function: Callable[[], Any], repeats: int) -> tuple[Any, float]:
-    """What a function returns, and the median of seconds after a first run that compiles."""
+    """The result of a function, and its median seconds after a first run that compiles."""
     seconds, found = [], function()
     for _ in range(repeats):
         start = time.perf_counter()

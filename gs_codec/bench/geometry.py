@@ -1,4 +1,4 @@
-"""Our coder of positions beside Open3D's class `Octree`: what it takes to build and to walk one."""
+"""Compare our coder of positions with Open3D's `Octree`: time to build and to traverse."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gs_codec.config import Config
 #: Depth of Open3D's octree: less than ours, in its favour.
 OPEN3D_DEPTH = 10
 
-#: Processor seconds of the steps of one run, by the step's name; and its bytes or nodes.
+#: Processor seconds of the steps of one run, by name; and its bytes or nodes.
 Turn = tuple[dict[str, float], dict[str, int]]
 
 
 class _Way(NamedTuple):
-    """A way to divide and walk points, which `turn` does once."""
+    """A way to divide and traverse points; `turn` runs it once."""
 
     coder: str
     version: str
@@ -36,10 +36,10 @@ class _Way(NamedTuple):
 def measure_geometry(
     positions: NDArray[np.float32], name: str, repeats: int
 ) -> Iterator[dict[str, Any]]:
-    """A result line for our count tree and one for Open3D's octree, of finite ``(3, N)``.
+    """A result line for our count tree and one for Open3D's octree, from finite ``(3, N)``.
 
-    The two take turns; the first turn, which compiles, does not count. Seconds are medians, of the
-    processor: both use one thread. They get the points in memory, in their own form.
+    The two alternate; the first turn, which compiles, does not count. Times are medians of
+    processor seconds; both use one thread. Both get the points in memory, in their own layout.
     """
     ways = [_count_tree(positions), _open3d(positions)]
     turns = [[way.turn() for way in ways] for _ in range(repeats + 1)][1:]
@@ -58,7 +58,7 @@ def measure_geometry(
 
 
 def _count_tree(positions: NDArray[np.float32]) -> _Way:
-    """Sorted Morton codes, walked to bytes, and back to cells; at the depth of `paper-m`."""
+    """Sorted Morton codes, coded to bytes and decoded to cells, at the depth of `paper-m`."""
     depth = Config("paper-m").resolved_depths()["geometry"]
 
     def turn() -> Turn:
@@ -78,7 +78,7 @@ def _count_tree(positions: NDArray[np.float32]) -> _Way:
 
 
 def _open3d(positions: NDArray[np.float32]) -> _Way:
-    """An octree, and its traversal by the least that a coder needs: which children a node has."""
+    """An octree, and the minimal traversal that a coder needs: which children a node has."""
     import open3d
 
     points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions.T.astype(float)))

@@ -1,4 +1,4 @@
-"""The machine of a measurement, the code and its packages, and the size of an installation."""
+"""Description of the machine, the code and its packages; size of an installation."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import gs_codec
 from gs_codec import __version__
 from gs_codec.runtime.threads import available_threads
 
-#: Packages that measured codecs use, ours and others'.
+#: Packages used by the measured codecs, ours and others'.
 _PACKAGES = (
     "numpy", "numba", "scipy", "plyfile", "pcodec", "crc32c", "zstandard", "spz",
 )  # fmt: skip
 
 
 def machine() -> dict[str, Any]:
-    """The result line of what the numbers were measured on and with."""
+    """The result line that describes machine and software."""
     return {
         "kind": "machine",
         "gs_codec": __version__,
@@ -38,7 +38,7 @@ def machine() -> dict[str, Any]:
 
 
 def processor_name() -> str:
-    """The processor's model, or its architecture if the system does not tell."""
+    """The processor's model, or its architecture if the model is unknown."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             key, _, value = line.partition(":")
@@ -48,7 +48,7 @@ def processor_name() -> str:
 
 
 def commit() -> str | None:
-    """The commit of the checkout this package is in, with "-dirty" if it has changes; else None."""
+    """Commit of the checkout with this package, with "-dirty" if modified; None outside one."""
     root = Path(__file__).resolve().parents[2]
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     with suppress(OSError):
@@ -66,15 +66,15 @@ def version_of(package: str) -> str | None:
         return None
 
 
-#: What gs-codec has, and gs-codec-core goes without.
+#: Requirements of gs-codec that gs-codec-core does not have.
 _LEFT_OUT = {"open3d", "open3d-cpu", "scipy"}
 
 
 def installed() -> dict[str, dict[str, int]]:
     """``packages`` and ``bytes`` of each distribution, without extras, as installed here.
 
-    Those that are not here, such as Open3D beside gs-codec-core, are not counted; nothing is if
-    gs_codec itself is not installed.
+    Packages that are not installed, such as Open3D with gs-codec-core, are not counted. The result
+    is empty if gs_codec itself is not installed.
     """
     own = next(filter(None, map(_found, ("gs-codec", "gs-codec-core"))), None)
     if own is None:
@@ -95,13 +95,13 @@ def _found(name: str) -> Distribution | None:
 
 
 def _needs(package: Distribution) -> set[str]:
-    """Names of what a package requires, apart from its extras."""
+    """Names of a package's requirements, without extras."""
     needs = (need for need in package.requires or () if not re.search(r";.*\bextra\b", need))
     return {re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", need)[0]).lower() for need in needs}
 
 
 def _with_needs(names: Iterable[str]) -> list[Distribution]:
-    """Installed packages of these names, and all that they require."""
+    """Installed packages of these names, and everything they require."""
     packages: dict[str, Distribution] = {}
     waiting = list(names)
     while waiting:
@@ -113,13 +113,13 @@ def _with_needs(names: Iterable[str]) -> list[Distribution]:
 
 
 def _bytes_of(package: Distribution) -> int:
-    """Bytes of a package's files that are there."""
+    """Total size of a package's existing files."""
     paths = (Path(file.locate()) for file in package.files or ())
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
 def _own_bytes() -> int:
-    """Bytes of our packages, without compiled bytecode and what builds the page of `viewer`."""
+    """Size of our packages, without bytecode and the build files of the viewer's page."""
     root = Path(gs_codec.__file__).parents[1]
     left = {"__pycache__", "node_modules"}
     return sum(

@@ -1,7 +1,7 @@
-"""``bench losses``: what captures lose in held-out views, without cameras and with.
+"""``bench losses``: the loss of captures in held-out views, with and without cameras.
 
-A capture is a scene with a cameras.json that marks some cameras as ``test``. These measure: what
-the encoder does without cameras, with cameras that it estimates, and with the others of the file.
+A capture is a scene with a cameras.json that marks some cameras as ``test``. Those measure the loss
+of encoding camera-free, with estimated cameras, and with the other cameras of the file.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Mean squared error that a scene has against its photographs already: 30 dB.
+#: Assumed mean squared error of a scene against its photographs: 30 dB.
 _OWN_ERROR = 1e-3
 
-#: Target loss of `m` without cameras, dB.
+#: Target loss of camera-free `m`, dB.
 WANTED = 0.05
 
 #: Tolerance of this loss, dB.
@@ -40,22 +40,23 @@ WITHIN = 0.015
 #: Maximum loss with estimated cameras, dB.
 MOST = 0.1
 
-#: Maximum by which they may lose more than no cameras at equal size, dB.
+#: Maximum extra loss of estimated cameras compared with camera-free at equal size, dB.
 WORSE = 0.02
 
-#: Ways to encode: without cameras, with estimated ones, with those of the file.
+#: Ways to encode: camera-free, with estimated cameras, with cameras of the file.
 FREE = "free"
 ESTIMATED = "estimated"
 GIVEN = "given"
 
-#: Two camera-free files have at most these shares of a size; what it loses is between.
+#: Size limits, relative to a given size, of two camera-free files between which the loss is
+#: interpolated.
 _AROUND = (1.0, 1.025)
 
 Line = dict[str, Any]
 
 
 class _Coded(NamedTuple):
-    """Size of a file, mean squared error of its views, and what the encoder says it loses, dB."""
+    """Size of a file, mean squared error of its views, and the encoder's own loss estimate, dB."""
 
     size: int
     error: float
@@ -63,7 +64,7 @@ class _Coded(NamedTuple):
 
 
 class _Views:
-    """Held-out views of a scene, drawn once."""
+    """Held-out views of a scene, rendered once."""
 
     def __init__(self, scene: Scene, cameras: Sequence[Camera]) -> None:
         self._cameras = cameras
@@ -84,12 +85,12 @@ class _Views:
 
 
 def measure_losses(paths: Sequence[Path], progress: Progress | None = None) -> Iterator[Line]:
-    """A result line of each capture.
+    """A result line for each capture.
 
     Raises
     ------
     InvalidInput
-        If a scene has no cameras.json beside it, or none or all of its cameras are marked.
+        If a scene has no cameras.json next to it, or none or all of its cameras are marked.
     """
     captures = [_open(path) for path in paths]
     for capture in captures:
@@ -141,20 +142,20 @@ def _measure(capture: MeasuredScene, progress: Progress | None) -> Line:
 
 
 def loss_of(error: float) -> float:
-    """PSNR, dB, that a scene of 30 dB loses by a mean squared error against itself."""
+    """PSNR loss, in dB, of a 30 dB scene from a mean squared error relative to itself."""
     return 10 * math.log10(1 + error / _OWN_ERROR)
 
 
 def _between(size: int, coded: Sequence[_Coded]) -> float:
-    """The error at a size, between those of a smaller and a larger file."""
+    """The error at a size, interpolated between a smaller and a larger file."""
     logs = np.log([max(each.error, 1e-30) for each in coded])
     return float(np.exp(np.interp(size, [each.size for each in coded], logs)))
 
 
 def misses_of(line: Line, margin: float = 0.0) -> dict[str, float]:
-    """The aims that a capture misses by more than a margin, dB, and by how many dB.
+    """The targets that a capture misses by more than a margin in dB, and by how many dB.
 
-    ``free`` is off what is wanted, ``estimated`` loses too much, ``worse`` is worse than
+    ``free``: too far from the target loss; ``estimated``: too high a loss; ``worse``: worse than
     camera-free at equal size.
     """
     free, estimated = line[FREE], line[ESTIMATED]
@@ -167,7 +168,7 @@ def misses_of(line: Line, margin: float = 0.0) -> dict[str, float]:
 
 
 def loss_table(lines: Sequence[Line]) -> list[str]:
-    """A table in Markdown, and how many captures meet each aim."""
+    """A Markdown table, and the number of captures that meet each target."""
     columns = [
         "capture", "Gaussians", "views", "bits", "loss", "reported",
         "bits, estimated", "loss", "camera-free", "bits, given", "loss", "camera-free", "misses",

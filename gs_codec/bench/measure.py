@@ -30,9 +30,9 @@ def measure_scenes(
     width: int | None,
     peers: bool,
 ) -> Iterator[dict[str, Any]]:
-    """Lines of profiles beside each other, and beside other codecs or with details of each.
+    """Result lines of profiles, compared with other codecs or with details of each.
 
-    Views are those of `open_scene`; with cameras, `l`, `m`, `s` are measured camera-guided too.
+    Views are those of `open_scene`; with cameras, `l`, `m`, `s` are also measured camera-guided.
     """
     yield machine()
     extra, threads = configs[0].chosen_extra(), configs[0].threads
@@ -47,7 +47,7 @@ def measure_scenes(
 
 
 def _details(measured: MeasuredScene, config: Config) -> Iterator[dict[str, Any]]:
-    """What a profile's bytes are spent on, its errors, and its memory."""
+    """Bits of a profile by attribute, its errors, and its memory."""
     scene = measured.scene
     with tempfile.TemporaryDirectory() as folder:
         ply, back = Path(folder) / "scene.ply", Path(folder) / "back.ply"
@@ -70,7 +70,7 @@ def _details(measured: MeasuredScene, config: Config) -> Iterator[dict[str, Any]
 def measure_memory(
     measured: MeasuredScene, config: Config, ply: Path, back: Path
 ) -> dict[str, Any]:
-    """The result line of the largest resident memory of whole processes, from `ply` to `back`."""
+    """The result line of the peak resident memory of whole processes, from `ply` to `back`."""
     changed = changed_options(replace(config, depths={}))
     typed = [(name.replace("_", "-"), value) for name, value in changed.items()]
     typed += [("depth", f"{group}={bits}") for group, bits in config.depths.items()]

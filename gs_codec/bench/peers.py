@@ -1,4 +1,4 @@
-"""Other codecs to measure beside ours, each through its own library or program."""
+"""Other codecs to compare with, each through its own library or program."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from gs_codec.scene import GROUPS, Scene, channel_count, group_rows
 
 @dataclass(frozen=True)
 class Peer:
-    """A codec, ours or another, and how it is called.
+    """A codec, ours or another, and how to call it.
 
     Attributes
     ----------
     name : str
     version : str
-        Of the program, and of its file format or level where that has one.
+        Version of the program, and of its file format or level if any.
     encode : callable
-        From the path of a PLY to the bytes of the file. One that fails, or does not finish in
-        its time, raises `ToolFailed`; so do the others.
+        From the path of a PLY to the bytes of the file. Raises `ToolFailed` if it fails or exceeds
+        its time; so do the other functions.
     decode : callable
-        From these bytes to floats, as the codec lays them out.
+        From these bytes to floats, in the codec's own layout.
     scene : callable
-        From what `decode` returned to a `Scene`, which is not timed.
+        From the result of `decode` to a `Scene`; not timed.
     once : bool
         Whether it is too slow to be timed more than once.
     own_process : bool
-        Whether it is a program that is started each time, which is timed with it.
+        Whether it is a program that is started each time; its start is part of the time.
     """
 
     name: str
@@ -61,14 +61,14 @@ class Peer:
 
 @dataclass(frozen=True)
 class AbsentPeer:
-    """A codec that cannot be called: its name, why, and what would help."""
+    """A codec that cannot be called: its name, the reason, and a remedy."""
 
     name: str
     absent: str
 
 
 def scene_of_ply(data: bytes, extra: Extra) -> Scene:
-    """The scene that the bytes of a PLY file hold."""
+    """The scene in the bytes of a PLY file."""
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         path = Path(folder, "decoded.ply")
         path.write_bytes(data)
@@ -80,7 +80,7 @@ ZSTD_LEVEL = 9
 
 
 def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
-    """Pcodec with its default settings on each column, in the order of the file."""
+    """Pcodec with its default settings on each column, in file order."""
     from pcodec import ChunkConfig, standalone
 
     config = ChunkConfig()
@@ -115,7 +115,7 @@ def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
 
 
 def zstd_peer(extra: Extra, threads: int | None = None) -> Peer:
-    """Zstandard on the PLY as it is."""
+    """Zstandard on the unchanged PLY."""
     version = f"{'.'.join(map(str, zstandard.ZSTD_VERSION))}, level {ZSTD_LEVEL}"
     workers = threads or available_threads()
 
@@ -131,7 +131,7 @@ def zstd_peer(extra: Extra, threads: int | None = None) -> Peer:
 
 
 def spz_peer(extra: Extra, module: str = "spz") -> Peer | AbsentPeer:
-    """Niantic's spz as it comes."""
+    """Niantic's spz with its defaults."""
     how = "'make peers', or pip install git+https://github.com/nianticlabs/spz"
     try:
         spz = import_module(module)
@@ -158,7 +158,7 @@ def spz_peer(extra: Extra, module: str = "spz") -> Peer | AbsentPeer:
 
 
 def _to_cloud(cloud: Any, scene: Scene) -> Any:
-    """Fill spz's cloud: rows, not planes; the colours of a coefficient together; w last."""
+    """Fill spz's cloud: rows instead of planes; colours of a coefficient together; w last."""
     cloud.antialiased = scene.antialiased
     cloud.sh_degree = scene.sh_degree
     cloud.positions = scene.positions.T.ravel()
@@ -171,7 +171,7 @@ def _to_cloud(cloud: Any, scene: Scene) -> Any:
 
 
 def _from_cloud(cloud: dict[str, Any]) -> Scene:
-    """The inverse of `_to_cloud`; infinite logits, as alphas of 0 and 255 decode to, are cut."""
+    """Invert `_to_cloud`; infinite logits, from alphas of 0 and 255, are clamped."""
     count = len(cloud["alphas"])
 
     def planes(name: str, channels: int) -> NDArray[np.float32]:
@@ -192,7 +192,7 @@ def _from_cloud(cloud: dict[str, Any]) -> Scene:
 
 @contextlib.contextmanager
 def _silenced() -> Iterator[None]:
-    """Drop what a library writes to stdout, where results go."""
+    """Discard what a library writes to stdout, which is for results."""
     sys.stdout.flush()
     saved, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(sink, 1)
@@ -204,12 +204,12 @@ def _silenced() -> Iterator[None]:
         os.close(sink)
 
 
-#: The environment variable that names the program.
+#: Environment variable with the path of the program.
 PROGRAM_VARIABLE = "GS_CODEC_SPLAT_TRANSFORM"
 
 _SPLAT_TRANSFORM = "splat-transform"
 
-#: Where `make peers` puts it.
+#: Folder where `make peers` installs it.
 _PROGRAM_FOLDER = "peers/node_modules/.bin"
 
 _INSTALL = (
@@ -217,23 +217,23 @@ _INSTALL = (
     f"found by {PROGRAM_VARIABLE} or PATH"
 )
 
-#: Its formats, by the ends of their names. SOG clusters SH, which takes minutes on a CPU.
+#: Its formats, by suffix. SOG clusters SH, which takes minutes on a CPU.
 _SUFFIXES = {"compressed.ply": ".compressed.ply", "spz": ".spz", "SOG": ".sog"}
 _SLOW = "SOG"
 
-#: How long it may take, by the clock.
+#: Time limit in seconds of wall time.
 SECONDS = 120.0
 
 _MOST_BYTES = 1 << 36
 
 
 def find_program() -> tuple[str, str]:
-    """Path and version of what the environment variable names, PATH or this environment has.
+    """Path and version of the program: from the environment variable, PATH, or this environment.
 
     Raises
     ------
     MissingTool
-        If there is no such program, or it is another one.
+        If there is no such program, or it is a different one.
     """
     given = os.environ.get(PROGRAM_VARIABLE)
     found = shutil.which(given or _SPLAT_TRANSFORM)
@@ -253,7 +253,7 @@ def find_program() -> tuple[str, str]:
 
 
 def splat_transform_peers(threads: int | None = None) -> list[Peer | AbsentPeer]:
-    """Each format that the program writes, or why there is none."""
+    """A peer for each format that the program writes, or the reason why there is none."""
     try:
         path, version = find_program()
     except MissingTool as error:
@@ -283,7 +283,7 @@ def _limits() -> Limits:
 
 
 def _read(ply: bytes) -> Scene:
-    """The scene of a PLY; infinite logits, as alphas of 0 and 255 decode to, are cut."""
+    """The scene of a PLY; infinite logits, from alphas of 0 and 255, are clamped."""
     try:
         scene = scene_of_ply(ply, "error")
     except InvalidInput as error:
@@ -292,7 +292,7 @@ def _read(ply: bytes) -> Scene:
 
 
 def find_peers(extra: Extra, threads: int | None = None) -> list[Peer | AbsentPeer]:
-    """All peers, present or not; `extra` is for the reader of the PLY."""
+    """All peers, present or absent; `extra` is for the reader of the PLY."""
     return [
         spz_peer(extra),
         *splat_transform_peers(threads),

@@ -1,7 +1,7 @@
-"""Measurements in processes of their own: peak memory, and how time and memory grow with a scene.
+"""Measurements in separate processes: peak memory, and scaling with the size of a scene.
 
-A small process runs it and reads what it took: a process counts at least the memory of the parent
-that it was forked from.
+A small process starts the measured one and reads its usage, because the peak of a process includes
+that of the parent it was forked from.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ sys.exit(status != 0)
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process took, its start included: seconds by the clock, and of processors.
+    """Usage of a process, including its start: wall and processor seconds.
 
-    `peak_bytes` is its largest resident size (Linux), mapped files included.
+    `peak_bytes` is its peak resident size (Linux), including mapped files.
     """
 
     seconds: float
@@ -49,7 +49,7 @@ def run_apart(arguments: list[str]) -> Usage:
     Raises
     ------
     GsCodecError
-        If it fails; with the command's own message.
+        If it fails, with the command's own message.
     """
     between = [sys.executable, "-I", "-S", "-c", _RUN_AND_TELL]
     command = [*between, sys.executable, "-m", "gs_codec", *arguments]
@@ -63,7 +63,7 @@ def run_apart(arguments: list[str]) -> Usage:
 def measure_scaling(
     scene: Scene, name: str, sizes: Sequence[int], profiles: Sequence[str], threads: int | None
 ) -> Iterator[dict[str, Any]]:
-    """A line for each profile and size, to which the scene is tiled."""
+    """A line for each profile and each size that the scene is tiled to."""
     options = [] if threads is None else ["--threads", str(threads)]
     with tempfile.TemporaryDirectory() as folder:
         ply, stream, back = (Path(folder, file) for file in ("a.ply", "a.egs", "b.ply"))
@@ -73,7 +73,7 @@ def measure_scaling(
             for profile in profiles:
                 encode = ["encode", str(ply), str(stream), "-p", profile, *options, "--overwrite"]
                 decode = ["decode", str(stream), str(back), *options, "--overwrite"]
-                if not number:  # compiles, and is not counted
+                if not number:  # the first compiles and does not count
                     run_apart(encode)
                     run_apart(decode)
                 line = {"kind": "scaling", "scene": name, "profile": profile, "gaussians": size}

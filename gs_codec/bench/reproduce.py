@@ -1,4 +1,4 @@
-"""The paper's experiment on given scenes: its pipeline, step by step, then its three profiles."""
+"""The paper's experiment on given scenes: its pipeline step by step, then its three profiles."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Line = dict[str, Any]
 
 _PRESET = PRESETS["entropygs"]
 
-#: Metrics of quality by their titles: names in lines, and digits.
+#: Quality metrics by title: key in result lines, and number of digits.
 _METRICS = {"PSNR dB": ("psnr", 2), "SSIM": ("ssim", 4), "LPIPS": ("lpips", 4)}
 
-#: Timed runs of the codec, whose medians count.
+#: Number of timed runs of the codec; the median counts.
 _REPEATS = 3
 
 _INTRODUCTION = (
@@ -47,7 +47,7 @@ _INTRODUCTION = (
 
 
 def open_scenes(paths: Sequence[Path]) -> list[MeasuredScene]:
-    """Scenes with the cameras and photographs beside them.
+    """Scenes with the cameras and photographs next to them.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def reproduce(
 ) -> Iterator[Line]:
     """Result lines: the machine, then for each scene its steps, models and profiles.
 
-    Optimisation keeps its state in `folder`, and goes on from there.
+    Refinement saves its state in `folder`, and resumes from there.
     """
     yield machine() | {"command": command, "iterations": iterations}
     steps = replace(_PRESET.steps, refine=iterations)
@@ -100,7 +100,7 @@ def _profile_lines(
     original: Quality,
     lpips: str | None,
 ) -> Iterator[Line]:
-    """What a profile makes of a prepared scene, beside the original's quality."""
+    """Results of a profile on a prepared scene, relative to the original's quality."""
     config = replace(_PRESET.config, profile=profile)
     seconds: dict[str, list[float]] = {"encode": [], "decode": []}
     for _ in range(_REPEATS):
@@ -131,7 +131,7 @@ def _profile_lines(
 def _step_line(
     measured: MeasuredScene, step: StepReport, profile: str | None, report: PrepareReport
 ) -> Line:
-    """A row of the ablation; with a profile, one of coding."""
+    """A row of the ablation; with `profile`, a row of coding."""
     return {
         "kind": "step",
         "scene": measured.name,
@@ -139,7 +139,7 @@ def _step_line(
         "step": step.name,
         "gaussians": step.count,
         "bytes": step.size_bytes,
-        # Of optimisation, with the seconds before it was taken up from a checkpoint.
+        # For refinement, including the time before it was resumed from a checkpoint.
         "seconds": step.details.get("seconds", step.seconds),
         "photographs": report.views.held_out.photographs,
         **step.quality.as_dict(),
@@ -147,7 +147,7 @@ def _step_line(
 
 
 def tables_of(lines: Sequence[Line]) -> str:
-    """A page of the paper's tables, in Markdown, with its own figures beside."""
+    """A page of the paper's tables in Markdown, next to the published figures."""
     host = next(line for line in lines if line["kind"] == "machine")
     scenes = list(dict.fromkeys(line["scene"] for line in lines if "scene" in line))
     parts = ["# EntropyGS reproduced", _INTRODUCTION]
@@ -214,7 +214,7 @@ def _results(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
 
 
 def _delta(psnr: float, before: float | None) -> str:
-    """A difference in dB; empty without a PSNR before, which an image that is equal has not."""
+    """A difference in dB; empty if the PSNR before is unknown, as for equal images."""
     return "" if before is None else f"{psnr - before:+.2f}"
 
 
@@ -249,7 +249,7 @@ def _ablation(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
 
 
 def _published(known: tuple[float, float] | None) -> list[str]:
-    """The paper's times smaller and loss after a step."""
+    """The paper's compression ratio and loss after a step."""
     if known is None:
         return ["", ""]
     (first, whole), (psnr, size) = paper.ABLATION["original"], known

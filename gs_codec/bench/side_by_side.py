@@ -1,4 +1,4 @@
-"""Codecs beside each other: sizes, times taken in turn, and rendered views."""
+"""Compare codecs: sizes, interleaved timings, and rendered views."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import Scene
 
-#: Follows the profile's name if it is camera-guided.
+#: Suffix of the profile's name if it is camera-guided.
 GUIDED = ", camera-guided"
 
-#: Follows it if nothing but the scene tells where cameras were.
+#: Suffix of the profile's name with estimated cameras.
 ESTIMATED = ", estimated cameras"
 
-#: Name of a curve after its compression ratio: refined to photographs.
+#: Suffix of a compression ratio: refined to photographs.
 REFINED = "x refined"
 
-#: The same, refined to the scene's own views.
+#: Suffix of a compression ratio: refined to the scene's own renders.
 BY_RENDERS = "x refined, renders"
 
-#: Precedes the format, if it is not our own, and the profile.
+#: Prefix of the format, if it is not our own, and the profile.
 OURS_AS = "ours as "
 
 #: Iterations of refinement.
 _ITERATIONS = 2000
 
-#: Most views to prune and to encode by.
+#: Maximum number of views for pruning and encoding.
 _PRUNING_VIEWS = 128
 
 
@@ -54,12 +54,12 @@ def our_codecs(
     pruned: Sequence[float] = (),
     refined: Sequence[tuple[Plan, float]] = (),
 ) -> list[Peer]:
-    """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
+    """Our profiles; with a plan, also `l`, `m`, `s` camera-guided, and `m` pruned or refined.
 
-    Those in other formats than `.egs` are named by the format first, and stand beside the others'.
+    Names in other formats than `.egs` begin with the format, next to those of other programs.
 
-    `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
-    views to refine to, and how many times smaller.
+    `pruned` are percentages of Gaussians removed by leave-one-out error; `refined` are plans with
+    the views to refine to, and compression ratios.
     """
     codecs = [camera_free(config) for config in configs]
     if plan is not None:
@@ -91,7 +91,7 @@ def camera_free(config: Config) -> Peer:
 
 
 def _name_of(config: Config) -> str:
-    """A profile's name; of other formats, what is ours in them."""
+    """A profile's name; for other formats, with a prefix."""
     if config.format == EGS:
         return config.profile
     version = f" v{config.spz_version}" if config.format == "spz" else ""
@@ -108,7 +108,7 @@ def guided(config: Config, plan: Plan, how: str = GUIDED) -> Peer:
 
 
 def pruned_by(config: Config, plan: Plan, percent: float) -> Peer:
-    """A profile that uses the views of a plan, after so many percent were pruned by them."""
+    """A profile guided by the views of a plan, after pruning this percentage by them."""
     chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
 
     def encode(ply: Path) -> bytes:
@@ -120,7 +120,7 @@ def pruned_by(config: Config, plan: Plan, percent: float) -> Peer:
 
 
 def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:
-    """A profile after refinement to the views of a plan, this many times smaller than the PLY."""
+    """A profile after refinement to the views of a plan, at this compression ratio to the PLY."""
 
     def encode(ply: Path) -> bytes:
         chosen, target = replace(plan, steps=Steps(refine=_ITERATIONS)), RateTarget(ratio=ratio)
@@ -141,8 +141,8 @@ def measure_beside(
     """A result line for each codec.
 
     All start from the same (cached) PLY, read by the same reader, and end with its floats in
-    memory. In each of the `repeats` after the first, which compiles, every codec has its turn; slow
-    ones have one. A codec that is absent, fails or exceeds its time has a line with the reason.
+    memory. Codecs alternate in each of the `repeats`, after a first run that compiles; slow ones
+    run once. A codec that is absent, fails or exceeds its time has a line with the reason.
     """
     name, scene = measured.name, measured.scene
     present = [codec for codec in codecs if isinstance(codec, Peer)]
@@ -163,7 +163,7 @@ def measure_beside(
 
 @dataclass
 class _Turns:
-    """Encoding of a scene by a codec, and the seconds of each of its turns."""
+    """Encodes and decodes a scene with a codec, and records the seconds of each turn."""
 
     data: bytes = b""
     encode: list[float] = field(default_factory=list)
@@ -172,9 +172,9 @@ class _Turns:
 
 
 def _compile(scene: Scene, ply: Path, codecs: Sequence[Peer]) -> None:
-    """Encode a thousand Gaussians with those codecs of ours whose only turn counts.
+    """Encode a thousand Gaussians with those of our codecs that run only once.
 
-    Refinement takes minutes anyway.
+    Not with refinement, which takes minutes anyway.
     """
     few = np.linspace(0, scene.count - 1, min(scene.count, 1000)).astype(np.int64)
     write_ply(ply, scene.take(few))
@@ -205,7 +205,7 @@ def _take_turns(ply: Path, codecs: Sequence[Peer], repeats: int) -> list[_Turns]
 
 
 def _line(measured: MeasuredScene, codec: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
-    """Sizes and times; bits for each Gaussian of the input; with cameras the quality of views."""
+    """Sizes and times; bits per Gaussian of the input; with cameras, the quality of views."""
     if turns.failed:
         raise turns.failed
     count, size = measured.scene.count, len(turns.data)
@@ -229,7 +229,7 @@ def _line(measured: MeasuredScene, codec: Peer, turns: _Turns, ply_bytes: int) -
 
 
 def _quality(measured: MeasuredScene, decoded: Scene) -> dict[str, Any]:
-    """Fields on the decoded scene's views; PSNR of equal ones is None."""
+    """Quality of the decoded scene's views; PSNR of equal views is None."""
     views = (measured.cameras, measured.truth)
     comparison = compare_views(measured.scene, decoded, *views, device="cpu")
     mean = comparison.mean

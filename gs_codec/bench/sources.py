@@ -1,4 +1,4 @@
-"""Scenes to measure: read, named, tiled to any size, and their views split in two."""
+"""Scenes to measure: read, named, tiled to a size, with views split in two."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from gs_codec.views.photographs import read_photograph
 
 _JITTER = 1e-3
 
-#: Number of `auto` views that results are measured in.
+#: Number of `auto` views for measuring results.
 _MEASURED = 24
 
-#: Number of other `auto` views that the encoder gets.
+#: Number of other `auto` views, for the encoder.
 _ENCODED_BY = 64
 
-#: If a file does not mark held-out cameras, every third is held out.
+#: If a file marks no held-out cameras, every n-th is held out.
 _HELD_OUT = 3
 
 
@@ -43,9 +43,9 @@ class MeasuredScene:
     name : str
     scene : Scene
     cameras : list of Camera
-        To measure in; empty if rendered quality is not measured.
+        Views for measuring; empty if rendered quality is not measured.
     guides : list of Camera
-        Of other views, to encode by.
+        Other views, for the encoder.
     truth : Path or None
         Folder of the cameras' photographs.
     """
@@ -59,14 +59,14 @@ class MeasuredScene:
 
     @property
     def plan(self) -> Plan:
-        """A plan without steps, of the views to encode by."""
+        """A plan without steps, with the views for the encoder."""
         return Plan(Steps(), self.guides, views=_ENCODED_BY)
 
     @property
     def refining(self) -> list[Plan]:
-        """Plans of the views to refine to: renders, and photographs if there are any.
+        """Plans with the views to refine to: renders, and photographs if there are any.
 
-        Those to measure in are marked as held out. There are none without given cameras.
+        The views for measuring are marked as held out. Empty without given cameras.
         """
         measured, guides = (
             {(camera.name, *camera.position) for camera in cameras}
@@ -86,7 +86,7 @@ def scene_name(path: Path) -> str:
 
 
 def check_names(paths: Sequence[Path]) -> None:
-    """Refuse scenes of which two have one name."""
+    """Reject scenes if two have the same name."""
     names: dict[str, Path] = {}
     for path in paths:
         other = names.setdefault(scene_name(path), path)
@@ -104,12 +104,12 @@ def open_scene(
 ) -> MeasuredScene:
     """Read a PLY, tiled to `tile` Gaussians if given, and split the views of `cameras`.
 
-    With a folder `truth`, cameras are measured in whose photograph is there, resized to it.
+    With a folder `truth`, cameras with a photograph there are used for measuring, resized to it.
 
     Raises
     ------
     InvalidInput
-        If a file cannot be used, or none of the views to measure in has a photograph.
+        If a file cannot be used, or no view for measuring has a photograph.
     """
     scene = read_ply(path, extra)
     scene = tile_scene(scene, tile) if tile else scene
@@ -124,14 +124,14 @@ def open_scene(
 
 
 def open_beside(path: Path, width: int | None) -> MeasuredScene:
-    """A scene with the cameras and photographs beside it; `open_scene` says what is refused."""
+    """A scene with the cameras and photographs next to it; raises like `open_scene`."""
     cameras, images = cameras_beside(path), path.with_name("images")
     truth = images if cameras != "auto" and images.is_dir() else None
     return open_scene(path, cameras, truth, width)
 
 
 def cameras_beside(path: Path) -> str:
-    """The cameras beside a scene, or ``auto``."""
+    """The cameras next to a scene, or ``auto``."""
     beside = path.with_name("cameras.json")
     return str(beside) if beside.is_file() else "auto"
 
@@ -139,10 +139,10 @@ def cameras_beside(path: Path) -> str:
 def held_out_views(
     source: str, scene: Scene, width: int | None
 ) -> tuple[list[Camera], list[Camera]]:
-    """Cameras to measure in, and the others, to encode by; the same if one list would be empty.
+    """Cameras for measuring, and others for encoding; the same if one list would be empty.
 
-    Of a file's cameras those marked ``test`` are measured in, or every third if none is; of
-    ``auto`` views, 24 of 88.
+    Cameras for measuring are those marked ``test``, or every third if none is; with ``auto``, 24 of
+    88 views.
     """
     both = _MEASURED + _ENCODED_BY
     cameras = find_cameras(source, scene, "all", width, both)
@@ -161,7 +161,7 @@ def tile_scene(scene: Scene, count: int) -> Scene:
     """`count` Gaussians: copies of `scene` on a square grid.
 
     Each float moves by a normal deviate of 1/1000 of its channel's standard deviation, so that
-    copies are alike in distribution but in no value. Exact zeros of f_rest stay.
+    copies have the same distribution but no equal values. Exact zeros of f_rest are kept.
     """
     copies = -(-count // scene.count)
     side = int(np.ceil(np.sqrt(copies)))

@@ -1,1 +1,1 @@
-"""One giant scene, encoded and decoded by several processes or machines."""
+"""Encode and decode one giant scene with several processes or machines."""

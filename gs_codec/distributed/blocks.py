@@ -1,4 +1,4 @@
-"""All blocks of a scene, or of a level of it: coded in chunks, and put together."""
+"""All blocks of a scene or level: coded in chunks, and assembled."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gs_codec.scene import SH_COEFFICIENTS
 
 @dataclass(frozen=True)
 class Chunks:
-    """Blocks of a file in chunks of `each`, which are whole blocks of the next level."""
+    """Blocks of a file in chunks of `each`, which are also whole blocks of the next level."""
 
     header: Header
     each: int
@@ -40,23 +40,23 @@ class Chunks:
 
     @property
     def coefficients(self) -> int:
-        """SH-AC of each colour."""
+        """Number of SH-AC coefficients per colour."""
         return SH_COEFFICIENTS[self.header.sh_degree]
 
     @property
     def number(self) -> int:
-        """How many there are."""
+        """Number of chunks."""
         return -(-self.header.block_count // self.each)
 
     @property
     def ranks(self) -> list[int]:
-        """The Gaussian that each chunk begins with, and where the last ends."""
+        """Index of the first Gaussian of each chunk, and the end of the last."""
         step = self.each * self.header.block_size
         return [*range(0, self.header.count, step), self.header.count]
 
 
 class Quantised(NamedTuple):
-    """Chunks in a folder, on their lattices, by `save_quantised`."""
+    """Quantised chunks in a folder, from `save_quantised`."""
 
     folder: Folder
     chunks: Chunks
@@ -65,18 +65,18 @@ class Quantised(NamedTuple):
 
 @dataclass(frozen=True)
 class CodedBlocks:
-    """What a file has beside its coded chunks, which are in the folder.
+    """The parts of a file other than its coded chunks, which are in the folder.
 
     Attributes
     ----------
     folder : Folder
     chunks : Chunks
     sections : list of Section
-        Of the whole scene.
+        Sections of the whole scene.
     costs : list of ChannelCost
-        As `choose_models` gives them.
+        Result of `choose_models`.
     clamped : int
-        Number of values clamped to the largest.
+        Number of values clamped to the lattice.
     """
 
     folder: Folder
@@ -104,7 +104,7 @@ def code_blocks(crew: Crew, quantised: Quantised, times: StageTimes) -> CodedBlo
 def _counted(
     folder: Folder, chunks: Chunks
 ) -> tuple[list[NDArray[np.float32]], int, list[NDArray[np.int64]]]:
-    """Extents of all blocks, number of clamped values, and what `count_tokens` gives of all."""
+    """Extents of all blocks, number of clamped values, and the sum of `count_tokens`."""
     extents, clamped, counted = list[NDArray[np.float32]](), 0, list[NDArray[np.int64]]()
     for number in range(chunks.number):
         told = folder.load(f"quantise-{number}")
@@ -124,7 +124,7 @@ def _code(folder: Folder, described: bytes, chunks: Chunks, number: int) -> None
 def write_blocks(
     target: Path, coded: CodedBlocks, beside: Sequence[Section] = ()
 ) -> list[tuple[int, int]]:
-    """Write a file of coded blocks, with sections beside; the id and size of each section."""
+    """Write a file of coded blocks and sections `beside`; return id and size of each section."""
     header, sections = coded.chunks.header, in_file_order([*coded.sections, *beside])
     pieces = [(p, k) for p in range(1 + header.sh_degree) for k in range(coded.chunks.number)]
     table = [Listed.of(section) for section in sections]

@@ -1,4 +1,4 @@
-"""Chunks of consecutive blocks: quantised, then coded; what is between is kept in the folder."""
+"""Chunks of consecutive blocks: quantised, then coded; intermediate results are in the folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gs_codec.scene import Scene
 #: Arrays of a pass, by name.
 _PASS = tuple(field.name for field in fields(PassData))
 
-#: What blocks have as bytes, by name.
+#: Parts of blocks that are bytes, by name.
 _BYTES = ("tree", "low_bits", "far")
 
 
@@ -35,7 +35,7 @@ def quantise(
     block_size: int,
     watched: Watched | None = None,
 ) -> list[Block]:
-    """Quantise the Gaussians of a chunk, which are in stream order, without cameras."""
+    """Quantise the Gaussians of a chunk, in stream order, camera-free."""
     order = np.arange(scene.count, dtype=np.uint32)
     classes = np.zeros((2, scene.count), np.uint8)
     if watched is not None:
@@ -49,7 +49,7 @@ def quantise(
 
 
 def save_quantised(folder: Folder, number: int, blocks: list[Block], coefficients: int) -> None:
-    """Keep the quantised blocks of a chunk."""
+    """Save the quantised blocks of a chunk."""
     counted = count_tokens(passes(coefficients), blocks)
     folder.save(f"blocks-{number}", _packed(blocks))
     extents = np.stack([block.extent for block in blocks])
@@ -59,7 +59,7 @@ def save_quantised(folder: Folder, number: int, blocks: list[Block], coefficient
 
 
 def _packed(blocks: Sequence[Block]) -> Arrays:
-    """The arrays of blocks, one after another, and the length of each."""
+    """The concatenated arrays of blocks, and the length of each."""
     columns: dict[str, list[NDArray[Any]]] = {
         name: [np.frombuffer(getattr(block, name), np.uint8) for block in blocks] for name in _BYTES
     }
@@ -67,7 +67,7 @@ def _packed(blocks: Sequence[Block]) -> Arrays:
         for name in _PASS:
             columns[f"{k} {name}"] = [getattr(block.passes[k], name) for block in blocks]
     packed = {name: np.concatenate(column) for name, column in columns.items()}
-    # No symbol's number, or level, has more than 31 bits: a sixth of all bytes.
+    # No symbol's number or level has more than 31 bits; this saves a sixth of all bytes.
     packed |= {n: a.astype(np.int32) for n, a in packed.items() if a.dtype == np.int64}
     lengths = {f"{name} lengths": np.array([len(a) for a in c]) for name, c in columns.items()}
     return packed | lengths
@@ -90,7 +90,7 @@ def _unpacked(packed: Arrays, extents: NDArray[np.float32]) -> Iterator[Block]:
 def save_coded(
     folder: Folder, number: int, first_block: int, lattice_section: bytes, coefficients: int
 ) -> None:
-    """Code the quantised blocks of a chunk, whose first is `first_block` of the file."""
+    """Code the quantised blocks of a chunk, starting with block `first_block` of the file."""
     _, models = read_lattice(memoryview(lattice_section), coefficients)
     listed = passes(coefficients)
     tables, rows = PassTables.pack(models.tables()), [models.rows(item) for item in listed]
@@ -109,12 +109,12 @@ def save_coded(
 
 
 def coded_table(folder: Folder, place: int, number: int) -> list[Listed]:
-    """What the section table says of the sections of a chunk that are at a place of the file."""
+    """Section table entries of a chunk's sections at a place of the file."""
     (rows,) = folder.load(f"code-{number}", f"{place} table").values()
     return [Listed(*row) for row in rows.tolist()]
 
 
 def coded_bytes(folder: Folder, place: int, number: int) -> memoryview:
-    """The sections of a chunk that are at a place of the file, one after another."""
+    """The concatenated sections of a chunk at a place of the file."""
     (data,) = folder.load(f"code-{number}", f"{place}").values()
     return data.data

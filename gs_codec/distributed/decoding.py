@@ -1,4 +1,4 @@
-"""A giant `.egs` decoded by many workers, none of which holds it."""
+"""Decode a giant `.egs` with many workers, none of which holds all of it in memory."""
 
 from __future__ import annotations
 
@@ -37,31 +37,31 @@ def decode_distributed(
     max_memory: int | None = None,
     overwrite: bool = False,
 ) -> DecodeReport:
-    """Decode an `.egs` file, or a part of it, by the workers of a Dask scheduler.
+    """Decode an `.egs` file, or a part of it, with the workers of a Dask scheduler.
 
-    The file is that of `decode_file`, byte for byte; see `encode_distributed` for the folder that
-    workers share.
+    The output equals that of `decode_file`, byte for byte. `encode_distributed` describes the
+    folder that workers share.
 
     Parameters
     ----------
     source, target, part, progress, overwrite
-        As for `decode_file`.
+        As in `decode_file`.
     dask : str
         Address of a scheduler, or ``local``.
     threads : int, optional
-        Processes of a local cluster, by default one for each processor.
+        Processes of a local cluster; by default one per processor.
     max_memory : int, optional
         Maximum memory of each worker, bytes.
 
     Returns
     -------
     DecodeReport
-        As that of `decode_file`.
+        As from `decode_file`.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool
-        As for `decode_file`; or if there is no scheduler, or workers are lost again and again.
+        As in `decode_file`; or if there is no scheduler, or workers are lost repeatedly.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def decode_with(crew: Crew, source: Path, target: Path, part: Part, size: int) -
 def _decode(
     folder: Folder, source: Path, part: Part, chunks: Sequence[Sequence[int]], number: int
 ) -> None:
-    """Decode some blocks to rows of a PLY."""
+    """Decode some blocks into rows of a PLY."""
     with opened_slabs(source, part, among=frozenset(chunks[number])) as slabs:
         rows = [vertex_rows(scene) for scene in slabs.scenes()]
         read = slabs.bytes_read

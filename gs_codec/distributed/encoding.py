@@ -1,9 +1,9 @@
-"""A giant scene encoded by many workers, none of which holds it.
+"""Encode a giant scene with many workers, none of which holds all of it in memory.
 
-The file is that of `encode_file`, byte for byte, whatever the workers. All Gaussians are looked at
-(`looking`) and sorted (`sorting`). Blocks are quantised, again with finer steps if views lose too
-much, and, with tables from the counts of all, coded (`blocks`). Coarser levels are made from what
-they decode to (`levels`).
+The output equals that of `encode_file`, byte for byte, whatever the workers. First, all Gaussians
+are surveyed (`survey`) and sorted (`sorting`). Blocks are quantised, and again with finer steps if
+views lose too much. They are coded with tables from the counts of all blocks (`blocks`). Coarser
+levels are made from the decoded blocks (`levels`).
 """
 
 from __future__ import annotations
@@ -58,38 +58,38 @@ def encode_distributed(
     max_memory: int | None = None,
     overwrite: bool = False,
 ) -> EncodeReport:
-    """Encode one scene by the workers of a Dask scheduler; it is never in memory as a whole.
+    """Encode one scene with the workers of a Dask scheduler; it is never in memory as a whole.
 
-    The file is that of `encode_file`, or of `convert_file` for several sources, byte for byte. What
-    is done is kept in the folder ``TARGET.parts`` until the target is whole: the same call goes on
-    with what a run before it left. Workers read the sources and use that folder, so they need a
-    storage that all machines share.
+    The output equals that of `encode_file`, or of `convert_file` for several sources, byte for
+    byte. Intermediate results are kept in the folder ``TARGET.parts`` until the target is complete;
+    the same call resumes an interrupted run. Workers read the sources and use that folder, so they
+    need storage that all machines share.
 
     Parameters
     ----------
     source : path, or sequence of paths
-        Binary PLY files of floats, or `.egs` files; several are merged, see `gs_codec.edit.merge`.
+        Binary PLY files of floats, or `.egs` files; several are merged; see `gs_codec.edit.merge`.
     target : str or Path
         An ``.egs``.
     config : Config or str, optional
-        Of profile ``l``, ``m`` or ``s``, without depths and extra properties; its threads are the
-        processes of a local cluster, by default one for each processor.
+        Profile ``l``, ``m`` or ``s``, without depths and extra properties; its threads are the
+        processes of a local cluster, by default one per processor.
     dask : str
         Address of a scheduler, or ``local``.
     progress, overwrite
-        As for `encode_file`.
+        As in `encode_file`.
     max_memory : int, optional
-        Maximum memory of each worker, bytes: fewer Gaussians are then held at once.
+        Maximum memory of each worker, bytes; limits the Gaussians per task.
 
     Returns
     -------
     EncodeReport
-        As that of `encode_file`, but for its stages.
+        As from `encode_file`, except for the stages.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool
-        As for `encode_file`; or if there is no scheduler, or workers are lost again and again.
+        As in `encode_file`; or if there is no scheduler, or workers are lost repeatedly.
 
     Examples
     --------
@@ -109,7 +109,7 @@ def encode_distributed(
 
 
 def _check(config: Config) -> None:
-    """Refuse what looks at all Gaussians at once."""
+    """Reject options that need all Gaussians at once."""
     if config.profile not in ADAPTIVE_PROFILES or config.format != EGS:
         known = ", ".join(ADAPTIVE_PROFILES)
         raise InvalidInput(f"dask: profile '{config.profile}', expected {known} of an .egs")
@@ -167,7 +167,7 @@ def encode_with(
 def _quantise_all(
     crew: Crew, job: Job, looked: Looked, size: int, times: StageTimes
 ) -> tuple[Quantised, Config, RenderedLoss | None]:
-    """Quantise all Gaussians; also the configuration that suits them, and what views then lose."""
+    """Quantise all Gaussians; also return the final configuration, and the loss in views."""
     with times.stage("measure"):
         scene, shown = job.load_shown("check", len(job.spans))
         check = Check.by_shown(scene, looked.windows.checking, shown)
@@ -197,7 +197,7 @@ def _quantise_all(
 
 
 def _sort(crew: Crew, job: Job, lattice: Lattice, chunks: Chunks) -> NDArray[np.int64]:
-    """Sort spans, and find where chunks cut them; see `find_cuts`."""
+    """Sort spans, and find the cuts between chunks; see `find_cuts`."""
     folder, number = job.folder, len(job.spans)
     crew.do_all(folder, "sort", partial(_sort_span, job, lattice), number)
     if not folder.has("cuts"):
@@ -237,7 +237,7 @@ def _encode_nothing(sources: Sources, target: Path, config: Config) -> EncodeRep
 
 
 def _counted(report: EncodeReport, sources: Sources) -> EncodeReport:
-    """The report with sizes of the sources, and the ratio to them."""
+    """The report with the sizes of the sources, and the ratio to them."""
     return replace(
         report,
         input_bytes=sources.stored_bytes,

@@ -1,4 +1,4 @@
-"""The folder that workers share: what each has done is a file there, so a run can go on later."""
+"""The folder that workers share; results are files there, so that a run can be resumed."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from gs_codec import __version__
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.runtime.atomic import atomic_writer, make_folder, try_lock
 
-#: How the folders of runs begin.
+#: Prefix of the folders of runs.
 _RUN = "run-"
 
-#: Arrays of a result by their names.
+#: Arrays of a result, by name.
 Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Folder:
-    """Results by name: arrays, written once and whole. Stages of tasks there have a label."""
+    """Results by name: arrays, written once and atomically. Stages of tasks have a label there."""
 
     path: Path
     label: str = ""
 
     def within(self, name: str) -> Folder:
-        """A folder in it."""
+        """A subfolder."""
         return Folder(make_folder(self.path / name), f"{name} ")
 
     def has(self, name: str) -> bool:
-        """Whether a result is there."""
+        """Whether a result exists."""
         return self._file(name).exists()
 
     def save(self, name: str, arrays: Arrays) -> None:
@@ -52,7 +52,7 @@ class Folder:
         Raises
         ------
         InvalidInput
-            If it is not there, or not a result.
+            If it does not exist, or is not a result.
         """
         try:
             with np.load(self._file(name)) as found:
@@ -61,12 +61,12 @@ class Folder:
             raise self._unreadable(name, error) from error
 
     def save_mapped(self, name: str, array: NDArray) -> None:
-        """Write an array that is read in parts."""
+        """Write an array that is later read in parts."""
         with atomic_writer(self.path / f"{name}.npy") as file:
             np.save(file, array, allow_pickle=False)
 
     def mapped(self, name: str) -> NDArray:
-        """An array of `save_mapped`, of which only what is used is read."""
+        """Map an array of `save_mapped`; only used parts are read."""
         try:
             return np.load(self.path / f"{name}.npy", mmap_mode="r")
         except (OSError, ValueError) as error:
@@ -88,7 +88,7 @@ class Folder:
 
 
 def identity_of(paths: Iterable[Path], **settings: Any) -> dict[str, Any]:
-    """What two runs on files have to agree in for one to go on with the results of the other."""
+    """What two runs must have in common for one to reuse the results of the other."""
     found = [(path, os.stat(path)) for path in paths]
     stamps = [(path, status.st_size, status.st_mtime_ns) for path, status in found]
     return {"version": __version__, "files": stamps, **settings}
@@ -96,19 +96,19 @@ def identity_of(paths: Iterable[Path], **settings: Any) -> dict[str, Any]:
 
 @contextmanager
 def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
-    """The folder ``TARGET.parts`` beside an output, as a run of the same identity left it.
+    """The folder ``TARGET.parts`` next to an output, with results of a run of the same identity.
 
-    What runs of another identity left is removed, and all of this one once the block succeeds.
-    Other files there stay.
+    Results of runs with another identity are removed, and those of this run once the block
+    succeeds. Other files are kept.
 
     Raises
     ------
     InvalidInput
-        If it cannot be made, or another run works there.
+        If it cannot be created, or another run is using it.
     """
     outer = make_folder(target.with_name(f"{target.name}.parts"))
     text = json.dumps(identity, sort_keys=True, default=str)
-    # Workers of a run that was killed may still write: to a folder of their own.
+    # Workers of a killed run may still write, but to a different folder.
     digest = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
     own = outer / f"{_RUN}{digest[:16]}"
     descriptor = _locked(outer)
@@ -127,7 +127,7 @@ def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
 
 
 def _locked(folder: Path) -> int | None:
-    """A descriptor that locks the folder; None where folders have no locks."""
+    """A descriptor that locks the folder; None if folders cannot be locked."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:

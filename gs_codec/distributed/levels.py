@@ -33,7 +33,7 @@ from gs_codec.scene import Scene, join_scenes
 
 @dataclass(frozen=True)
 class Merged:
-    """The Gaussians of a level, in pieces of `piece` each, the last fewer; see `Gaussians`."""
+    """The Gaussians of a level, in pieces of `piece`, the last one smaller; see `Gaussians`."""
 
     folder: Folder
     head: Scene
@@ -51,7 +51,7 @@ class Merged:
         return self.between(span.start, span.stop)
 
     def between(self, start: int, stop: int) -> Scene:
-        """Gaussians `start` to `stop`, the last not included."""
+        """Gaussians `start` to `stop`, the latter excluded."""
         parts = []
         for number in range(start // self.piece, -(-stop // self.piece)):
             first = number * self.piece
@@ -60,11 +60,11 @@ class Merged:
         return scene_of_rows(np.concatenate(parts), self.head)
 
     def pick(self, span: Span, index: NDArray[np.int64]) -> Scene:
-        """Those of a span that have these numbers."""
+        """The Gaussians of a span with these numbers."""
         return self.read(span).take(index - span.first)
 
 
-#: Blocks of a level from a first up to another, the last not included.
+#: Reads blocks of a level, from a first one up to another, the latter excluded.
 _Read = Callable[[int, int], Level]
 
 
@@ -73,7 +73,7 @@ def code_levels(
 ) -> list[Path]:
     """Files of the coarser levels of coded blocks, the finest first; see `add_levels`.
 
-    `config` is what was asked for the scene, without the coarseness that it needs.
+    `config` is the configuration requested for the scene, before calibration.
     """
     chunks, head = coded.chunks, replace(head, comments=(), has_normals=False)
     paths = list[Path]()
@@ -103,7 +103,7 @@ def code_levels(
 
 
 def _decoded(path: Path, first: int, stop: int) -> Level:
-    """Blocks of the file that has the finest level."""
+    """Blocks decoded from the file of the finest level."""
     with opened_slabs(path, Part(), among=range(first, stop)) as slabs:
         scene = join_scenes(list(slabs.scenes()))
     return Level(replace(scene, extra={}, has_normals=False), np.zeros(stop - first, np.float32))
@@ -112,7 +112,7 @@ def _decoded(path: Path, first: int, stop: int) -> Level:
 def _kept(
     merged: Merged, errors: NDArray[np.float32], block_size: int, first: int, stop: int
 ) -> Level:
-    """Blocks of a level that is made."""
+    """Blocks of a level that has been made."""
     end = min(stop * block_size, merged.count)
     return Level(merged.between(first * block_size, end), errors[first:stop])
 
@@ -120,7 +120,7 @@ def _kept(
 def _merge(
     crew: Crew, folder: Folder, header: Header, each: int, read: _Read
 ) -> NDArray[np.float32]:
-    """Make a level, `each` blocks at a time, from the one below; the errors of its blocks."""
+    """Make a level from the finer one, `each` blocks at a time; return the errors of its blocks."""
     number = -(-header.block_count // each)
     crew.do_all(folder, "merge", partial(_merge_some, folder, header, each, read), number)
     return np.concatenate([folder.load(f"merge-{k}")["errors"] for k in range(number)])
@@ -135,7 +135,7 @@ def _merge_some(folder: Folder, header: Header, each: int, read: _Read, number: 
 
 
 def _quantise(merged: Merged, lattice: Lattice, chunks: Chunks, number: int) -> None:
-    """Quantise a chunk, whose blocks stay as they are."""
+    """Quantise a chunk without rearranging its blocks."""
     scene = merged.between(*chunks.ranks[number : number + 2])
     codes = grid_codes(scene.positions, lattice.grid)
     size = chunks.header.block_size

@@ -1,4 +1,4 @@
-"""Gaussians of spans sorted into one order, which nobody holds as a whole.
+"""Sort Gaussians of spans into one order, without holding all of them in memory.
 
 Each span is sorted by itself (a *run*). Cuts are found in the sorted codes of all runs, such that a
 *chunk* of consecutive blocks is a slice of each run.
@@ -21,11 +21,11 @@ from gs_codec.scene import GROUPS, Scene, group_rows
 
 
 def save_run(folder: Folder, number: int, scene: Scene, grid: PositionGrid) -> None:
-    """Sort a span's Gaussians, and keep them and their codes; see `grid_codes`."""
+    """Sort a span's Gaussians by `grid_codes`, and save them with their codes."""
     codes = grid_codes(scene.positions, grid)
     order = canonical_order(codes)
     folder.save_mapped(f"codes-{number}", codes[order])
-    # Rows are moved at once, planes would be float by float.
+    # Gathering rows is faster than gathering planes value by value.
     folder.save_mapped(_rows(number), np.take(to_rows(planes_of(scene)), order, axis=0))
     folder.save(f"sort-{number}", {})
 
@@ -35,16 +35,16 @@ def _rows(number: int) -> str:
 
 
 def find_cuts(folder: Folder, runs: int, ranks: Sequence[int], bits: int) -> NDArray[np.int64]:
-    """Where each run is cut, ``(runs, R)``, so that as many Gaussians as each rank come before.
+    """Cuts of each run, ``(runs, R)``, such that `rank` Gaussians in total come before each cut.
 
-    The order is by code, of so many bits, then by span, then within a span as sorted.
+    The order is by code (of `bits` bits), then by span, then the sorted order within a span.
     """
     codes = [folder.mapped(f"codes-{number}") for number in range(runs)]
 
     def below(values: NDArray[np.int64], side: str = "left") -> NDArray[np.int64]:
         return np.stack([np.searchsorted(run, values, side) for run in codes])  # type: ignore[call-overload]
 
-    # The largest code that no more Gaussians than the rank are below.
+    # The largest code with at most `rank` Gaussians below it.
     wanted = np.array(ranks, np.int64)
     found = np.zeros(len(wanted), np.int64)
     for bit in range(bits - 1, -1, -1):
@@ -52,7 +52,7 @@ def find_cuts(folder: Folder, runs: int, ranks: Sequence[int], bits: int) -> NDA
         found = np.where(below(higher).sum(axis=0) <= wanted, higher, found)
     first = below(found)
     ties = below(found, "right") - first
-    # Of equal codes, those of earlier spans come first.
+    # Among equal codes, those of earlier spans come first.
     before = np.cumsum(ties, axis=0) - ties
     return first + np.clip(wanted - first.sum(axis=0) - before, 0, ties)
 

@@ -1,4 +1,4 @@
-"""One or several files as one scene, read span by span."""
+"""One or several files, read as one scene, span by span."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from gs_codec.formats.registry import open_scene
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene, join_scenes
 
-#: Gaussians of a PLY that are looked at before the work begins.
+#: Number of Gaussians of a PLY that are examined before work begins.
 _LOOKED_AT = 4096
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file: its number of Gaussians, and how many an `.egs` has in a block (0 for a PLY)."""
+    """A file: its number of Gaussians, and the block size of an `.egs` (0 for a PLY)."""
 
     path: Path
     count: int
     block_size: int = 0
 
     def read(self, start: int, stop: int, extra: Extra) -> Scene:
-        """Gaussians `start` to `stop`, the last not included; both begin blocks of an `.egs`."""
+        """Gaussians `start` to `stop`, excluding the latter; in an `.egs`, both begin blocks."""
         if not self.block_size:
             return self.pick(slice(start, stop), extra)
         among = range(start // self.block_size, -(-stop // self.block_size))
@@ -52,7 +52,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Span:
-    """Gaussians `start` to `stop` of a source; `first` is the number of `start` in all sources."""
+    """Gaussians `start` to `stop` of a source; `first` is the index of `start` over all sources."""
 
     source: Source
     start: int
@@ -61,7 +61,7 @@ class Span:
 
 
 class Gaussians(Protocol):
-    """What is read span by span."""
+    """Gaussians that can be read span by span."""
 
     @property
     def head(self) -> Scene:
@@ -75,12 +75,12 @@ class Gaussians(Protocol):
         """The Gaussians of a span."""
 
     def pick(self, span: Span, index: NDArray[np.int64]) -> Scene:
-        """Those of a span that have these numbers of all."""
+        """The Gaussians of a span with these numbers, counted over all."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Files that are one scene: their Gaussians, in the order of the files; see `Gaussians`.
+    """Files that form one scene: their Gaussians, in file order; see `Gaussians`.
 
     Attributes
     ----------
@@ -88,9 +88,9 @@ class Sources:
     head : Scene
         The scene without Gaussians.
     extra : {"drop", "error"}
-        As for `read_ply`.
+        As in `read_ply`.
     stored_bytes, ratio_bytes : int
-        Bytes of the files, and those that a ratio counts from.
+        Bytes of the files, and bytes that compression ratios are relative to.
     """
 
     listed: tuple[Source, ...]
@@ -123,7 +123,7 @@ class Sources:
             return self._fitted(span.source.read(span.start, span.stop, self.extra))
 
     def pick(self, span: Span, index: NDArray[np.int64]) -> Scene:
-        """Those of a span that have these numbers of all."""
+        """The Gaussians of a span with these numbers, counted over all."""
         with located(span.source.path):
             if span.source.block_size:
                 return self.read(span).take(index - span.first)
@@ -131,7 +131,7 @@ class Sources:
             return self._fitted(span.source.pick(local, self.extra))
 
     def _fitted(self, scene: Scene) -> Scene:
-        """A part with what all parts have in common."""
+        """A part, reduced to the properties that all parts have."""
         if len(self.listed) > 1:
             scene = without_order(turn_axes(scene))
         head = self.head
@@ -141,7 +141,7 @@ class Sources:
 
 
 def open_sources(paths: Sequence[Path], extra: Extra) -> Sources:
-    """Look at the headers of files that are one scene; see `merge_scenes`.
+    """Read the headers of files that form one scene; see `merge_scenes`.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def open_sources(paths: Sequence[Path], extra: Extra) -> Sources:
                 source = Source(path, header.count, header.block_size)
                 ratio_bytes = header.float_bytes
             elif file.is_read_in_parts:
-                # Of some Gaussians, which show whether there are normals.
+                # From some Gaussians, which show whether there are normals.
                 head = scene_of(file.ply, extra, index=slice(0, _LOOKED_AT)).between(0, 0)
                 source = Source(path, file.ply.header.elements["vertex"].count)
                 ratio_bytes = file.stored_bytes

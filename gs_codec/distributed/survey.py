@@ -1,4 +1,4 @@
-"""What has to be known of all Gaussians before any is coded: bounds, coarseness, lattices."""
+"""Survey all Gaussians before any is coded: bounds, coarseness, lattices."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from gs_codec.scene import GROUPS, Scene, join_scenes
 
 @dataclass(frozen=True)
 class Job:
-    """What all tasks know that read Gaussians."""
+    """The common data of all tasks that read Gaussians."""
 
     folder: Folder
     gaussians: Gaussians
@@ -40,20 +40,20 @@ class Job:
     config: Config
 
     def clean(self, number: int) -> tuple[Scene, Scene, dict[str, Any]]:
-        """A span with finite ends, cleaned, and what was changed."""
+        """A span with finite values, cleaned, and the number of changes."""
         scene, ends = finite_ends(self.gaussians.read(self.spans[number]))
         with located(self.spans[number].source.path):
             clean, changed = clean_scene(scene, self.config, whole=False)
         return scene, clean, {"ends": ends, **changed}
 
     def save_scene(self, name: str, scene: Scene, **others: NDArray) -> None:
-        """Keep the floats of a scene, and more, as a result."""
+        """Save the floats of a scene, and further arrays, as a result."""
         self.folder.save(name, {group: getattr(scene, group) for group in GROUPS} | others)
 
     def save_shown(
         self, name: str, scene: Scene, shown: Sequence[NDArray[np.int64]], **others: NDArray
     ) -> None:
-        """Keep what each window shows of a scene, and more, as a result."""
+        """Save the part of a scene in each window, and further arrays, as a result."""
         sizes = np.array([len(own) for own in shown], np.int64)
         index = np.concatenate([np.empty(0, np.int64), *shown])
         self.save_scene(name, scene.take(index), sizes=sizes, **others)
@@ -64,9 +64,9 @@ class Job:
         return replace(self.gaussians.head, **planes)
 
     def load_shown(self, stage: str, number: int) -> tuple[Scene, list[NDArray[np.int64]]]:
-        """What windows show of all parts of a scene, and which of it each shows.
+        """The Gaussians of all parts in windows, and the indices in each window.
 
-        It is that of one part after another, without windows that show too many of all.
+        Parts are concatenated; windows with too many Gaussians in total are dropped.
         """
         sizes = np.array(
             [self.folder.load(f"{stage}-{k}", "sizes")["sizes"] for k in range(number)]
@@ -80,19 +80,19 @@ class Job:
 
 
 class Looked(NamedTuple):
-    """What was seen of all Gaussians.
+    """Result of the survey of all Gaussians.
 
     Attributes
     ----------
     windows : Windows
-        Some of them, if they were looked at through windows.
+        Windows of the scene, if they were chosen.
     config : Config
-        With the coarseness that they need.
+        The configuration with the calibrated coarseness.
     dropped : ndarray, shape (D,), int64
-        Numbers of those that are left out.
+        Numbers of the dropped Gaussians.
     zero_quaternions : int
     bounds : tuple of two ndarray, shape (3,)
-        Lowest and highest x, y, z of the others.
+        Lowest and highest x, y, z of the other Gaussians.
     """
 
     windows: Windows
@@ -103,7 +103,7 @@ class Looked(NamedTuple):
 
 
 def look(crew: Crew, job: Job, calibrates: bool = True) -> Looked:
-    """Look at all Gaussians; without `calibrates`, the coarseness is kept."""
+    """Survey all Gaussians; without `calibrates`, the coarseness is not changed."""
     number = len(job.spans)
     windows = Windows([], [], False)
     if calibrates:
@@ -128,7 +128,7 @@ def look(crew: Crew, job: Job, calibrates: bool = True) -> Looked:
 
 
 def choose_lattice(crew: Crew, job: Job, looked: Looked, may_have_far: bool = True) -> Lattice:
-    """The lattices of all Gaussians that are not dropped, as `arrange_scene` chooses them."""
+    """The lattices for all Gaussians that are not dropped, as in `arrange_scene`."""
     number = len(job.spans)
     stride = lattice_stride(job.gaussians.count - len(looked.dropped))
     task = partial(_pick, job, stride, looked.dropped)
@@ -138,12 +138,12 @@ def choose_lattice(crew: Crew, job: Job, looked: Looked, may_have_far: bool = Tr
 
 
 def _numbers(span: Span, stride: int, dropped: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers, in all files, of every `stride`-th Gaussian that is not dropped, in a span."""
+    """Numbers, over all files, of every `stride`-th remaining Gaussian in a span."""
     stop = span.first + span.stop - span.start
     gone = np.searchsorted(dropped, [span.first, stop])
     first, end = span.first - gone[0], stop - gone[1]
     kept = np.arange(-(-first // stride) * stride, end, stride)
-    # So many of those before it were dropped.
+    # Add the number of dropped Gaussians before each.
     return kept + np.searchsorted(dropped - np.arange(len(dropped)), kept, "right")
 
 
@@ -154,7 +154,7 @@ def _sample(job: Job, number: int) -> None:
 
 
 def _look(job: Job, windows: Windows, number: int) -> None:
-    """Bounds of a span, what is changed in it, and what of it windows show."""
+    """Bounds of a span, the changes in it, and its Gaussians in windows."""
     scene, clean, changed = job.clean(number)
     gone = np.empty(0, np.int64)
     if changed["dropped"]:

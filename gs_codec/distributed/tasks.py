@@ -1,4 +1,4 @@
-"""Tasks of a run, done in stages by workers."""
+"""Tasks of a run, executed in stages by workers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers, workers_at
 
-#: Gaussians of a task, about; fewer within a memory limit.
+#: Approximate number of Gaussians per task; fewer with a memory limit.
 _GAUSSIANS = 1 << 19
 
-#: Memory of a worker without a task, bytes. Measured, rounded up.
+#: Memory of a worker without a task, in bytes. Measured, rounded up.
 _FIXED = 330_000_000
 
 #: Memory of a task, in copies of its floats. Measured, rounded up.
@@ -27,7 +27,7 @@ _COPIES = 5
 
 
 class Numbered(NamedTuple):
-    """A task of a stage; its memory is limited by what it holds."""
+    """A task of a stage, whose memory is limited by its size."""
 
     name: str
     number: int
@@ -35,18 +35,18 @@ class Numbered(NamedTuple):
 
 
 class Crew(NamedTuple):
-    """Workers, and what is told how far they are."""
+    """Workers, and a callback for their progress."""
 
     workers: Workers
     progress: Progress | None = None
 
     def do_all(self, folder: Folder, stage: str, work: Callable[[int], None], count: int) -> None:
-        """Call `work` with each number from 0 to `count` that has no result: ``STAGE-NUMBER``.
+        """Call `work` with each number from 0 to `count` without a result ``STAGE-NUMBER``.
 
         Raises
         ------
         GsCodecError
-            That of the first task that fails.
+            The error of the first task that fails.
         """
         shown = f"{folder.label}{stage}"
         left = [k for k in range(count) if not folder.has(f"{stage}-{k}")]
@@ -68,18 +68,18 @@ class Crew(NamedTuple):
 
 
 def _alone(work: Callable[[int], None], task: Numbered, place: Place) -> None:
-    """A task in one thread: others are for other tasks."""
+    """Run a task in one thread, because other threads run other tasks."""
     with using_threads(1):
         work(task.number)
 
 
 def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int) -> int:
-    """How many Gaussians a task holds, at least so many, if workers have a memory limit.
+    """Number of Gaussians per task (at least `least`), if workers have a memory limit.
 
     Raises
     ------
     InvalidInput
-        If it is too low.
+        If the limit is too low.
     """
     if max_memory is None:
         return _GAUSSIANS
@@ -97,12 +97,12 @@ def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int
 def crew_at(address: str, progress: Progress | None) -> Iterator[Crew]:
     """The workers of the Dask scheduler at an address, or local ones.
 
-    There is a local one for each thread that may be used.
+    Locally, there is one worker per available thread.
 
     Raises
     ------
     InvalidInput, MissingTool
-        As `workers_at`; or if there are no workers.
+        As in `workers_at`; or if there are no workers.
     """
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch,

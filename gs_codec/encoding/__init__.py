@@ -1,1 +1,1 @@
-"""Encode a scene: the order of the stages; the loss in rendered views, and finer steps if high."""
+"""Encode a scene: the order of stages; measuring the loss, and retrying with finer steps."""

@@ -30,16 +30,16 @@ from gs_codec.scene import Scene
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
-#: The worst window reported is this quantile of all: a few windows look out of a Gaussian's inside,
-#: where no camera ever was.
+#: Quantile of the windows' errors reported as the worst: a few windows look out of a Gaussian's
+#: inside, where no camera ever was.
 _WORST = 0.95
 
-#: Smaller mean squared errors count as this: 120 dB.
+#: Lower bound of mean squared errors: 120 dB.
 _LEAST = 1e-12
 
 
 class _Seen(NamedTuple):
-    """Windows; of each the Gaussians in it ``(n,)``, image ``(H, W, 3)``, mean transmittance."""
+    """Windows, each with its Gaussians ``(n,)``, image ``(H, W, 3)`` and mean transmittance."""
 
     windows: list[Camera]
     shown: list[NDArray[np.int64]]
@@ -47,7 +47,7 @@ class _Seen(NamedTuple):
     left: list[float]
 
     def errors(self, coded: Scene, shown: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
-        """Mean squared error of each window; it shows the Gaussians `shown` of the coded scene."""
+        """Mean squared error of each window; `shown` are its Gaussians in the coded scene."""
         drawn = _draw(coded, self.windows, shown)
         pairs = zip(self.images, drawn, strict=True)
         return np.array([np.mean((a - b) ** 2, dtype=np.float64) for a, (b, _) in pairs])
@@ -81,10 +81,10 @@ def _look(
 
 @dataclass(frozen=True)
 class Check:
-    """Windows on a scene, from likely camera places and from given cameras if there are any.
+    """Windows on a scene, from likely camera positions and from given cameras if there are any.
 
-    Given cameras measure the loss. Windows from likely places then show whether those cameras fit
-    the scene. `telling` is that of `Windows`.
+    Given cameras measure the loss. Windows from likely positions then show whether those cameras
+    fit the scene. `telling` is as in `Windows`.
     """
 
     scene: Scene
@@ -94,9 +94,10 @@ class Check:
 
     @classmethod
     def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
-        """Render a scene, which must be finite, in these windows."""
+        """Render a finite scene in these windows."""
         plain = replace(scene, extra={})
-        # Empty windows of given cameras count, as without loss. From likely places, they are holes.
+        # Empty windows of given cameras count as having no loss. From likely positions, they are
+        # holes.
         return cls(
             plain,
             _look(plain, likely, find_shown(plain, likely)),
@@ -107,12 +108,12 @@ class Check:
     def by_shown(
         cls, scene: Scene, likely: Sequence[Camera], shown: Sequence[NDArray[np.int64]]
     ) -> Check:
-        """As `of`; each window shows the Gaussians `shown` of the scene, which may lack others."""
+        """Like `of`; `shown` are the Gaussians in each window. The scene may lack others."""
         return cls(scene, _look(scene, likely, shown))
 
     @classmethod
     def by_plan(cls, scene: Scene, plan: Plan | None) -> Check:
-        """As `of`, with windows chosen by the scene, and those of a plan's given cameras."""
+        """Like `of`, with windows chosen from the scene, and windows of a plan's given cameras."""
         sample = sample_of(scene)
         windows = choose_windows(sample, scene.count)
         if plan is None or plan.estimates:
@@ -137,7 +138,7 @@ class Check:
         return [window for seen in self._seen for window in seen.windows]
 
     def watch(self) -> Watched | None:
-        """The Gaussians in the windows, whose decoded values an encoder is to keep."""
+        """The Gaussians in the windows, whose decoded values an encoder should keep."""
         shown = [own for seen in self._seen for own in seen.shown]
         return Watched.shown(self.scene, shown) if shown else None
 
@@ -181,5 +182,5 @@ class Check:
 
 
 def error_of(loss: float) -> float:
-    """Mean squared error of views from their loss in dB: the inverse of `psnr_loss`."""
+    """Mean squared error of views from their loss in dB; inverse of `psnr_loss`."""
     return NOMINAL_ERROR * (10 ** (loss / 10) - 1)

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: Cameras that see a smaller share of the Gaussians are not those of the scene. The others would be
-#: very coarse.
+#: Minimum share of the Gaussians that a scene's cameras see: with other cameras, unseen Gaussians
+#: would be very coarse.
 _LEAST_SEEN = 0.1
 
 
@@ -54,13 +54,13 @@ def encode_by_plan(
     rate: RateTarget | Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene, of `ply_bytes` uncompressed, as `encode` and `encode_file` do.
+    """Encode a scene, of `ply_bytes` uncompressed, for `encode` and `encode_file`.
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, nothing would be left, the profile has no steps to choose for a
-        rate, or the rate cannot be reached.
+        If there are no cameras, no Gaussian would remain, the profile has no adjustable step sizes
+        for a rate target, or the target cannot be reached.
     """
     target = None if rate is None else as_rate_target(rate)
     if target is not None:
@@ -79,7 +79,7 @@ def _measured(
     data: bytes,
     report: EncodeReport,
 ) -> EncodeReport:
-    """A report with what views lose against the scene before preparation."""
+    """Add the loss in views, relative to the scene before preparation, to a report."""
     from gs_codec.encoding.loss import Check
     from gs_codec.encoding.retry import tell
 
@@ -143,7 +143,7 @@ def _encode(
     progress: Progress | None,
     views: ViewSplit | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene made from the original; its ratio counts from the original's bytes."""
+    """Encode a scene made from the original; ratios are relative to the original's bytes."""
     if target is None:
         references = None if views is None else views.renders
         return encode_planned(scene, config, plan, progress, references)
@@ -153,7 +153,7 @@ def _encode(
 
 
 def _check_target(scene: Scene, config: Config, target: RateTarget, plan: Plan | None) -> None:
-    """Refuse what has no steps to choose, before anything is worked out."""
+    """Reject targets without adjustable step sizes, before any work."""
     if config.profile not in ADAPTIVE_PROFILES:
         known = ", ".join(ADAPTIVE_PROFILES)
         raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
@@ -170,9 +170,9 @@ def encode_planned(
     progress: Progress | None = None,
     references: ReferenceViews | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene, guided by a plan's views if there is a plan and the profile has step sizes.
+    """Encode a scene; a plan's views guide it if the profile has step sizes.
 
-    `references` are these views, if they are known.
+    `references` are these views, if already known.
     """
     fixed = config.profile not in ADAPTIVE_PROFILES or config.scene_format.is_exact
     if plan is None or fixed or not scene.count:
@@ -188,7 +188,7 @@ def encode_planned(
         return _camera_free(scene, config, progress)
     loss = guided[1].rendered
     if references.origin == "estimated" and loss is not None and loss.encodings > 1:
-        # Where estimated cameras need much finer steps, they may save nothing.
+        # If estimated cameras need much finer steps, they may save nothing.
         free = _camera_free(scene, config, progress)
         if len(free[0]) <= len(guided[0]):
             log.warning(
@@ -205,7 +205,7 @@ def _guided(
     references: ReferenceViews,
     progress: Progress | None,
 ) -> tuple[bytes, EncodeReport] | None:
-    """Encode a scene, guided by these views; None if they do not fit it."""
+    """Encode a scene guided by these views; None if they do not fit it."""
     from gs_codec.encoding.loss import Check
     from gs_codec.encoding.retry import encode_checked, measuring, warn_misfit
     from gs_codec.guidance.guide import guide
@@ -251,12 +251,12 @@ def _camera_free(
 def encode_camera_free(
     scene: Scene, config: Config, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene to the consecutive pieces of a file, as coarsely as it needs.
+    """Encode a scene to the consecutive pieces of a file, with calibrated step sizes.
 
     Raises
     ------
     InvalidInput, MissingTool, ToolFailed
-        As `encode_scene`; or if views lose too much and the configuration is strict.
+        As in `encode_scene`; or if views lose too much and the configuration is strict.
     """
     if config.profile == LOSSLESS or not scene.count:
         return encode_parts(scene, config, progress)

@@ -28,14 +28,14 @@ log = logging.getLogger(__name__)
 #: Maximum number of encodings.
 _MOST_ENCODINGS = 3
 
-#: Maximum error, in units of the target.
+#: Maximum error, relative to the target.
 _ALLOWED = 2.0
 
-#: The same with estimated cameras. There, windows lose less than true views: a third less on fox,
+#: The same with estimated cameras. Then windows lose less than true views: a third less on fox,
 #: half on village.
 _ALLOWED_ESTIMATED = 1.25
 
-#: Finer steps that leave a larger share of the error are discarded.
+#: Finer steps must reduce the error to less than this share; otherwise they are discarded.
 _HELPS = 0.8
 
 #: Given cameras belong to another scene, scale or coordinate system if the error in likely views,
@@ -44,7 +44,7 @@ _HELPS = 0.8
 #: to 9,600 times with wrong ones.
 _MISFIT = 180.0
 
-#: The same for cameras that see little of the scene, as wrong ones do.
+#: The same for cameras that see little of the scene, as wrong cameras do.
 _MISFIT_IF_BARE = 70.0
 
 #: Cameras see little of the scene if the mean opacity of their views is below this.
@@ -85,13 +85,13 @@ def encode_checked(
     check: Check,
     origin: Origin | None = None,
 ) -> tuple[Result, RenderedLoss | None] | None:
-    """Encode a scene, and again with finer steps while views lose too much.
+    """Encode a scene; repeat with finer steps while views lose too much.
 
     Parameters
     ----------
     attempt : callable
     config, chosen : Config
-        As requested, and with the coarseness chosen for the scene.
+        The requested configuration, and that with the coarseness chosen for the scene.
     check : Check
     origin : str, optional
         Origin of the cameras that guide the steps.
@@ -99,7 +99,7 @@ def encode_checked(
     Returns
     -------
     result, loss
-        Those of the best attempt; None if the cameras do not fit the scene.
+        Result and loss of the best attempt; None if the cameras do not fit the scene.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def encode_checked(
 
 
 def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
-    """Whether the cameras that guided an encoding do not fit the scene."""
+    """Whether the cameras that guided an encode do not fit the scene."""
     times = error_of(max(loss.loss, loss.away or 0.0)) / aim
     if not check.telling:
         return times > _MISFIT_ANYWHERE
@@ -145,7 +145,7 @@ def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
 
 
 def warn_misfit(reason: str, config: Config) -> None:
-    """Warn that cameras do not fit the scene; refuse them if strict.
+    """Warn that cameras do not fit the scene; raise if strict.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _decoded(encoded: Encoded, config: Config) -> Scene:
 
 
 def tell(loss: RenderedLoss, config: Config) -> None:
-    """Warn if views lose too much; refuse that if strict."""
+    """Warn if views lose too much; raise if strict."""
     if loss.aimed is None or loss.loss <= 2 * loss.aimed:
         return
     text = f"rendered views lose {loss.loss:.2f} dB, aimed at {loss.aimed:.2f} dB"

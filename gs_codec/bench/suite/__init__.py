@@ -1,1 +1,1 @@
-"""Scenes by profiles and peers, measured in one run, and the report of it."""
+"""Measure scenes with profiles and peers in one run, and report the results."""

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 Number = Callable[[Line], "float | None"]
 
-#: Names of curves of pruned scenes.
+#: Name of the curves of pruned scenes.
 _PRUNED = "pruned"
 _REFINED = "refined"
 _BY_RENDERS = "refined to renders"
 
-#: Label, colour, mark, and the colour inside it, of each curve; the colour-blind can tell them.
+#: Label, colour, mark, and inner colour of each curve; distinguishable with colour blindness.
 _CURVES = {
     PAPER: ("EntropyGS (paper-*)", "#5b5b5b", "^", "#5b5b5b"),
     FREE: ("ours, camera-free", "#0a6ebd", "o", "#0a6ebd"),
@@ -35,12 +35,12 @@ _CURVES = {
 _COLOURS = ("#12858a", "#a3468f", "#8a6d00", "#b3203a", "#5a4fb0", "#3d7a1f")
 _MARKS = ("*", "P", "X", "v", "D", "<", ">")
 
-#: Ticks of the axis of losses, which is logarithmic beyond the first.
+#: Ticks of the loss axis, which is logarithmic above the first.
 _LOSSES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
 def plot_rate(results: Results, scene: str) -> Figure:
-    """PSNR and, of scenes with photographs, delta-PSNR against bits for each Gaussian."""
+    """PSNR and, for scenes with photographs, delta-PSNR against bits per Gaussian."""
     qualities = [psnr_of, delta_of] if results.has_photographs(scene) else [psnr_of]
     figure = new_figure(9.5, 0.4 + 4.2 * len(qualities))
     axes = figure.subplots(len(qualities), 1, sharex=True, squeeze=False)[:, 0]
@@ -58,7 +58,7 @@ def plot_rate(results: Results, scene: str) -> Figure:
 
 
 def plot_time(results: Results, scene: str) -> Figure:
-    """Quality against seconds to encode and to decode; bars from the least to the largest."""
+    """Quality against seconds to encode and to decode; bars from shortest to longest."""
     quality = delta_of if results.has_photographs(scene) else psnr_of
     lines = results.of("beside", scene)
     figure = new_figure(12, 4.8)
@@ -82,7 +82,7 @@ def plot_time(results: Results, scene: str) -> Figure:
 
 
 def plot_frontier(results: Results, scene: str) -> Figure:
-    """Quality against the ratio: all profiles, and `m` after pruning and after refinement."""
+    """Quality against compression ratio: all profiles, and `m` after pruning and refinement."""
     quality = delta_of if results.has_photographs(scene) else psnr_of
     lines = results.of("beside", scene)
     figure = new_figure(9.5, 4.6)
@@ -96,7 +96,7 @@ def plot_frontier(results: Results, scene: str) -> Figure:
 
 
 def plot_scaling(results: Results) -> Figure:
-    """Processor seconds and peak memory of processes against Gaussians."""
+    """Processor seconds and peak memory of processes against number of Gaussians."""
     lines = sorted(results.of("scaling"), key=lambda line: line["gaussians"])
     figure = new_figure(11, 4.4)
     times, memory = figure.subplots(1, 2)
@@ -126,7 +126,7 @@ def _bits(line: Line) -> float | None:
 
 
 def _profiles(lines: Sequence[Line], curve: str) -> list[Line]:
-    """Codecs that are points of a curve; the pruned one starts at `m` without pruning."""
+    """Codecs that are points of a curve; the pruned curve starts at `m` without pruning."""
     found = {
         PAPER: lambda codec: codec in PROFILES,
         FREE: lambda codec: codec in ADAPTIVE_PROFILES,
@@ -142,7 +142,7 @@ def _profiles(lines: Sequence[Line], curve: str) -> list[Line]:
 def _draw_profiles(
     axis: Axes, lines: Sequence[Line], curve: str, across: Number, quality: Number, **look: Any
 ) -> None:
-    """Points of a curve, each named beside its mark, on a line if `look` does not say else."""
+    """Draw the points of a curve, with names next to the marks, connected unless `look` differs."""
     label, colour, mark, face = _CURVES[curve]
     points = [(across(line), quality(line), _short_name(line)) for line in lines]
     points = [point for point in points if None not in point]
@@ -151,7 +151,7 @@ def _draw_profiles(
     x, y, _ = zip(*points, strict=True)
     order = 2 if face == colour else 1.5
     axis.plot(x, y, color=colour, marker=mark, mfc=face, ms=6, label=label, zorder=order, **look)
-    # Beside the mark, below a line that rises and above one that falls; pruned ones above.
+    # Labels are below a rising line and above a falling one; above for pruned ones.
     rises = bool(look) or (y[-1] > y[0]) == (x[-1] > x[0])
     for a, b, name in points:
         place, align = ((5, -11) if rises else (5, 5)), "left"
@@ -172,7 +172,7 @@ def _short_name(line: Line) -> str:
 
 
 def _draw_others(axis: Axes, lines: Sequence[Line], across: Number, quality: Number) -> None:
-    """Marks of the codecs that are on no curve."""
+    """Draw marks of the codecs that are on no curve."""
     looks = zip(cycle(_COLOURS), cycle(_MARKS), strict=True)
     others = [x for x in lines if x["codec"] == LOSSLESS or not is_ours(x["codec"])]
     for line, (colour, mark) in zip(others, looks, strict=False):
@@ -182,7 +182,7 @@ def _draw_others(axis: Axes, lines: Sequence[Line], across: Number, quality: Num
 
 
 def _dress_quality(axis: Axes, quality: Number) -> None:
-    """Title of the axis; losses against photographs on a logarithmic one."""
+    """Label the quality axis; losses against photographs are on a logarithmic scale."""
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
     if quality is psnr_of:
@@ -197,7 +197,7 @@ def _dress_quality(axis: Axes, quality: Number) -> None:
 
 
 def _with_legend(figure: Figure, axis: Axes) -> Figure:
-    """Lay out with the legend on the right of the figure."""
+    """Lay out a figure with its legend on the right."""
     handles, labels = axis.get_legend_handles_labels()
     if handles:
         axis.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.02))

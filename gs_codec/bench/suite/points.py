@@ -1,4 +1,4 @@
-"""Points of rate over quality: our profiles and the paper's, and steps beyond them."""
+"""Rate-quality points: our profiles and the paper's, and coarser or finer ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gs_codec.bench.suite.results import curve_of
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
 from gs_codec.runtime.wording import counted
 
-#: Names of curves: the paper's profiles, and ours without cameras and with.
+#: Names of curves: the paper's profiles, ours camera-free, and ours camera-guided.
 PAPER = "paper"
 FREE = "camera-free"
 CAMERA_GUIDED = "camera-guided"
@@ -24,11 +24,11 @@ def measure_points(
 ) -> Iterator[dict[str, Any]]:
     """Result lines of the points of each curve.
 
-    Curves are continued until they reach each other's profiles and the quality of every codec
-    `beside`, by two points at most: the paper's by a bit more or less of each depth, ours by half
-    or twice the steps.
-    `config` is what profiles have in common; `beside` are lines of `measure_beside`, whose profiles
-    are not measured again. The camera-guided curve is there if `with_cameras` says so.
+    Curves are extended, by at most two points, until they cover each other's profiles and the
+    quality of every codec in `beside`: the paper's by one bit more or less of each depth, ours by
+    half or double step sizes. `config` has the common options; `beside` are lines of
+    `measure_beside`, whose profiles are not measured again. The camera-guided curve is included if
+    `with_cameras`.
     """
     ours = [FREE, CAMERA_GUIDED] if with_cameras else [FREE]
     known = {line["codec"]: line for line in beside if "mean" in line}

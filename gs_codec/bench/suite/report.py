@@ -1,4 +1,4 @@
-"""The report of the suite: one Markdown file, its plots beside it, and the README's table."""
+"""The report of the suite: a Markdown file with plots, and the README's table."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _DEVICE = (
 def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     """Write ``report.md``, its plots as PNG files, and ``headline.md`` into a folder.
 
-    `lines` are result lines of the suite, all or some; sections without lines are left out.
+    `lines` are all or some result lines of the suite; sections without lines are omitted.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
 
 
 def _circumstances(results: Results) -> list[str]:
-    """Machine, versions, and what was not measured."""
+    """Machine, versions, and measurements that were skipped."""
     machine, facts = results.first("machine"), []
     for name in ("command", "date", "commit", "processor", "threads", "system", "python"):
         if machine.get(name) is not None:

@@ -1,4 +1,4 @@
-"""Result lines of the suite: found by kind and scene; curves that compare them at equal quality."""
+"""Result lines of the suite, by kind and scene; curves that compare them at equal quality."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Line = dict[str, Any]
 
 
 class Curve:
-    """Log2 of bits over PSNR between measured points, by pchip as in Bjontegaard's measure.
+    """Log2 of bits as a function of PSNR, interpolated by pchip as in Bjontegaard's measure.
 
     Parameters
     ----------
     points : iterable of tuple of two float
-        PSNR in dB, and bits for each Gaussian; of points of one PSNR the smallest counts.
+        PSNR in dB, and bits per Gaussian; of points with equal PSNR, the smallest is used.
     """
 
     def __init__(self, points: Iterable[tuple[float, float]]) -> None:
@@ -38,7 +38,7 @@ class Curve:
         return self._psnr.min(initial=np.inf), self._psnr.max(initial=-np.inf)
 
     def bits_at(self, psnr: float) -> float | None:
-        """Bits at a PSNR, or None outside the range."""
+        """Bits at a PSNR; None outside the range."""
         low, high = self.range
         if not low <= psnr <= high:
             return None
@@ -57,7 +57,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Rate:
-    """Percent of bits over a reference, mean over the PSNR from `low` to `high` dB."""
+    """Percentage of bits relative to a reference, averaged over PSNR from `low` to `high` dB."""
 
     percent: float
     low: float
@@ -65,9 +65,9 @@ class Rate:
 
 
 def bd_rate(reference: Curve, tested: Curve) -> Rate | None:
-    """Bits that `tested` takes over `reference`, over the PSNR that both have; None without any.
+    """Bits of `tested` relative to `reference`, over their common PSNR range; None without one.
 
-    Bjontegaard's measure (VCEG-M33); negative where bits are saved.
+    Bjontegaard's measure (VCEG-M33); negative if bits are saved.
     """
     low = max(reference.range[0], tested.range[0])
     high = min(reference.range[1], tested.range[1])
@@ -79,12 +79,12 @@ def bd_rate(reference: Curve, tested: Curve) -> Rate | None:
 
 @dataclass(frozen=True)
 class Results:
-    """Lines of a run of the suite, or of a part of it."""
+    """Lines of a run of the suite, complete or partial."""
 
     lines: Sequence[Line]
 
     def of(self, kind: str, scene: str | None = None) -> list[Line]:
-        """Lines of a kind, of one scene or of all; without absent codecs."""
+        """Lines of a kind, for one scene or all; without absent codecs."""
         return [
             line
             for line in self.lines
@@ -94,7 +94,7 @@ class Results:
         ]
 
     def first(self, kind: str, scene: str | None = None) -> Line:
-        """The first of such lines; empty if there is none."""
+        """The first of these lines; empty if there is none."""
         return next(iter(self.of(kind, scene)), {})
 
     @property
@@ -105,7 +105,7 @@ class Results:
 
     @property
     def absent(self) -> list[str]:
-        """Reasons why codecs could not be measured; each once."""
+        """Distinct reasons why codecs could not be measured."""
         found = [str(line["absent"]) for line in self.lines if "absent" in line]
         return list(dict.fromkeys(found))
 
@@ -114,18 +114,18 @@ class Results:
         return any(delta_of(line) is not None for line in self.of("beside", scene))
 
     def points(self, scene: str, curve: str) -> list[Line]:
-        """Points of a curve, fewest bits first."""
+        """Points of a curve, in ascending order of bits."""
         found = [line for line in self.of("point", scene) if line["curve"] == curve]
         return sorted(found, key=lambda line: line["bits_per_gaussian"])
 
     def curve(self, scene: str, name: str) -> Curve:
-        """The curve through such points."""
+        """The curve through these points."""
         return curve_of(self.points(scene, name))
 
     def bits_at_quality(self, line: Line, curve: str) -> str:
-        """Bits of a curve at a codec's PSNR; at most so many if even its coarsest point is better.
+        """Bits of a curve at a codec's PSNR; an upper bound if even the coarsest point is better.
 
-        Empty for our own profiles but the paper's, and where the curve ends below that PSNR.
+        Empty for our own profiles except the paper's, and if the curve ends below that PSNR.
         """
         codec, psnr = line["codec"], psnr_of(line)
         if psnr is None or (is_ours(codec) and codec not in PROFILES):
@@ -138,7 +138,7 @@ class Results:
         return "" if bits is None else f"{bits:.1f}"
 
     def lossless_bits(self, line: Line) -> str:
-        """Bits of our lossless profile beside another codec that is exact; else empty."""
+        """Bits of our lossless profile, if another codec is lossless; otherwise empty."""
         ours = [x for x in self.of("beside", line["scene"]) if x["codec"] == LOSSLESS]
         if not ours or not is_exact(line) or line["codec"] == LOSSLESS:
             return ""
@@ -146,13 +146,13 @@ class Results:
 
 
 def curve_of(lines: Iterable[Line]) -> Curve:
-    """The curve through result lines; those of equal views, which have no PSNR, are left out."""
+    """The curve through result lines, without those of equal views, which have no PSNR."""
     seen = [line for line in lines if psnr_of(line) is not None]
     return Curve((line["mean"]["psnr"], line["bits_per_gaussian"]) for line in seen)
 
 
 def psnr_of(line: Line) -> float | None:
-    """PSNR against the scene's own views; None if there is none or views are equal."""
+    """PSNR against the scene's own views; None if unknown or if views are equal."""
     return line.get("mean", {}).get("psnr")
 
 

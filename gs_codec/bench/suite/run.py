@@ -25,13 +25,13 @@ from gs_codec.runtime.lazy import check_installed
 
 Lines = Iterator[dict[str, Any]]
 
-#: Percentages of Gaussians that are pruned before `m` codes the rest.
+#: Percentages of Gaussians pruned before `m` encodes the rest.
 PRUNED = (39.0, 58.8)
 
-#: How many times smaller scenes are made with refinement.
+#: Compression ratios of scenes with refinement.
 REFINED = (35.0, 60.0, 100.0)
 
-#: Gaussians of the tiled scenes of the scaling.
+#: Numbers of Gaussians of the tiled scenes for scaling.
 SIZES = (100_000, 300_000, 1_000_000, 3_000_000)
 
 #: The same on a device: the paper's mean scene, and a large one.
@@ -40,10 +40,10 @@ DEVICE_SIZES = (1_120_000, 5_000_000)
 
 @dataclass(frozen=True)
 class Options:
-    """PLY files, and how they are measured; what of `GROUPS` is left out is in `skip`.
+    """PLY files, and how to measure them; `skip` lists the omitted `GROUPS`.
 
-    Cameras are ``cameras.json`` beside a file, else chosen for it. Photographs are in the folder
-    ``images`` there, if it exists; `width`, in pixels, is that of views without them.
+    Cameras come from ``cameras.json`` next to a file, otherwise they are estimated. Photographs are
+    in the folder ``images`` there, if it exists; `width`, in pixels, applies to views without them.
 
     Raises
     ------
@@ -69,19 +69,19 @@ class Options:
             raise InvalidInput(f"--skip {group}: expected one of {', '.join(GROUPS)}")
 
     def config(self, profile: str) -> Config:
-        """A profile as it is measured."""
+        """The configuration for measuring a profile."""
         return Config(profile, threads=self.threads)
 
 
 def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Lines:
-    """Result lines as they are measured; `tell` is told what is measured next.
+    """Yield result lines as they are measured; `tell` is called with the next step.
 
-    The first line has the `command` that measures the same again.
+    The first line contains the `command` to repeat the measurement.
 
     Raises
     ------
     InvalidInput
-        If a scene, cameras or photographs cannot be used; before anything is measured.
+        If a scene, cameras or photographs cannot be used; raised before measuring.
     """
     check_installed("scipy", "bench suite")
     scenes = [open_beside(path, options.width) for path in options.scenes]
@@ -146,13 +146,13 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
         plan = replace(measured.plan, cameras="auto")
         ours.append(guided(options.config("m"), plan, ESTIMATED))
     others = find_peers("error", options.threads) if "peers" not in options.skip else []
-    # Those that take minutes are for `bench peers`.
+    # Slow ones are left to `bench peers`.
     quick = [x for x in others if isinstance(x, AbsentPeer) or not x.once]
     return measure_beside(measured, [*ours, *quick], options.repeats)
 
 
 def _in_other_formats(config: Config) -> Iterator[Config]:
-    """A profile in the formats that round what they hold."""
+    """A profile in the formats that quantise."""
     yield replace(config, format="spz", spz_version=4)
     yield replace(config, format="sog")
     yield replace(config, format="compressed.ply")
@@ -176,8 +176,8 @@ def _device(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
     return measure_device(measured, DEVICE_SIZES, options.repeats)
 
 
-#: What is measured of each scene, or of the largest alone (`ONCE`), by the group it is skipped by.
-#: Memory comes after what compiles kernels, which takes memory too.
+#: Measurements of each scene, or only of the largest (`ONCE`), by group. Memory comes after
+#: everything that compiles kernels, which also takes memory.
 STAGES = {
     "codecs": ("codecs beside each other", _codecs),
     "curves": ("rate-quality curves", _curves),
@@ -188,6 +188,6 @@ STAGES = {
 }
 ONCE = ("scaling", "device")
 
-#: What can be left out: stages; and of codecs, others', camera-guided ones, pruned scenes, refined
-#: ones, which take minutes.
+#: Groups that can be skipped: stages; and peers, camera-guided, pruned and refined codecs, which
+#: take minutes.
 GROUPS = (*STAGES, "peers", "guided", "pruned", "refined")

@@ -1,4 +1,4 @@
-"""Markdown tables of the suite's results: of a report, and of the README's first screen."""
+"""Markdown tables of the suite's results, for the report and the README."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gs_codec.runtime.wording import counted
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
-#: Ours that the README has, by effort, and those of others that it leaves out.
+#: Our codecs shown in the README, by effort, and those of others that are omitted.
 _SHOWN = (
     "m",
     f"m{ESTIMATED}",
@@ -28,10 +28,10 @@ _LEFT_OUT = {"splat-transform, spz", "zstd, PLY"}
 
 
 def headline(lines: Sequence[Line]) -> Table:
-    """The README's table: codecs by effort, and for each scene how small and how good.
+    """The README's table: codecs by effort, with compression ratio and quality for each scene.
 
-    Quality is delta-PSNR, or PSNR against the scene's own views; times are those of the first
-    scene that has a codec.
+    Quality is delta-PSNR, or PSNR against the scene's own views; times are from the first scene
+    with that codec.
     """
     results = Results(lines)
     scenes = {scene: {x["codec"]: x for x in in_order(results, scene)} for scene in results.scenes}
@@ -54,7 +54,7 @@ def headline(lines: Sequence[Line]) -> Table:
 def codec_table(results: Results, scene: str) -> Table:
     """All codecs of a scene, without empty columns.
 
-    These are size, quality, times, memory, and bits of ours at that PSNR.
+    Columns are size, quality, times, memory, and our bits at that PSNR.
     """
     peaks = {line["profile"]: line for line in results.of("memory", scene)}
     columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view", "delta-PSNR"]
@@ -87,7 +87,7 @@ def geometry_table(results: Results) -> Table:
 
 
 def device_table(results: Results) -> Table:
-    """What a CUDA device did, and whether its results are the CPU's."""
+    """Results of a CUDA device, and whether they equal the CPU's."""
     columns = ["device", "Gaussians", "block", "decode", "CPU", "as the CPU", "iterations / s"]
     rows = []
     for line in results.of("device"):
@@ -100,7 +100,7 @@ def device_table(results: Results) -> Table:
 
 
 def rates(results: Results, scene: str) -> str:
-    """A sentence on the BD-rate of our curves over the paper's profiles; empty without any."""
+    """A sentence on the BD-rate of our curves relative to the paper's profiles; may be empty."""
     told = []
     for name in (FREE, CAMERA_GUIDED):
         rate = bd_rate(results.curve(scene, PAPER), results.curve(scene, name))
@@ -111,7 +111,7 @@ def rates(results: Results, scene: str) -> str:
 
 
 def views(results: Results, scene: str) -> str:
-    """A sentence on the views of a scene; empty if they are not known."""
+    """A sentence on the views of a scene; empty if unknown."""
     line = results.first("scene", scene)
     if not line:
         return ""
@@ -151,7 +151,7 @@ def _size(line: Line) -> list[str]:
 
 
 def _name(line: Line) -> str:
-    """A codec; one whose times are those of a program has a ``*``."""
+    """Name of a codec, with a ``*`` if its times include the start of a program."""
     profile, comma, how = line["codec"].partition(",")
     name = f"`{profile}`{comma}{how}" if is_ours(profile) else escaped(line["codec"])
     return (
@@ -164,7 +164,7 @@ def _ratio(line: Line) -> str:
 
 
 def _ratio_and_quality(results: Results, line: Line | None) -> str:
-    """Times smaller, and the quality that is known; empty for a codec that was not measured."""
+    """Compression ratio, and the known quality; empty for a codec that was not measured."""
     if line is None:
         return ""
     delta, psnr = delta_of(line), psnr_of(line)
@@ -180,7 +180,7 @@ def _times(line: Line) -> list[str]:
 
 
 def _ours(results: Results, line: Line) -> list[str]:
-    """Bits of our curves at a codec's quality; of our lossless profile if it is exact."""
+    """Bits of our curves at a codec's quality, or of our lossless profile if it is lossless."""
     if exact := results.lossless_bits(line):
         return [exact, ""]
     return [results.bits_at_quality(line, curve) for curve in (FREE, CAMERA_GUIDED)]

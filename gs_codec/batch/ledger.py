@@ -1,4 +1,4 @@
-"""The report of a batch: a line of JSON for each attempt at a scene; the latest line counts."""
+"""The report of a batch: a JSON line for each attempt at a scene; the latest line counts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
-#: How lines begin, in reports of this version and of 1.0.
+#: Prefixes of lines, in reports of this version and of 1.0.
 _STARTS = (b'{"schema": ', b'{"source": ')
 
 
@@ -43,13 +43,13 @@ class Record:
     seconds : float, optional
         Of all stages together.
     stages : dict of str to float
-        Seconds per stage.
+        Seconds by stage.
     changed : dict of str to int
         Number of Gaussians or values that were changed, by reason.
     prepared : dict, optional
-        What preparation did; see `EncodeReport`.
+        Report of preparation; see `EncodeReport`.
     rendered : dict, optional
-        What rendered views lose; see `RenderedLoss`.
+        Loss in rendered views; see `RenderedLoss`.
     warnings : list of str
     error : dict of str to str, optional
         ``kind`` and ``text`` of the error.
@@ -88,7 +88,7 @@ class Ledger:
         self.path, self._file, self.records = path, file, records
 
     def add(self, record: Record) -> None:
-        """Append a record; it is on the disk when this returns."""
+        """Append a record; it is flushed to disk when this returns."""
         try:
             plain = finite({"schema": SCHEMA} | asdict(record))
             line = json.dumps(plain, allow_nan=False).encode() + b"\n"
@@ -101,7 +101,7 @@ class Ledger:
 
 @contextmanager
 def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Iterator[Ledger]:
-    """Open a report: to continue it (`resume`), or to start it again from empty.
+    """Open a report: to continue it (`resume`), or to start with an empty one.
 
     Raises
     ------
@@ -161,7 +161,7 @@ _TYPES = get_type_hints(Record)
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value parsed from JSON is of a type; an integer also stands for a float."""
+    """Whether a JSON value has a type; an integer is accepted as a float."""
     items = get_args(kind)
     if get_origin(kind) is dict:
         return isinstance(value, dict) and all(_fits(v, items[1]) for v in value.values())

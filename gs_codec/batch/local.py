@@ -1,4 +1,4 @@
-"""Where scenes are read and written: locations, and storage in folders of this machine."""
+"""Storage in folders of this machine, and locations of files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gs_codec.runtime.redaction import without_secrets
 
 log = logging.getLogger(__name__)
 
-#: Suffixes of the files in a folder that are taken as scenes, beside `.egs`.
+#: Suffixes of files in a folder that are treated as scenes, besides `.egs`.
 SUFFIXES = tuple(suffix for known in FORMATS if known is not EGS for suffix in known.batched)
 
 
@@ -34,7 +34,7 @@ class Location:
     path : str
         Path in the file system of the storage.
     base : str
-        The URL that was given for the storage; empty on this machine.
+        URL of the storage; empty on this machine.
     """
 
     path: str
@@ -52,9 +52,9 @@ class Stamp:
     Parameters
     ----------
     size : int
-        Bytes; -1 if the storage does not say.
+        Bytes; -1 if unknown.
     modified : int or str
-        Nanoseconds on this machine; elsewhere what the storage has: a time, an ETag, or empty.
+        Nanoseconds on this machine; for remote storage a time, an ETag, or empty.
     """
 
     size: int
@@ -62,7 +62,7 @@ class Stamp:
 
 
 class LocalStorage:
-    """A folder, file or glob of this machine; `RemoteStorage` has the same methods.
+    """A folder, file or glob on this machine; `RemoteStorage` has the same methods.
 
     Parameters
     ----------
@@ -75,11 +75,10 @@ class LocalStorage:
         self.path = os.path.abspath(plain)
 
     def find(self, suffixes: tuple[str, ...] = SUFFIXES) -> list[tuple[str, Location]]:
-        """The scenes it matches, named relative to its part without wildcards.
+        """The matching scenes, named relative to the part of the path without wildcards.
 
-        Of a folder these are files with the suffixes.
-        Hidden files and folders match only if the pattern writes the dot. A file or folder that
-        several links lead to is taken once.
+        In a folder, files with the suffixes match. Hidden files and folders match only if the
+        pattern includes the dot. A file or folder with several links is used once.
         """
         if os.path.isdir(self.path):
             root, found = self.path, matching_paths(glob.escape(self.path) + "/**/*")
@@ -94,11 +93,11 @@ class LocalStorage:
         return [(os.path.relpath(path, root), Location(path)) for path in sorted(files)]
 
     def is_missing(self) -> bool:
-        """Whether it is neither there nor a glob."""
+        """Whether it neither exists nor is a glob."""
         return not (os.path.lexists(self.path) or glob.has_magic(self.path))
 
     def location(self, name: str) -> Location:
-        """The file with a name, which may contain folders, below it."""
+        """The location of a file by name, which may contain folders."""
         return Location(os.path.join(self.path, name))
 
     def shown(self, location: Location) -> str:
@@ -106,7 +105,7 @@ class LocalStorage:
         return location.path
 
     def check_folder(self) -> None:
-        """Make the folder if it is missing; refuse one that cannot be written to."""
+        """Create the folder if it is missing; reject one that is not writable."""
         if not os.access(make_folder(self.path), os.W_OK):
             raise InvalidInput(f"{self.path}: no permission to write there")
 
@@ -125,7 +124,7 @@ class LocalStorage:
         return file_sha256(location.path)
 
     def fetch(self, location: Location, folder: Path) -> Path:
-        """Path of a regular file; storage elsewhere copies it to `folder` first."""
+        """Path of a regular file; remote storage copies it to `folder` first."""
         try:
             mode = os.stat(location.path).st_mode
         except OSError as error:
@@ -135,9 +134,9 @@ class LocalStorage:
         return Path(location.path)
 
     def sweep(self, locations: Iterable[Location], mark: str) -> None:
-        """Remove half-written copies of these files that a batch with this mark left.
+        """Remove incomplete copies of these files left by a batch with this mark.
 
-        On this machine the mark does not matter: any file that no process writes is left over.
+        On this machine the mark does not matter: any copy that no process is writing is removed.
         """
         for folder, names in by_folder(locations).items():
             try:
@@ -160,7 +159,7 @@ def matching_paths(pattern: str) -> list[str]:
 
 
 def _folders(root: str) -> list[str]:
-    """A folder and its subfolders that are not hidden; each link is followed once, after them."""
+    """A folder and its visible subfolders; each link is followed once, last."""
     found: list[str] = []
     waiting, seen = deque([root]), set[str]()
     while waiting:
@@ -185,7 +184,7 @@ def _warn(error: OSError) -> None:
 
 
 def _each_once(root: str, paths: Iterable[str]) -> list[str]:
-    """The paths without duplicates of the same file; a file itself is preferred to its links."""
+    """The paths without duplicates of the same file; the file itself is preferred to links."""
     real_root, taken = os.path.realpath(root), dict[str, str]()
     real = {path: os.path.realpath(path) for path in paths}
 
@@ -212,7 +211,7 @@ def file_sha256(path: str | Path) -> str:
 
 
 def fixed_part(pattern: str, wild: str = "*?[") -> str:
-    """The leading folders of a glob that have no wildcards."""
+    """The leading folders of a glob, up to the first wildcard."""
     fixed = []
     for part in pattern.split("/")[:-1]:
         if any(sign in part for sign in wild):

@@ -1,4 +1,4 @@
-"""Memory that encoding a scene takes."""
+"""Estimated memory for encoding a scene."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _FIXED = 400 << 20
 #: Peak bytes per byte of raw floats: 2.6 measured (bench/RESULTS.md).
 _ENCODING = 4
 
-#: The same if views are drawn (16 measured), and bytes per pixel of the views (280 measured).
+#: The same when rendering views (16 measured); and bytes per pixel of the views (280 measured).
 _DRAWING = 20
 _PIXEL = 320
 
-#: If its header was not read, a file may have this many times the floats that its size suggests.
+#: Assumed ratio of a file's floats to those that its size suggests, if its header was not read.
 _MARGIN = 4
 
 #: Minimum memory for floats, bytes.
@@ -22,7 +22,7 @@ _LEAST = 64 << 20
 
 
 def needed_bytes(floats: int, pixels: int = 0) -> int:
-    """Estimated peak memory for encoding `floats` bytes of a scene and drawing `pixels` of it."""
+    """Estimated peak memory for encoding `floats` bytes and rendering `pixels` of a scene."""
     return _FIXED + (_DRAWING if pixels else _ENCODING) * floats + _PIXEL * pixels
 
 
@@ -33,5 +33,5 @@ def expected_floats(size: int, name: str) -> int:
 
 
 def most_floats(size: int, name: str) -> int:
-    """Most bytes of floats to accept from a file of which only the size is known."""
+    """Maximum bytes of floats to accept from a file of which only the size is known."""
     return max(_MARGIN * expected_floats(size, name), _LEAST)

@@ -1,4 +1,4 @@
-"""Storage at URLs, through fsspec and the protocols it finds installed."""
+"""Remote storage at URLs, through fsspec and its installed protocols."""
 
 from __future__ import annotations
 
@@ -33,31 +33,31 @@ log = logging.getLogger(__name__)
 
 _READ_ONLY = ("http", "https")
 
-#: fsspec's protocol for the memory of one process, where workers would find and leave nothing.
+#: fsspec's protocol for the memory of one process, which workers cannot share.
 _OWN = "memory"
 
 #: Object stores: a file appears when it is closed; there are no folders and no renaming.
 _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss")
 
-#: Check hosts against ~/.ssh/known_hosts, as ssh does (sshfs by itself trusts any host), and give
-#: up on a host that does not answer.
+#: Check hosts against ~/.ssh/known_hosts, like ssh (sshfs itself trusts any host), and give up on a
+#: host that does not answer.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
 
-#: Deepest level of folders to read.
+#: Maximum depth of folders to read.
 _DEEPEST = 32
 
-#: Share of the free disk space that a file of unknown size may take.
+#: Maximum share of the free disk space for a file of unknown size.
 _FILLED = 0.9
 
-#: Longest error text to show: a server may have written it.
+#: Maximum length of an error text to show, because a server may have written it.
 _MOST = 1000
 
-#: Protocols that the extra brings; fsspec names the packages of all others.
+#: Protocols installed by the extra; for all others, fsspec names the package.
 _INSTALLED = (*_READ_ONLY, "ssh", "sftp")
 
 
 class RemoteStorage:
-    """What fsspec reaches at the URL `base`; see `LocalStorage` for the methods.
+    """Storage that fsspec reaches at URL `base`; see `LocalStorage` for the methods.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class RemoteStorage:
 
     def __init__(self, base: str) -> None:
         self._base = base
-        # In a chain of fsspec, each protocol reads from what the next one gives.
+        # In a chain of fsspec, each protocol reads from the next one.
         self._protocols = [part.partition("://")[0] for part in base.split("::")]
         self._name = without_secrets(base)
         self._read_only = [name for name in self._protocols if name in _READ_ONLY]
@@ -98,7 +98,7 @@ class RemoteStorage:
 
     @contextmanager
     def _named(self, location: Location | None = None) -> Iterator[None]:
-        """Turn any error of a backend into one line that names the storage or file."""
+        """Convert any error of a backend to one line that names the storage or file."""
         path = self._base if location is None else location.path
         shown = self._name if location is None else self.shown(location)
         try:
@@ -132,7 +132,7 @@ class RemoteStorage:
         return [(name, self._at(path)) for name, path in zip(names, paths, strict=True)]
 
     def _matching(self, glob: str, root: str) -> dict[str, Any]:
-        """Files that a glob matches, all below a folder."""
+        """Files below a folder that match a glob."""
         from fsspec.utils import glob_translate
 
         if self._is_store or "**" not in glob:
@@ -141,7 +141,7 @@ class RemoteStorage:
         return {path: info for path, info in found.items() if wanted.match(path)}
 
     def _below(self, root: str) -> dict[str, Any]:
-        """All files below a folder; refuses folders that are too deep: links may lead up again."""
+        """All files below a folder; rejects too deep ones, because links may lead back up."""
         if self._is_store:
             return self._fs.find(root, detail=True)
         found: dict[str, Any] = {}
@@ -161,10 +161,10 @@ class RemoteStorage:
         return found
 
     def _listed(self, folder: str, depth: int) -> list[tuple[str, dict[str, Any]]]:
-        """Entries of a folder; a subfolder that cannot be read gives a warning."""
+        """Entries of a folder; a subfolder that cannot be read causes a warning."""
         try:
             entries = self._fs.ls(folder, detail=True)
-        except FileNotFoundError:  # what fsspec raises for an empty web folder
+        except FileNotFoundError:  # raised by fsspec for an empty web folder
             return []
         except OSError as error:
             if not depth:
@@ -238,7 +238,7 @@ class RemoteStorage:
         return target
 
     def store(self, file: Path, location: Location, mark: str) -> None:
-        """Copy a file to the storage, whole or not at all; `mark` identifies the batch."""
+        """Copy a file to the storage, atomically; `mark` identifies the batch."""
         with self._named(location):
             if self._is_store:
                 self._fs.put_file(str(file), location.path)
@@ -277,7 +277,7 @@ def is_url(text: str) -> bool:
 
 
 def storage_of(base: str) -> Storage:
-    """The storage of a path or URL; raises as `RemoteStorage` does."""
+    """The storage of a path or URL; raises like `RemoteStorage`."""
     return RemoteStorage(base) if is_url(base) else LocalStorage(base)
 
 

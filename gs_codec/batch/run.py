@@ -1,4 +1,4 @@
-"""Run a batch: from its options to its report."""
+"""Run a batch, from its options to its report."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ class Batch:
     target : str
         A folder, or a URL of one, for the same tree of files.
     options : Options
-        If `threads` is None, scenes that run at once share the processors equally.
+        If `threads` is None, concurrent scenes share the processors equally.
     jobs : int, optional
-        Most scenes at once. Default: processors divided by the threads of a scene.
+        Maximum concurrent scenes. Default: processors divided by the threads of a scene.
     resume : bool
         Continue the existing report. Default False: start a new one.
     report : str, optional
         A file on this machine. Default ``report.jsonl`` in the target folder, or in the current
         folder if the target is remote.
     on_error : {"continue", "stop"}
-        Whether more scenes are started after one has failed.
+        Whether to start more scenes after one has failed.
     dask : str, optional
         Address of a scheduler, or ``local`` for a cluster of `jobs` processes.
     overwrite : bool
-        Without `resume`, whether an existing report and existing outputs are replaced. Default
-        True; the command line refuses them.
+        Without `resume`, whether to overwrite an existing report and existing outputs. Default
+        True; the command line defaults to False.
 
     Raises
     ------
@@ -98,12 +98,12 @@ class Summary:
     report : str
         Path of the report.
     done, skipped, failed, not_started : int
-        Scenes encoded now, complete before, failed, and not started because one failed.
+        Number of scenes encoded now, complete before, failed, and not started because one failed.
     gaussians, input_bytes, output_bytes : int
         Total Gaussians and bytes of the complete scenes.
     ratio : float or None
-        Compression ratio of all together: to the PLY files or, if some inputs are compressed, to
-        the floats of all; None if there are none.
+        Total compression ratio: relative to the PLY files or, if some inputs are compressed, to the
+        floats; None without scenes.
     seconds : float
     """
 
@@ -132,8 +132,7 @@ class Watcher(Listener):
 def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     """Encode the scenes of a folder or glob; a failed scene does not stop the others.
 
-    An output appears complete or not at all. The report gets a line for each scene when it is
-    done.
+    Outputs appear atomically. The report gets a line for each scene when it is done.
 
     Raises
     ------
@@ -177,7 +176,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
 
 
 def _completed(done: Done[Task, Record], digest: str) -> Record:
-    """The record with options and versions filled in, and with secrets removed from its texts."""
+    """Fill in options and versions of a record, and remove secrets from its texts."""
     task, record = done.task, done.value
     if done.error is not None:
         kind = type(done.error).__name__
@@ -217,14 +216,14 @@ def _open_workers(
 
 
 def batch_mark(report: str) -> str:
-    """An identifier of the batch, made from its report and host; marks its unfinished files."""
+    """An identifier of the batch, from its report and host, which marks unfinished files."""
     text = f"{platform.node()} {uuid.getnode()} {os.path.abspath(report)}"
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:8]
 
 
 @contextmanager
 def _scratch(mark: str) -> Iterator[str]:
-    """A temporary folder for copies; removes those of killed batches with this mark first."""
+    """A temporary folder for copies; first removes those of killed batches with this mark."""
     prefix = f"gs-codec-{mark}-"
     for old in glob.glob(os.path.join(glob.escape(tempfile.gettempdir()), prefix + "*")):
         shutil.rmtree(old, ignore_errors=True)
@@ -281,7 +280,7 @@ def _sum_up(
 
 
 def _bases(records: Sequence[Record]) -> list[int]:
-    """Bytes that the ratio of each scene counts from: files, or floats if some are compressed."""
+    """Reference size for the ratio of each scene: file, or floats if some are compressed."""
     read = [record.input_bytes or 0 for record in records]
     own = [(record.ratio or 0) * (record.output_bytes or 0) for record in records]
     by_files = all(abs(a - b) < 1 for a, b in zip(own, read, strict=True))

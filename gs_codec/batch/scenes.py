@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options:
-    """How each scene is encoded, or converted to the `plain` format; see `encode_file`."""
+    """How to encode each scene, or convert it to the `plain` format; see `encode_file`."""
 
     config: Config
     plan: Plan | None = None
@@ -44,11 +44,11 @@ class Options:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Suffixes of the scenes of a folder: `.egs` files too, unless those are written."""
+        """Suffixes of scenes in a folder, including `.egs` unless that is the output format."""
         return SUFFIXES if self.format == EGS else (*SUFFIXES, f".{EGS}")
 
     def digest(self) -> str:
-        """Digest of all options that the output bytes depend on; threads are not among them."""
+        """Digest of all options that affect the output bytes; excludes threads."""
         parts = {
             "config": asdict(replace(self.config, threads=None)),
             "plan": self.plan and asdict(self.plan),
@@ -61,12 +61,12 @@ class Options:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
     def with_share(self, jobs: int) -> Options:
-        """The same options, with the threads for each of `jobs` scenes that run at once."""
+        """The same options, with threads for each of `jobs` concurrent scenes."""
         threads = self.config.threads or max(available_threads() // jobs, 1)
         return replace(self, config=replace(self.config, threads=threads))
 
     def pixels(self) -> int:
-        """Upper bound on the pixels of all views that are drawn of a scene."""
+        """Upper bound of the total pixels of all views rendered of a scene."""
         plan, rate = self.plan, self.rate
         if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
             return 0
@@ -89,7 +89,7 @@ class Options:
     def absolute(self) -> Options:
         """The same options with absolute paths, for processes with another working folder."""
         plan, config = self.plan, self.config
-        if config.tmc3 is not None and os.path.dirname(config.tmc3):  # else it is in PATH
+        if config.tmc3 is not None and os.path.dirname(config.tmc3):  # otherwise it is in PATH
             config = replace(config, tmc3=os.path.abspath(config.tmc3))
         if plan is None:
             return replace(self, config=config)
@@ -161,10 +161,10 @@ def find_tasks(
     stems = Counter(os.path.splitext(name)[0] for name, _ in found)
     for name, location in found:
         stem = os.path.splitext(name)[0]
-        # Scenes that differ in their suffix alone keep it.
+        # Scenes that differ only in their suffix keep it.
         target = targets.location(f"{name if stems[stem] > 1 else stem}.{options.format}")
         shown = sources.shown(location), targets.shown(target)
-        if ".." in name.split("/"):  # keys of object stores may contain it
+        if ".." in name.split("/"):  # possible in keys of object stores
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")
         if shown[1] in taken:
             both = f"{taken[shown[1]]} and {shown[0]}"
@@ -186,7 +186,7 @@ def find_tasks(
 
 
 def _stated(sources: Storage, location: Location) -> int | None:
-    """Bytes of floats that the header of a local file states; None if remote or unreadable."""
+    """Bytes of floats stated in the header of a local file; None if remote or unreadable."""
     if not isinstance(sources, LocalStorage) or not os.path.isfile(location.path):
         return None
     from gs_codec.files.scenes import stated_bytes

@@ -1,4 +1,4 @@
-"""Encode one scene of a batch: fetch it, encode it, store the output."""
+"""Process one scene of a batch: fetch it, encode it, store the output."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _COMPUTING = ("numpy", "numba", "llvmlite", "pcodec")
 
 
 def encode_one(options: Options, task: Task, place: Place) -> Record:
-    """Encode a scene with its share of the processors; any error becomes part of the record.
+    """Encode a scene with its share of the processors; errors become part of the record.
 
     Copies of remote files are in a temporary folder.
     """
@@ -45,7 +45,7 @@ def encode_one(options: Options, task: Task, place: Place) -> Record:
         with tempfile.TemporaryDirectory(dir=place.folder) as folder:
             record = _encode(task, options, Path(folder), place.progress, blank, warnings)
     except Exception as error:
-        # The other scenes must still be encoded, whatever the error.
+        # Other scenes must still be encoded, whatever the error.
         kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
         text = one_line(error) or kind
         if not isinstance(error, GsCodecError) and task.shown[0] not in text:
@@ -64,7 +64,7 @@ def _encode(
 ) -> Record:
     sources, targets = storage_of(task.source.base), storage_of(task.target.base)
     if task.name.lower().endswith(".json"):
-        # The other files of the scene would not be copied, nor checked for changes.
+        # The other files of the scene would neither be copied nor checked for changes.
         raise InvalidInput(f"{task.shown[0]}: SOG of several files, expected a bundle (.sog)")
     times = StageTimes()
     with times.stage("fetch"):
@@ -82,7 +82,7 @@ def _encode(
         report = _write(file, output, options, progress, limit)
     after = sources.stamp(task.source)
     if before is None or before != after:
-        # The bytes that were read may be a mix of the old and the new scene.
+        # The source changed while it was read, so the output may mix old and new.
         output.unlink()
         raise InvalidInput(f"{task.shown[0]}: changed while it was read")
     times.seconds |= report.seconds
@@ -134,7 +134,7 @@ def _write(
 
 @lru_cache
 def versions() -> dict[str, str]:
-    """Versions of gs_codec and the packages that the output bytes may depend on."""
+    """Versions of gs_codec and of the packages that may affect the output bytes."""
     return {"gs_codec": __version__} | {
         name: importlib.metadata.version(name) for name in _COMPUTING
     }
@@ -142,7 +142,7 @@ def versions() -> dict[str, str]:
 
 @contextmanager
 def _named(names: dict[str, str], warnings: list[str]) -> Iterator[None]:
-    """Collect warnings of this thread; in them and in errors, replace temporary by shown names."""
+    """Collect warnings of this thread; in them and in errors, show the original names."""
 
     def named(text: str) -> str:
         for file, shown in names.items():

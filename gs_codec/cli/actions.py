@@ -1,4 +1,4 @@
-"""Actions as options of commands, in the order in which they were typed."""
+"""Actions as command-line options, in the order typed."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from gs_codec.edit.actions import KINDS, Action
 from gs_codec.report import ActionReport
 from gs_codec.runtime.wording import counted
 
-#: Parameters of commands for actions begin with this: options of preparation share names.
+#: Prefix of command parameters for actions, because preparation has options of the same names.
 _PREFIX = "do_"
 
 _PANEL = "Actions, done in the order given"
 
 
 class InOrder(Shown, TyperCommand):
-    """A command that keeps the order of its parameters, for `typed_actions`."""
+    """A command that records the order of its parameters, for `typed_actions`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse, and keep the names of parameters in the order typed, with repetitions."""
+        """Parse, and record the names of parameters in the order typed, with repetitions."""
         _, _, order = self.make_parser(ctx).parse_args(list(args))
         ctx.meta[_PREFIX] = [param.name for param in order]
         return super().parse_args(ctx, args)
 
 
 def action_parameters(names: Iterable[str], hidden: bool) -> list[inspect.Parameter]:
-    """Parameters of a command for actions, which its help may leave to that of `convert`."""
+    """Command parameters for actions; `hidden` ones are listed only in the help of `convert`."""
     return [_parameter(name, hidden) for name in names]
 
 
@@ -77,7 +77,7 @@ def _parameter_of(name: str) -> str:
 
 
 def say_what_was_done(actions: Iterable[ActionReport]) -> None:
-    """A line for each action that chooses Gaussians, on stderr."""
+    """Print a line on stderr for each action that selects Gaussians."""
     for done in actions:
         if KINDS[done.action.partition(" ")[0]].does != "choose":
             continue

@@ -152,9 +152,9 @@ def _summed_up(summary: Any, done: str) -> str:
 
 @contextmanager
 def _watching(work: str) -> Iterator[Any]:
-    """A watcher that shows what it hears on stderr: bars on a terminal, lines elsewhere.
+    """A watcher that shows events on stderr: bars on a terminal, lines otherwise.
 
-    `work` is what is done to scenes: encode or convert.
+    `work` is the verb of the messages: encode or convert.
     """
     if is_quiet() or not sys.stderr.isatty():
         yield _Lines(work)
@@ -166,7 +166,7 @@ def _watching(work: str) -> Iterator[Any]:
 
 
 class _Lines:
-    """A line for each scene that is done, and for what is being done where that takes long."""
+    """A line for each finished scene, and for the current stage if it takes long."""
 
     def __init__(self, work: str) -> None:
         self._work = work
@@ -204,12 +204,12 @@ class _Lines:
         print_status(text)
 
     def complained(self, text: str) -> None:
-        """A warning or an error, which is printed always."""
+        """A warning or an error, which is always printed."""
         print_problem(text)
 
 
 class _Bars(_Lines):
-    """Lines above a bar for the whole and one for the stage of each scene that is running."""
+    """Lines above a total progress bar and one bar for the stage of each running scene."""
 
     def __init__(self, work: str, bars: Progress) -> None:
         super().__init__(work)
@@ -227,7 +227,7 @@ class _Bars(_Lines):
 
     def stage(self, task: Any, stage: str, done: int, total: int) -> None:
         """See `Watcher.stage`."""
-        self.started(task)  # somewhere else, which nobody told
+        self.started(task)  # on another machine, which sends no start event
         text = printable(f"{task.name}: {stage}")
         self._bars.update(self._running[task.name], description=text, completed=done, total=total)
 

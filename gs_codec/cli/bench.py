@@ -27,7 +27,7 @@ from gs_codec.runtime.lazy import check_installed
 
 
 def print_codecs(lines: list[dict[str, Any]]) -> None:
-    """The table of each scene as in the report of the suite, and what is absent; on stderr."""
+    """Print the table of each scene, as in the suite's report, and absent codecs, on stderr."""
     from gs_codec.bench.suite.results import Results
     from gs_codec.bench.suite.tables import codec_table
 
@@ -46,7 +46,7 @@ def _typed() -> str:
 
 
 def _written(lines: Iterator[dict[str, Any]], target: Path) -> Iterator[dict[str, Any]]:
-    """The result lines, each once it is in a file as JSON."""
+    """Yield result lines, after writing each to a file as JSON."""
     with open(target, "w", encoding="utf-8") as file:
         for line in lines:
             print(json.dumps(line, allow_nan=False), file=file, flush=True)
@@ -54,7 +54,7 @@ def _written(lines: Iterator[dict[str, Any]], target: Path) -> Iterator[dict[str
 
 
 def _printed(lines: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The result lines, each printed as JSON as soon as it is there."""
+    """The result lines, each printed as JSON immediately."""
     printed = []
     for line in lines:
         print_text(json.dumps(line))
@@ -175,7 +175,7 @@ def measure_captures(
 
 
 class _Group(Shown, TyperGroup):
-    """The subcommands; anything else in their place is one error that names them."""
+    """The subcommands; anything else gives one error that lists them."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and args[0] not in self.commands:

@@ -1,4 +1,4 @@
-"""What all commands share: their help, their usage line, and what the shell completes."""
+"""Shared behaviour of commands: help, usage line, and shell completion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Shown:
-    """Mixed into a command: switches have no type in the help, hidden options are completed."""
+    """Mixin for commands: switches have no type in the help, hidden options are completed."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The parameters, and ``--help``."""
@@ -18,13 +18,13 @@ class Shown:
         return params
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """What follows the command's name in its usage line."""
+        """The rest of the usage line, after the command's name."""
         if hasattr(self, "subcommand_metavar"):
             return super().collect_usage_pieces(ctx)  # type: ignore[misc]
         return ["[OPTIONS]", *argument_names(self)]
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Completions, of the options at the end of the help too."""
+        """Completions, including the options at the end of the help."""
         hidden = [p for p in self.get_params(ctx) if getattr(p, "hidden", False)]
         for param in hidden:
             param.hidden = False
@@ -43,7 +43,7 @@ def argument_names(command: Any) -> list[str]:
 
 
 def usage_of(ctx: Any) -> str:
-    """The usage line of the command of a context, and where more is said."""
+    """The usage line of a context's command, and where to find help."""
     pieces = " ".join(["gs-codec", *_names(ctx), *ctx.command.collect_usage_pieces(ctx)])
     return f"usage: {pieces} (more: gs-codec help {' '.join(_names(ctx))}".rstrip() + ")"
 
@@ -54,18 +54,18 @@ def _names(ctx: Any) -> list[str]:
 
 
 def usage_text(error: Any) -> str:
-    """What an error of usage says, on one line; of several files for one, what to type instead."""
+    """The text of a usage error, in one line; if a glob expanded to several files, with a hint."""
     text = " ".join(error.format_message().split())
     if "unexpected extra argument" in text:
         return _of_several(error.ctx) or f"{text.replace('(s)', 's')}; {usage_of(error.ctx)}"
-    # Or it is what follows a list that is missing.
+    # Or the argument after a list is missing.
     if text.startswith("Missing argument") and error.param.nargs == -1:
         return f"Missing argument: expected {' '.join(argument_names(error.ctx.command))}"
     return text
 
 
 def _of_several(ctx: Any) -> str:
-    """What to type where a shell made several files of a glob; nothing for other commands."""
+    """A hint if a shell expanded a glob into several files; nothing for other commands."""
     first = str(ctx.params.get("source", ""))
     folder, name = os.path.split(first)
     glob = os.path.join(folder, f"*{os.path.splitext(name)[1]}")

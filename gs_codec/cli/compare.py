@@ -22,7 +22,7 @@ from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted
 
-#: Options of what is drawn.
+#: Options for rendering.
 _OF_VIEWS = ("width", "split", "background", "device")
 
 if TYPE_CHECKING:

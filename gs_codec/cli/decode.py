@@ -100,7 +100,7 @@ def command(
 
 
 def _tell(source: Path, target: Path, out: Path, typed: Typed, report: DecodeReport) -> None:
-    """Print the report; `out` is the file that was written for the target."""
+    """Print the report; `out` is the file written for the target."""
     size = out.stat().st_size
     if typed["json"]:
         told = asdict(report)
@@ -120,7 +120,7 @@ def _tell(source: Path, target: Path, out: Path, typed: Typed, report: DecodeRep
 
 
 def _camera_of(text: str) -> Camera:
-    """The camera that ``CAMERAS[:NAME]`` or, by its index, ``CAMERAS:#N`` names."""
+    """The camera named by ``CAMERAS[:NAME]`` or, by index, ``CAMERAS:#N``."""
     from gs_codec.cameras.camera_files import read_cameras
 
     path, name = text, ""

@@ -1,4 +1,4 @@
-"""What commands print with ``--json``: one document, with the same keys in every command."""
+"""The JSON document that commands print with ``--json``, with the same keys in all."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gs_codec.errors import printable
 from gs_codec.report import SCHEMA, finite
 from gs_codec.runtime.wording import as_typed
 
-#: Keys that every document has, in this order; null where there is nothing.
+#: Keys of every document, in this order; null for missing values.
 KEYS = (
     "schema", "command", "input", "output", "gaussians", "sh_degree", "profile", "format",
     "input_bytes", "output_bytes", "ratio", "bits_per_gaussian", "seconds", "stages", "warnings",
     "error",
 )  # fmt: skip
 
-#: Names in Python's reports that documents call otherwise.
+#: Fields of Python reports with a different key in documents.
 _NAMES = {"count": "gaussians", "file_bytes": "output_bytes"}
 
 
 class _Run(logging.Handler):
-    """The command that runs: when it began, its warnings, and where its document goes."""
+    """The running command: start time, warnings, and where its document goes."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -45,18 +45,18 @@ _run = _Run()
 
 
 def begin_run(typed: list[str], command: str | None) -> None:
-    """Begin the document of a command; `typed` are all of its arguments."""
+    """Begin the document of a command; `typed` are all its arguments."""
     _run.begin(typed, command)
     logging.getLogger().addHandler(_run)
 
 
 def leave_stdout() -> None:
-    """Print the document to stderr, because stdout gets a scene."""
+    """Print the document to stderr, because a scene goes to stdout."""
     _run.file = sys.stderr
 
 
 def print_document(**told: Any) -> None:
-    """Print the document of the command; `told` are its values, by keys or by Python's names.
+    """Print the document of the command; `told` are its values, by key or by Python field name.
 
     `stages` are seconds by stage, `seconds` by default their sum.
     """
@@ -73,7 +73,7 @@ def print_document(**told: Any) -> None:
 
 
 def print_error(kind: str, text: str) -> None:
-    """Print the document of a command that failed, if it was to print one."""
+    """Print the document of a command that failed, if `--json` was given."""
     if _run.as_json:
         print_document(error={"kind": kind, "text": text})
 

@@ -29,14 +29,14 @@ from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text
 
-#: Options of coding, which `batch` has too.
+#: Options of coding, shared with `batch`.
 CODING = (
     "profile", "preset", "cameras", "gt_images", "refine", "prune", "gaussians", "target_size",
     "target_ratio", "max_psnr_drop", "threads", "max_memory", "max_bytes", "extra", "overwrite",
 )  # fmt: skip
 EXPERT = (Config, RateTarget, Plan)
 
-#: Actions of these commands, where --gaussians prunes by views.
+#: Actions of these commands; their --gaussians prunes by views.
 ACTIONS = [name for name in KINDS if name != "gaussians"]
 
 
@@ -79,7 +79,7 @@ def command(
 
 
 def _encode_distributed(source: Path, target: Path, config: Config, typed: Typed) -> EncodeReport:
-    """Encode a scene, or the tiles of a folder or glob, by the workers of a cluster."""
+    """Encode a scene, or the tiles of a folder or glob, with the workers of a cluster."""
     from gs_codec.batch.local import LocalStorage
     from gs_codec.distributed.encoding import encode_distributed
 
@@ -144,12 +144,12 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
         print_rendered(report.rendered)
 
 
-#: What is measured beside whole views that were to lose so much.
+#: Description of the crops that are measured in addition to whole views with a loss target.
 _CROPS = "crops of other views, half of them of the smallest Gaussians"
 
 
 def _print_rate(rate: RateReport) -> None:
-    """What a target led to."""
+    """Print the result of a rate target."""
     text = counted(rate.encodings, "encoding")
     if rate.coarseness != 1:
         text = f"step sizes {rate.coarseness:.3f}x those of the profile, after {text}"

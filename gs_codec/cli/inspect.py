@@ -71,7 +71,7 @@ def command(
 
 
 def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
-    """What a scene at `path`, called `file`, holds that is no .egs."""
+    """Describe a scene at `path`, called `file`, that is not an .egs."""
     from gs_codec.edit.shares import shares_of
     from gs_codec.formats.registry import read_with_overview
 
@@ -114,7 +114,7 @@ def _as_dict(statistics: Statistics) -> dict[str, Any]:
 
 
 def _print_statistics(statistics: Statistics) -> None:
-    """Tables of attributes and of shares, and the memory that a scene takes."""
+    """Print tables of attributes and of shares, and the memory of a scene."""
     rows = [_attribute_row(attribute) for attribute in statistics.attributes]
     columns = ["min", "1 %", "median", "99 %", "max", "NaN", "Inf", "1 % to 99 %"]
     print_text("")
@@ -132,7 +132,7 @@ def _print_statistics(statistics: Statistics) -> None:
 
 def _attribute_row(found: AttributeStatistics) -> list[str]:
     values = (found.minimum, found.low, found.median, found.high, found.maximum)
-    # A character shows two bins.
+    # Each character shows two bins.
     pairs = [sum(found.counts[i : i + 2]) for i in range(0, len(found.counts), 2)]
     return [
         found.name,
@@ -151,7 +151,7 @@ def _number(value: float | None, found: AttributeStatistics) -> str:
         return f"{value:.10g}"
     if found.name.endswith(" scale"):
         return f"{value:.3g}"
-    # Beside the largest value, what is so small as to be noise is 0.
+    # Values that are negligible relative to the largest are shown as 0.
     largest = max(-found.minimum, found.maximum)
     if 10 * abs(value) < largest:
         value = round(value, max(4 - math.floor(math.log10(largest)), 0)) + 0.0
@@ -159,12 +159,12 @@ def _number(value: float | None, found: AttributeStatistics) -> str:
 
 
 def _percent(share: float) -> str:
-    """A share in percent; a small one never reads as none."""
+    """A share in percent; small ones are never shown as 0."""
     return "<0.01 %" if 0 < share < 0.00005 else f"{100 * share:.2f} %"
 
 
 def _where(info: Info | Overview) -> str:
-    """Bounds, and how the scene is to be drawn."""
+    """Bounds, coordinate system and antialiasing."""
     from gs_codec.coding.extent import box_text
 
     text = "no bounds" if info.bounds is None else box_text(info.bounds)

@@ -1,4 +1,4 @@
-"""Entry point: the commands, and one line for every error."""
+"""Entry point: the commands, and one line per error."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from gs_codec.cli.output import (
 from gs_codec.errors import GsCodecError, one_line
 from gs_codec.runtime.wording import as_typed, size_text
 
-#: Commands in the order of the help, with the first line of each one's help, which would take as
-#: long to load as all else that the list needs; each is a module of this package.
+#: Commands in the order of the help, with the first line of their help, because loading it from the
+#: modules would double the time of the list; each is a module of this package.
 NAMES = {
     "encode": "Encode a scene to an .egs file, or in a format that other programs read.",
     "decode": "Decode an .egs file to a PLY that other 3DGS tools open.",
@@ -109,12 +109,12 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; errors of use and input exit with status 2."""
+    """Run the command line; usage and input errors exit with status 2."""
     log_to_stderr("gs-codec")
     set_loudness()
     start = time.perf_counter()
     begin_run(sys.argv[1:], next((text for text in sys.argv[1:] if text in NAMES), None))
-    # Nothing here is linear algebra of any size: numpy would start its threads in vain.
+    # There is no large linear algebra, so numpy need not start its threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
@@ -130,10 +130,10 @@ def main() -> None:
     except typer.Abort:
         status = 130
     except Exception as error:
-        # Usage errors of Typer; its releases define the class in different modules.
+        # Usage errors of Typer, whose class is in different modules in different releases.
         if not hasattr(error, "format_message"):
             raise
-        if message := usage_text(error):  # none: help was shown
+        if message := usage_text(error):  # otherwise help was shown
             _tell_error(error, message)
             if message.startswith("Missing"):
                 print_problem(usage_of(error.ctx))  # type: ignore[attr-defined]
@@ -145,9 +145,9 @@ def main() -> None:
 
 
 def _tell_error(error: BaseException, text: str) -> None:
-    """One line on stderr; with --json, a document too."""
+    """Print an error in one line on stderr; with --json, also a document."""
     print_problem(f"gs-codec: error: {text}")
-    kind = "Usage"  # of an error of Typer
+    kind = "Usage"  # an error of Typer
     if isinstance(error, GsCodecError | OSError | MemoryError):
         kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
     with suppress(OSError):
@@ -155,7 +155,7 @@ def _tell_error(error: BaseException, text: str) -> None:
 
 
 def _tell_cost(start: float) -> None:
-    """Time and memory of the command, with --verbose."""
+    """Print time and memory of the command, with --verbose."""
     if not is_verbose():
         return
     text = f"{time.perf_counter() - start:.2f} s"
@@ -172,13 +172,13 @@ def _flush_output() -> None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        # Or Python would fail to write it once more when it ends.
+        # Otherwise Python would try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise OSError(error.errno, error.strerror, "standard output") from error
 
 
 def describe_error(error: BaseException) -> str:
-    """The error on one line."""
+    """The error in one line."""
     if isinstance(error, MemoryError):
         return one_line(error) or "not enough memory"
     named = isinstance(error, OSError) and error.strerror and error.filename

@@ -1,4 +1,4 @@
-"""Options of the commands, made from the dataclasses of the library."""
+"""Command-line options, made from the dataclasses of the library."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from gs_codec.runtime.wording import listed
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 
-#: Suffixes that scenes are encoded to, and all that are written.
+#: Suffixes that scenes are encoded to, and all output suffixes.
 ENCODED_SHOWN = listed(ENCODED)
 WRITTEN_SHOWN = f"{', '.join(PLAIN)}, {ENCODED_SHOWN}"
 
-#: How numbers are typed, and what they are called.
+#: Parsers of numbers, and their names.
 _NUMBERS: Mapping[type, tuple[str, str]] = {
     int: (r"[-+]?[0-9]{1,30}", "an integer"),
     float: (r"[-+]?([0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})([eE][-+]?[0-9]{1,2})?", "a number"),
 }
 
-#: Options by their names in Python, and their defaults; first those that are no field.
+#: Options by Python name, and their defaults; first those that are not fields.
 OPTIONS = {
     "max_memory": Option(
         "Most memory to use: 4GB, 512MiB; the rest goes to temporary files.",
@@ -85,12 +85,12 @@ OPTIONS["format"] = replace(
 )
 
 
-#: Options that have a letter, too.
+#: Options that also have a letter.
 _SHORT = {"profile": "-p", "quiet": "-q", "verbose": "-v"}
 
 
 def completion(words: Sequence[str]) -> Callable[[str], list[str]]:
-    """What completes one of some words in a shell."""
+    """A completer for one of some words."""
     return lambda incomplete: [word for word in words if word.startswith(incomplete)]
 
 
@@ -103,7 +103,7 @@ def typer_option(name: str, hidden: bool = False) -> Any:
         return parse_value(name, text)
 
     return typer.Option(
-        f" /{typed}" if DEFAULTS.get(name) is True else typed,  # " /" declares what switches off
+        f" /{typed}" if DEFAULTS.get(name) is True else typed,  # "/" declares the negative form
         *([_SHORT[name]] if name in _SHORT else []),
         help=described.help,
         metavar=metavar_of(described),
@@ -115,14 +115,14 @@ def typer_option(name: str, hidden: bool = False) -> Any:
 
 
 def parse_value(name: str, text: Any) -> Any:
-    """The value that a text means for an option; with its key, where the option has keys.
+    """Parse the text of an option's value; with its key, if the option has keys.
 
     Raises
     ------
     InvalidInput
-        If it means none, or one out of range.
+        If it is invalid or out of range.
     """
-    if not isinstance(text, str):  # a default
+    if not isinstance(text, str):  # already a default value
         return text
     described, typed = OPTIONS[name], f"{typed_name(name)} {text}"
     if described.keys:
@@ -152,13 +152,13 @@ def _read(described: Option, text: str, typed: str) -> Any:
 
 
 def metavar_of(described: Option) -> str:
-    """What stands for the value of an option in the help; a switch has none."""
+    """Placeholder of an option's value in the help; a switch has none."""
     kinds = {bool: "", int: "N", float: "X"}
     return described.metavar or "|".join(described.values) or kinds.get(described.kind, "TEXT")
 
 
 def completed(typed: Sequence[str]) -> list[str]:
-    """What was typed, with the values of options that may stand alone."""
+    """The typed arguments, with values added to options that may stand alone."""
     alone = {typed_name(n): str(o.alone) for n, o in OPTIONS.items() if o.alone is not None}
     full = []
     for text, following in zip(typed, [*typed, ""][1:], strict=True):
@@ -169,5 +169,5 @@ def completed(typed: Sequence[str]) -> list[str]:
 
 
 def typed_name(name: str) -> str:
-    """An option's name as it is typed; one that is on by default is switched off."""
+    """The typed form of an option's name; an option that is on by default is switched off."""
     return ("--no-" if DEFAULTS.get(name) is True else "--") + name.replace("_", "-")

@@ -1,4 +1,4 @@
-"""What the commands print: results on stdout, status and progress on stderr."""
+"""Output of the commands: results on stdout, status and progress on stderr."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gs_codec.runtime.wording import as_typed, listed, log_warnings, size_text
 if TYPE_CHECKING:
     from gs_codec.pages.tables import Table
 
-#: How often progress is said where stderr is no terminal.
+#: Seconds between progress lines if stderr is not a terminal.
 SECONDS_A_LINE = 10
 
-#: What commands read.
+#: Description of the scenes that commands read.
 SCENES = f"A scene: {listed(read_names())}."
 SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
 
@@ -34,7 +34,7 @@ class _Loudness:
 
 
 def set_loudness(quiet: bool = False, verbose: bool = False, results: bool = True) -> None:
-    """Set how much is printed: if `quiet`, no status and progress, and results only if wanted."""
+    """Set how much is printed: `quiet` hides status and progress, and results unless wanted."""
     _Loudness.status, _Loudness.verbose = not quiet, verbose
     _Loudness.results = results or not quiet
     logging.getLogger("gs_codec").setLevel(logging.DEBUG if verbose else logging.NOTSET)
@@ -42,7 +42,7 @@ def set_loudness(quiet: bool = False, verbose: bool = False, results: bool = Tru
 
 
 def is_quiet() -> bool:
-    """Whether there are neither status nor progress."""
+    """Whether status and progress are hidden."""
     return not _Loudness.status
 
 
@@ -52,31 +52,31 @@ def is_verbose() -> bool:
 
 
 def print_text(*lines: str) -> None:
-    """Lines of results on stdout."""
+    """Print lines of results on stdout."""
     for line in lines if _Loudness.results else ():
         print(printable(line))
 
 
 def print_status(text: str) -> None:
-    """A line on stderr, unless the command is to be quiet."""
+    """Print a line on stderr, unless the command is quiet."""
     if _Loudness.status:
         print_problem(text)
 
 
 def print_problem(text: str) -> None:
-    """A line on stderr, always: an error or a warning."""
+    """Always print a line on stderr: an error or a warning."""
     print(printable(text), file=sys.stderr)
 
 
 class _Lines(logging.Formatter):
-    """Messages of a line each."""
+    """One-line messages."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
         return printable(as_typed(super().formatMessage(record)))
 
 
 def log_to_stderr(program: str) -> None:
-    """Warnings of the library become lines on stderr."""
+    """Print warnings of the library as lines on stderr."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Lines(f"{program}: %(levelname)s: %(message)s"))
     for level in (logging.WARNING, logging.INFO, logging.DEBUG):
@@ -87,22 +87,22 @@ def log_to_stderr(program: str) -> None:
 
 
 def _show_compiling(shown: bool) -> None:
-    """Show, or hide, how far the compilation of kernels is."""
+    """Show or hide the progress of compiling kernels."""
     shown = shown and os.environ.get("GS_CODEC_PROGRESS") != "0"
     logger = logging.getLogger("gs_codec.runtime.compiling")
     logger.setLevel(logging.INFO if shown else logging.WARNING)
 
 
 def print_table(table: Table, file: TextIO | None = None) -> None:
-    """A table, on stdout unless a file is given."""
+    """Print a table, on stdout unless a file is given."""
     if _Loudness.results if file is None else _Loudness.status:
         print(table.text(), file=file)
 
 
 def bars(counts: Sequence[int]) -> str:
-    """A histogram in one line, a character each; only a count of 0 is blank."""
+    """A histogram in one line, one character per bin; only a count of 0 is blank."""
     ramp, most = _ramp(), max(counts, default=0)
-    # Rounded up, by integers.
+    # Rounded up, in integers.
     return "".join(ramp[-(-count * (len(ramp) - 1) // most) if count else 0] for count in counts)
 
 
@@ -117,7 +117,7 @@ def _ramp() -> str:
 
 
 def print_prepared(prepared: dict[str, Any]) -> None:
-    """What preparation removed, and its ablation table, on stdout."""
+    """Print what preparation removed, and its ablation table, on stdout."""
     from gs_codec.preparation.prepare_report import ablation_table
 
     for reason, number in prepared["removed"].items():
@@ -127,7 +127,7 @@ def print_prepared(prepared: dict[str, Any]) -> None:
 
 
 def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> None:
-    """What rendered views lose, on stdout; `views` says which."""
+    """Print the loss in rendered views on stdout; `views` describes the views."""
     if loss is None:
         print_text("rendered views: not measured")
         return
@@ -152,7 +152,7 @@ def loss_text(loss: float) -> str:
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Progress on stderr while the block runs: bars on a terminal, lines now and then elsewhere."""
+    """Show progress on stderr while the block runs: bars on a terminal, otherwise lines."""
     if not (_Loudness.status and sys.stderr.isatty()):
         yield progress_lines(time.monotonic)
         return
@@ -179,7 +179,7 @@ def progress_bar() -> Iterator[Progress]:
 
 
 def progress_lines(clock: Callable[[], float]) -> Progress:
-    """A callback that prints how far a stage is, `SECONDS_A_LINE` after the line before."""
+    """A callback that prints the progress of a stage, at most every `SECONDS_A_LINE` seconds."""
     start = last = clock()
     began: dict[str, tuple[float, int]] = {}
 
@@ -199,9 +199,9 @@ def progress_lines(clock: Callable[[], float]) -> Progress:
 
 
 def smaller(before: int, after: int, ratio: float) -> str:
-    """Two sizes and their ratio, which counts from the floats where files came compressed.
+    """Two sizes and their ratio, which is relative to the floats if inputs were compressed.
 
-    Floats that are written out, or nearly, have none.
+    There is no ratio if the output is floats, or nearly as large.
     """
     if ratio < 1.05:
         return f"{size_text(before)} -> {size_text(after)}"

@@ -1,4 +1,4 @@
-"""What was typed for the options of a command."""
+"""The typed options of a command."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Settings = TypeVar("Settings", Config, RateTarget, Plan, Steps)
 
 
 class Typed:
-    """What was typed for the options of a command.
+    """The typed options of a command.
 
     Parameters
     ----------
@@ -68,23 +68,23 @@ class Typed:
         return self._values.get(name)
 
     def has(self, *names: str) -> bool:
-        """Whether one of these options was typed."""
+        """Whether any of these options was typed."""
         return not self._typed.isdisjoint(names)
 
     def refuse(self, names: Iterable[str], why: str) -> None:
-        """Refuse options that would be ignored.
+        """Reject options that would be ignored.
 
         Raises
         ------
         InvalidInput
-            If one was typed; `why` says what it needs.
+            If one was typed; `why` states what it needs.
         """
         for name in names:
             if name in self._typed:
                 raise InvalidInput(f"{typed_name(name)} {why}")
 
     def build(self, settings: type[Settings], **others: Any) -> Settings:
-        """A dataclass of the library, with what was typed and `others`."""
+        """Build a dataclass of the library from typed options and `others`."""
         names = {field: each.name or field for field, each in options_of(settings).items()}
         found = {field: self._values[name] for field, name in names.items() if name in self._values}
         return settings(**found | others)
@@ -101,10 +101,10 @@ def takes(
 ) -> Callable[[Callable[..., None]], Any]:
     """Give a command options by name, and the expert ones of dataclasses.
 
-    What was typed for them is the command's parameter `typed`; `defaults` are those that differ
-    from the library's, `without` are expert options that the command does not take, `hidden` are
-    others that the help lists with the expert ones. `actions` are
-    names of those that it takes, which `Typed.actions` has; its help may hide them.
+    The typed options are passed as the command's parameter `typed`. `defaults` are defaults that
+    differ from the library's; `without` are expert options that the command does not have; `hidden`
+    are others that the help lists with the expert ones. `actions` are the names of its actions,
+    available in `Typed.actions`; the help may hide them.
     """
     experts = [
         name
@@ -146,14 +146,14 @@ def takes(
     return decorate
 
 
-#: Commands whose result is what they print, which --quiet leaves.
+#: Commands whose printed output is the result, which --quiet keeps.
 _RESULTS = ("inspect", "compare", "run", "peers", "suite", "paper", "losses")
 
 _CONTEXT = inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 
 
 def _parameter(name: str, default: Any, hidden: bool) -> inspect.Parameter:
-    """The parameter of a command for an option; what nobody types is None or the default."""
+    """The command parameter of an option; if not typed, it is None or the default."""
     described = OPTIONS[name]
     kind: Any = list[str] if described.keys else described.kind
     return inspect.Parameter(
@@ -167,13 +167,13 @@ def _parameter(name: str, default: Any, hidden: bool) -> inspect.Parameter:
 
 
 def is_given(ctx: typer.Context, name: str) -> bool:
-    """Whether an option was typed, be it with its default."""
+    """Whether an option was typed, even with its default."""
     source = ctx.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
 def _expert(hidden: list[str], defaults: dict[str, Any]) -> list[tuple[str, str]]:
-    """Expert options as they are typed, and what is told of them."""
+    """Expert options in their typed form, with their help."""
     entries = []
     for name in hidden:
         described, told = OPTIONS[name], OPTIONS[name].help
@@ -185,7 +185,7 @@ def _expert(hidden: list[str], defaults: dict[str, Any]) -> list[tuple[str, str]
 
 
 def _listed(title: str, entries: list[tuple[str, str]]) -> list[str]:
-    """Lines on options for the end of the help; none without options."""
+    """Lines on options at the end of the help; empty without options."""
     column = 2 + max((len(head) for head, _ in entries), default=0)
     lines = [title] * bool(entries)
     for head, told in entries:
@@ -194,18 +194,19 @@ def _listed(title: str, entries: list[tuple[str, str]]) -> list[str]:
     return lines
 
 
-#: Options of `Config` that other formats than `.egs` have too; and those of which none is coded.
+#: Options of `Config` that also apply to other formats than `.egs`; and those for formats without
+#: encoding.
 _OF_ALL = ("extra", "nonfinite", "threads", "format")
 _OF_STEPS = ("profile", "coarseness")
 
 
 def config_of(typed: Typed, target: Path | None = None) -> Config:
-    """The configuration that was asked for, with the format of a target's suffix.
+    """The requested configuration, with the format of a target's suffix.
 
     Raises
     ------
     InvalidInput
-        If an option is out of its range, or has no effect.
+        If an option is out of range, or has no effect.
     """
     form = _format_of(typed, target)
     if form in CODED_FORMATS and form != EGS:
@@ -219,7 +220,7 @@ def config_of(typed: Typed, target: Path | None = None) -> Config:
 
 
 def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
-    """Refuse options of coding that have no effect on a format other than `.egs`."""
+    """Reject coding options that have no effect on a format other than `.egs`."""
     settings: list[Any] = [Config]
     known = format_of(f".{form}")
     if known.writes == "floats":
@@ -233,7 +234,7 @@ def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
 
 
 def _format_of(typed: Typed, target: Path | None) -> str:
-    """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
+    """The format of a target's suffix, or of the option if it has no name; "" if unknown."""
     if target is None or is_stdout(target):
         return typed["format"] or EGS
     form = format_name(known_suffix(target))
@@ -242,12 +243,12 @@ def _format_of(typed: Typed, target: Path | None) -> str:
     return form
 
 
-#: Options that say what a file's size or quality is to be.
+#: Options for the size or quality of a file.
 _TARGETS = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
 
 
 def target_of(typed: Typed) -> RateTarget | None:
-    """The size or quality that was asked for; None if none was."""
+    """The requested size or quality; None if there is none."""
     if any(typed[name] is not None for name in _TARGETS):
         return typed.build(RateTarget)
     typed.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
@@ -255,12 +256,12 @@ def target_of(typed: Typed) -> RateTarget | None:
 
 
 def plan_of(typed: Typed, config: Config) -> Plan | None:
-    """The steps and views that were asked for; None if none were.
+    """The requested steps and views; None if there are none.
 
     Raises
     ------
     InvalidInput
-        If one of the options has no effect beside the others.
+        If an option has no effect in this combination.
     """
     if not typed["prune_geometry"]:
         typed.refuse(["geometry_rule"], "needs --prune-geometry")
@@ -280,7 +281,7 @@ def action_plan(typed: Typed) -> Plan | None:
     Raises
     ------
     InvalidInput
-        If no action goes by them.
+        If no action uses them.
     """
     guided = [action for action in typed.actions if KINDS[action.name].guided]
     if typed["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
@@ -295,7 +296,7 @@ def action_plan(typed: Typed) -> Plan | None:
 
 
 def _goes_by_views(typed: Typed, config: Config) -> bool:
-    """Whether coding without preparation is camera-guided; refuses what has no effect."""
+    """Whether coding without preparation is camera-guided; rejects options without effect."""
     profile, measured = config.profile, typed["max_psnr_drop"] is not None
     if not measured:
         typed.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
@@ -303,7 +304,7 @@ def _goes_by_views(typed: Typed, config: Config) -> bool:
         known = ", ".join(ADAPTIVE_PROFILES)
         why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
         typed.refuse(["cameras", "views", "width", "background"], why)
-    # Where no step sizes can be chosen, a target prunes.
+    # If step sizes cannot be chosen, a target prunes.
     fixed = config.scene_format.writes != "steps"
     prunes = fixed and any(typed[name] is not None for name in _TARGETS)
     if config.scene_format.is_exact and not prunes:

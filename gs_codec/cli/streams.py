@@ -18,14 +18,14 @@ from gs_codec.errors import GsCodecError, InvalidInput
 
 @contextmanager
 def piped_source(source: Path, form: str | None = None) -> Iterator[Path]:
-    """A file to read while the block runs, in place of ``-`` and of named pipes.
+    """A file to read during the block, in place of ``-`` or a named pipe.
 
-    Its format is `form`, which some contents do not tell.
+    `form` is its format, if the content does not identify it.
 
     Raises
     ------
     InvalidInput
-        If there is a `form` for what is no pipe, or the content says another.
+        If `form` is given for a regular file, or contradicts the content.
     """
     _check_format([source], form)
     if not _is_pipe(source):
@@ -56,14 +56,14 @@ def _check_format(sources: Sequence[Path], form: str | None) -> None:
 def piped(
     sources: Sequence[Path], target: Path, suffix: str, form: str | None = None
 ) -> Iterator[tuple[list[Path], Path]]:
-    """Files to read, as `piped_source`, and to write in place of ``-``.
+    """Files to read, as in `piped_source`, and to write in place of ``-``.
 
-    The latter goes to stdout once it is whole; what is printed meanwhile goes to stderr.
+    The output goes to stdout once it is complete; text printed meanwhile goes to stderr.
 
     Raises
     ------
     InvalidInput
-        If two sources are ``-``, or the target is and stdout is closed or a terminal.
+        If two sources are ``-``, or if the target is ``-`` and stdout is closed or a terminal.
     """
     if list(map(str, sources)).count("-") > 1:
         raise InvalidInput("-: stdin is one scene, expected '-' once")
@@ -90,7 +90,7 @@ def piped(
 
 
 def check_no_pipes(option: str, source: Path, target: Path) -> None:
-    """Refuse what other processes cannot open."""
+    """Reject files that other processes cannot open."""
     for path in (source, target):
         if _is_pipe(path) or is_stdout(path):
             raise InvalidInput(f"{path}: a pipe, expected a file with {option}")
@@ -104,7 +104,7 @@ def is_stdout(target: Path) -> bool:
 def _is_pipe(path: Path) -> bool:
     try:
         return str(path) == "-" or stat.S_ISFIFO(os.stat(path).st_mode)
-    except OSError:  # said when it is opened
+    except OSError:  # reported when it is opened
         return False
 
 
@@ -116,7 +116,7 @@ def _copy_from(source: Path, file: Path) -> None:
 
 @contextmanager
 def _stand_in(path: Path, name: str) -> Iterator[Path]:
-    """A temporary file; errors and warnings call it by the path it stands in for."""
+    """A temporary file; errors and warnings show the path that it replaces."""
     with tempfile.TemporaryDirectory(prefix="gs-codec-") as folder:
         file = Path(folder, name)
 

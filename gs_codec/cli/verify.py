@@ -54,7 +54,7 @@ def command(
 
 
 def _verify_other(source: Path, file: Path, typed: Typed) -> None:
-    """Read a scene that is no .egs, at `file` and called `source`."""
+    """Read a scene at `file`, called `source`, that is not an .egs."""
     from gs_codec.formats.registry import check_file, overview_of
 
     start = time.perf_counter()

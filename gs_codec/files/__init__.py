@@ -1,1 +1,1 @@
-"""Functions from files to files."""
+"""The public functions that work from file to file."""

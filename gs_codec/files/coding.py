@@ -1,4 +1,4 @@
-"""Scenes encoded from file to file, without Open3D."""
+"""Encode scenes from file to file, without Open3D."""
 
 from __future__ import annotations
 
@@ -44,41 +44,41 @@ def encode_file(
     overwrite: bool = False,
     by_profile: bool = False,
 ) -> EncodeReport:
-    """Encode a scene of any format to a file, which appears whole or not at all.
+    """Encode a scene in any supported format to a file, atomically.
 
     Does not load Open3D. Comments of a PLY are kept.
 
     Parameters
     ----------
     source : str or Path
-        In a format that `read` reads.
+        A file in a format supported by `read`.
     target : str or Path
-        Its suffix says the format: ``.egs``, ``.spz``, ``.sog`` (or ``meta.json``, with its files
-        beside it), ``.compressed.ply``, ``.splat``, ``.glb``, ``.gltf``, ``.usd``, ``.usda``,
-        ``.usdc`` or ``.usdz``.
+        Its suffix selects the format: ``.egs``, ``.spz``, ``.sog`` (or ``meta.json``, with its
+        files next to it), ``.compressed.ply``, ``.splat``, ``.glb``, ``.gltf``, ``.usd``,
+        ``.usda``, ``.usdc`` or ``.usdz``.
     config, plan, rate, progress
-        As for `encode`; the ratio of a compressed source, or with actions, is relative to its
-        floats.
+        As in `encode`; for a compressed source, or with actions, ratios are relative to the floats.
     actions : sequence of gs_codec.edit.Action
-        What to do with the scene first, in this order; as for `convert_file`.
+        Edits to apply first, in this order; as in `convert_file`.
     max_memory : int, optional
-        As for `convert_file`; only to an `.egs`, without `plan` and `rate`.
+        As in `convert_file`; only for `.egs`, without `plan` and `rate`.
     max_bytes : int, optional
-        As for `read`.
+        As in `read`.
     overwrite : bool
-        As for `write`; an existing target is refused before the work begins.
+        As in `write`; an existing target is rejected before the work begins.
     by_profile : bool
-        As for `convert_file`; with `plan` or `rate`, values are rounded to the profile's steps.
+        As in `convert_file`; with `plan` or `rate`, values are always rounded to the profile's
+        steps.
 
     Returns
     -------
     EncodeReport
-        Sizes, entropies, what was changed or left out, and seconds by stage.
+        Sizes, entropies, changes and losses, and seconds by stage.
 
     Raises
     ------
     InvalidInput
-        As for `read` and `encode`; or if the target cannot be written, or `max_memory` is too low.
+        As in `read` and `encode`; or if the target cannot be written, or `max_memory` is too low.
     CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
         As for `read` and `encode`.
 
@@ -88,7 +88,7 @@ def encode_file(
     >>> report.count, report.raw_bytes // report.file_bytes >= 5
     (2000, True)
 
-    Without the Gaussians whose removal changes the views least:
+    After pruning the Gaussians whose removal changes the views least:
 
     >>> plan = gs_codec.Plan(gs_codec.Steps(prune=20), "cameras.json", width=48)
     >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
@@ -147,10 +147,10 @@ def read_source(
     exact: bool,
     shift: Shift | None = None,
 ) -> tuple[Scene, int, int]:
-    """The scene of a file, its size, and the bytes that a ratio counts from."""
+    """The scene of a file, its size, and the bytes that ratios are relative to."""
     with open_scene(source, shift) as file:
-        # Bits of a PLY or .egs stay as they are, and the comment that names another system, which
-        # other formats do not state.
+        # PLY and .egs keep their bits, and the comment on their coordinate system, which other
+        # formats do not have.
         stays = config.format == EGS and file.format in ("egs", "ply")
         system = None if stays else CONVENTION
         scene = scene_in(file, config.chosen_extra(), None, system, max_bytes, exact)

@@ -53,23 +53,23 @@ class ConvertReport:
     turned_from : str or None
         Coordinate system of the source, if it was converted.
     antialiased : bool
-        Whether the source asks for opacity compensation.
+        Whether the source uses opacity compensation.
     dropped : int
-        Gaussians with NaN or infinity, which were removed.
+        Number of removed Gaussians with NaN or infinity.
     actions : tuple of gs_codec.edit.ActionReport
-        What each action did.
+        Report of each action.
     lost : tuple of str
-        What the target's format cannot hold, in words.
+        Sentences on what the target's format cannot represent.
     file_bytes : int
-        Size of what was written.
+        Size of the output.
     ratio : float
-        Compression ratio against the floats.
+        Compression ratio relative to the floats.
     seconds : dict of str to float
         Wall time of each stage.
     rendered : RenderedLoss, optional
-        What rendered views lose; None in formats that hold floats.
+        Loss in rendered views; None for formats with floats.
     float_bytes : int
-        Size of the floats of what was written.
+        Size of the output's floats.
     """
 
     count: int
@@ -103,51 +103,51 @@ def convert_file(
     overwrite: bool = False,
     by_profile: bool = False,
 ) -> ConvertReport:
-    """Convert a scene to the format of the target's suffix; it appears whole or not at all.
+    """Convert a scene to the format of the target's suffix, atomically.
 
     Parameters
     ----------
     source : path, or sequence of paths
-        Scenes; several are merged, see `gs_codec.edit.merge`.
+        Scenes; several are merged; see `gs_codec.edit.merge`.
     target : str or Path
         Its suffix selects the format, one of `FORMATS`, ``.ply``, ``.pt`` (gsplat's checkpoint),
-        ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes), ``lod-meta.json`` (streamed
-        SOG: with coarser levels, its files beside it) or ``.ssog`` (a zip of the same).
+        ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes), ``lod-meta.json`` (streamed SOG:
+        with coarser levels, its files next to it) or ``.ssog`` (a zip of the same).
     config : Config or str, optional
         How to encode the target. The last four use only its options for extra properties and NaN.
     coordinates : str
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
-        formats that have a system of their own, as ``.spz`` has, are always in that.
-        ``RUB:RDF`` converts from the first to the second, whatever the source states.
+        formats with a fixed system, such as ``.spz``, always use that. ``RUB:RDF`` converts from
+        the first to the second, whatever the source states.
     chosen : ndarray, shape (N,), bool, optional
-        Which Gaussians to keep, in the order of the source; only for a single one.
+        Mask of the Gaussians to keep, in the order of the source; only for a single source.
     actions : sequence of gs_codec.edit.Action
-        What to do with the scene then, in this order. It is in ``RDF``.
+        Edits to apply then, in this order. The scene is in ``RDF``.
     plan : Plan, optional
-        Of it, cameras and views guide actions.
+        Its cameras and views guide actions.
     progress, max_bytes
-        As for `read`.
+        As in `read`.
     max_memory : int, optional
         Maximum memory, bytes: large arrays are then in temporary files, with the same result. Only
-        for sources that are `.egs` or binary PLY of floats, for targets that are `.ply`, `.csv` or
-        `.egs`, and for actions that look at each Gaussian by itself, or sort them.
+        for `.egs` or binary PLY sources with floats, `.ply`, `.csv` or `.egs` targets, and actions
+        that treat each Gaussian separately or sort them.
     overwrite : bool
-        As for `encode_file`.
+        As in `encode_file`.
     by_profile : bool
-        Whether values that come rounded, from ``.spz``, SOG, ``.splat``, ``.ksplat`` or compressed
-        PLY, are rounded to the steps of the profile in ``.spz`` and SOG. By default they keep the
-        format's own precision, unless `config` is a profile's name, or has another profile or
-        coarseness than its default.
+        Whether values that are already quantised, from ``.spz``, SOG, ``.splat``, ``.ksplat`` or
+        compressed PLY, are rounded to the steps of the profile in ``.spz`` and SOG. By default they
+        keep the precision of the output format, unless `config` is a profile name, or changes the
+        default profile or coarseness.
 
     Returns
     -------
     ConvertReport
-        What was written, and what of the source it does not have.
+        What was written, and what was lost.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
-        As for `read` and `write`.
+        As in `read` and `write`.
 
     Examples
     --------
@@ -212,7 +212,7 @@ def convert_file(
 
 
 def _choose(scenes: Sequence[Scene], chosen: NDArray[np.bool_]) -> Scene:
-    """The Gaussians of the only scene that are chosen, in ``RDF``."""
+    """The chosen Gaussians of the only scene, in ``RDF``."""
     expected = [(scene.count,) for scene in scenes]
     if [chosen.shape] != expected or chosen.dtype != bool:
         raise InvalidInput(f"chosen: {chosen.dtype} {chosen.shape}, expected bool {expected}")
@@ -230,7 +230,7 @@ def _read(
     shift: Shift | None,
     source: str | Path,
 ) -> Scene:
-    """The scene of a file in the system that it states, or that is said to be its."""
+    """The scene of a file, in the system that the file states or that the caller states for it."""
     scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most, exact, shift)
     with located(source):
         return state_system(scene, stated.upper()) if stated else scene

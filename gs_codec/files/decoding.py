@@ -1,4 +1,4 @@
-"""Scenes decoded from file to file, without Open3D and what only encoding needs."""
+"""Decode scenes from file to file, without Open3D and modules needed only for encoding."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from gs_codec.runtime.atomic import atomic_writer
 
 @dataclass(frozen=True)
 class DecodeReport:
-    """What decoding a file gave.
+    """Result of decoding a file.
 
     Attributes
     ----------
     count, sh_degree : int
         Number of Gaussians written, and their SH degree.
     bytes_read, file_bytes : int
-        Bytes of the `.egs` file that were read, and all of its bytes.
+        Bytes of the `.egs` file that were read, and its size.
     seconds : dict of str to float
         Wall time of each stage.
     """
@@ -50,7 +50,7 @@ def decode_file(
     max_bytes: int | None = None,
     overwrite: bool = False,
 ) -> DecodeReport:
-    """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
+    """Decode an `.egs` file, or a part of it, to a PLY file, atomically.
 
     Does not load Open3D. If the Gaussians are not in their original order, a comment in the PLY
     states the order, so that `compare` can match them.
@@ -62,11 +62,11 @@ def decode_file(
     target : str or Path
         The PLY to write, in the INRIA trainer's layout.
     part, threads, tmc3, progress, max_bytes
-        As for `decode`; only the bytes that `part` needs are read.
+        As in `decode`; only the bytes needed for `part` are read.
     max_memory : int, optional
-        Maximum memory, bytes: fewer blocks are then decoded at once.
+        Maximum memory, bytes; limits the number of blocks decoded at once.
     overwrite : bool
-        As for `encode_file`.
+        As in `encode_file`.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def decode_file(
     Raises
     ------
     InvalidInput
-        As for `decode`; or if the source cannot be read, the target cannot be written, or
+        As in `decode`; or if the source cannot be read, the target cannot be written, or
         `max_memory` is not enough for one block.
     CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
         As for `decode`.

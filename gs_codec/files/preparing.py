@@ -1,4 +1,4 @@
-"""Scenes prepared from file to file."""
+"""Prepare scenes from file to file."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def prepare_file(
     max_bytes: int | None = None,
     overwrite: bool = False,
 ) -> PrepareReport:
-    """Prepare the scene of a file and write it, as `write` does or encoded.
+    """Prepare the scene of a file, and write it like `write` or encoded.
 
     Extra properties are kept.
 
@@ -47,23 +47,23 @@ def prepare_file(
     plan, progress
         As for `prepare`.
     config : Config or str, optional
-        As for `prepare`; an encoded target has the bytes that `encode_file` writes.
+        As in `prepare`; an encoded target equals the output of `encode_file`.
     report_folder : str or Path, optional
-        Output folder for the report: what preparation did, and what coding adds to the loss.
+        Output folder for the report on preparation, and on the loss that coding adds.
     max_bytes : int, optional
-        As for `read`.
+        As in `read`.
     overwrite : bool
-        As for `encode_file`; also of files in `report_folder`.
+        As in `encode_file`; also applies to files in `report_folder`.
 
     Returns
     -------
     PrepareReport
-        As for `prepare`, with the steps of coding.
+        As from `prepare`, with the steps of coding.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        As for `prepare`; or if the target or the report cannot be written.
+        As in `prepare`; or if the target or the report cannot be written.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def prepare_file(
     coded = suffix not in PLAIN
     if coded:
         config = config_for(target, config)
-    # Loaded here: encoding alone does without all that draws.
+    # Loaded here, because encoding alone needs no rendering.
     from gs_codec.encoding.loss import Check
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.balance import profile_steps

@@ -1,4 +1,4 @@
-"""Scenes of any format read and written."""
+"""Read and write scenes in any format."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ log = logging.getLogger(__name__)
 
 
 class Written(NamedTuple):
-    """What a file of a scene does not have.
+    """Losses of a written scene.
 
     Attributes
     ----------
     lost : tuple of str
-        What the format cannot hold, in words; also logged as warnings.
+        Sentences on what the format cannot represent; also logged as warnings.
     rendered : RenderedLoss or None
-        What rendered views lose; None in formats of floats.
+        Loss in rendered views; None for formats with floats.
     """
 
     lost: tuple[str, ...]
@@ -66,15 +66,16 @@ def write_scene(
     overwrite: bool = True,
     finest: bool = False,
 ) -> Written:
-    """Write a scene in any format that is written.
+    """Write a scene in any supported output format.
 
-    If `finest`, `.spz` and SOG are written as finely as they can be, whatever the profile; coarser
-    levels of detail by the profile all the same.
+    If `finest`, `.spz` and SOG are written as finely as possible, whatever the profile; coarser
+    levels of detail still follow the profile.
 
     Raises
     ------
     InvalidInput
-        If the suffix is another, or the file cannot be written or, without `overwrite`, exists.
+        If the suffix is not supported, or the file cannot be written or, without `overwrite`,
+        exists.
     """
     suffix = suffix_of(path)
     check_writable(path, overwrite)
@@ -107,9 +108,9 @@ def write_scene(
 def keeps_rounding(
     sources: Sequence[str | Path], suffix: str, config: Config, by_profile: bool
 ) -> bool:
-    """Whether values that come rounded are rounded no further than `.spz` and SOG have to.
+    """Whether quantised values keep the precision of `.spz` and SOG.
 
-    Not if a profile or a coarseness is asked for.
+    False if a profile or a coarseness is requested.
     """
     asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
     known = format_of(suffix)
@@ -123,7 +124,7 @@ def _is_rounded(source: str | Path) -> bool:
 
 
 def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
-    """What rendered views of a written file lose."""
+    """The loss in rendered views of a written file."""
     from gs_codec.encoding.loss import Check
 
     clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
@@ -133,7 +134,7 @@ def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | N
 
 
 def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
-    """Write an encoded scene; a zip whose files are to lie apart, `meta.json` last.
+    """Write an encoded scene; for `meta.json`, unpack its zip, with `meta.json` last.
 
     Raises
     ------
@@ -152,7 +153,7 @@ def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
 
 
 def tell_lost(path: str | Path, lost: Sequence[str]) -> None:
-    """Log what a format cannot hold."""
+    """Log what a format cannot represent."""
     for line in lost:
         log.warning("%s: %s", path, line)
 
@@ -166,10 +167,10 @@ def read_scene(
     exact: bool = False,
     shift: Shift | None = None,
 ) -> Scene:
-    """The scene of a file of any format; see `gs_codec.read` for the options.
+    """Read a scene in any format; see `gs_codec.read` for the options.
 
-    It is converted to the system `coordinates`; None leaves it in the file's. If `exact`, floats
-    are as in the file, those of infinite opacity too. For `shift`, see `SceneFile`.
+    It is converted to the system `coordinates`; None keeps the file's. If `exact`, floats are as in
+    the file, including infinite opacities. For `shift`, see `SceneFile`.
     """
     with open_scene(path, shift) as file:
         return scene_in(file, extra, progress, coordinates, max_bytes, exact)
@@ -201,14 +202,14 @@ def scene_in(
 
 
 def turn_scene(scene: Scene, coordinates: str) -> Scene:
-    """See `turn_axes`; a comment that states an order by positions is removed with them."""
+    """Like `turn_axes`, but remove a comment on an order by positions if they change."""
     if system_of(scene) == coordinates:
         return scene
     return turn_axes(matching.without_order(scene), coordinates)
 
 
 def stated_bytes(path: str | Path) -> int:
-    """Bytes of floats that the header of a scene's file says it holds."""
+    """Bytes of floats stated in the header of a scene's file."""
     with open_scene(path) as file:
         if file.format != "egs":
             return file.stated_bytes()
@@ -218,31 +219,31 @@ def stated_bytes(path: str | Path) -> int:
 
 
 def is_egs(path: str | Path) -> bool:
-    """Whether a file is an `.egs` file, sound or not."""
+    """Whether a file is an `.egs` file, valid or not."""
     with open_scene(path) as file:
         return file.format == "egs"
 
 
 def inspect_file(path: str | Path) -> Info:
-    """See `inspect_bytes`; blocks are not read."""
+    """Like `inspect_bytes`, for a file; blocks are not read."""
     with opened(path) as data, located(path):
         return inspect_bytes(data)
 
 
 def gaussian_bits_of_file(path: str | Path) -> NDArray[np.float64]:
-    """See `gaussian_bits`."""
+    """Like `gaussian_bits`, for a file."""
     with opened(path) as data, located(path):
         return gaussian_bits(read_file(data))
 
 
 def gaussian_classes_of_file(path: str | Path) -> NDArray[np.uint8]:
-    """See `gaussian_classes`; of a file of profile `l`, `m` or `s`."""
+    """Like `gaussian_classes`, for a file of profile `l`, `m` or `s`."""
     with opened(path) as data, located(path):
         return gaussian_classes(read_file(data))
 
 
 def describe_gaussian_of_file(path: str | Path, index: int) -> CodedGaussian:
-    """See `describe_gaussian`."""
+    """Like `describe_gaussian`, for a file."""
     with opened(path) as data, located(path):
         return describe_gaussian(read_file(data, lambda s, _: s in DESCRIPTIONS), index)
 
@@ -250,7 +251,7 @@ def describe_gaussian_of_file(path: str | Path, index: int) -> CodedGaussian:
 def compare_files(
     first: str | Path, second: str | Path, max_bytes: int | None = None
 ) -> Comparison:
-    """Compare two scenes, Gaussians matched as in `put_side_by_side`.
+    """Compare two scenes, with Gaussians matched by `put_side_by_side`.
 
     If coordinate systems differ, one scene is converted.
     """
@@ -260,7 +261,7 @@ def compare_files(
         with located(path):
             orders.append(matching.order_of(scenes[-1]))
     systems = system_of(scenes[0]), system_of(scenes[1])
-    # An order refers to positions as stored, so its scene is not converted.
+    # An order refers to stored positions, so its scene is not converted.
     kept = 0 if orders[1] is None else 1
     scenes[1 - kept] = turn_axes(scenes[1 - kept], systems[kept])
     first_scene, second_scene = scenes
@@ -269,7 +270,7 @@ def compare_files(
 
 
 def written_bytes(path: str | Path) -> int:
-    """Bytes of the files of a scene that was written."""
+    """Total bytes of the files of a written scene."""
     if Path(path).name not in (UNBUNDLED, STREAMED):
         return os.path.getsize(path)
     with open_scene(path) as file:

@@ -1,4 +1,4 @@
-"""A page for browsers that shows a scene, or two versions of it."""
+"""Web pages that show a scene, or two versions of it."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ from gs_codec.views.find import find_cameras
 
 log = logging.getLogger(__name__)
 
-#: What scenes are encoded by that pages cannot read as they are.
+#: Profile for scenes that pages cannot read directly.
 _PROFILE = "l"
 
-#: The page among its files.
+#: Name of the page among its files.
 PAGE = "index.html"
 
 
@@ -50,15 +50,15 @@ class SharedScene:
     Attributes
     ----------
     name : str
-        Its file's name.
+        Name of its file.
     data : bytes
         The `.egs` file that the page reads.
     encoded : bool
-        Whether it was encoded for the page, as pages do not read the file itself.
+        Whether it was encoded for the page, because pages cannot read the original file.
     levels : int
-        How many levels of detail it has beside the scene: then the page fetches what it shows.
+        Number of coarser levels of detail; with levels, the page fetches only what it shows.
     rendered : RenderedLoss, optional
-        What rendered views lose by encoding it for the page; None if that was not measured.
+        Loss in rendered views from encoding it for the page; None if not measured.
     """
 
     name: str
@@ -83,30 +83,31 @@ def share(
     Parameters
     ----------
     sources : sequence of str or Path
-        One scene or two, in formats that `read` reads. `.egs` files of profiles `paper-*`, `l`,
-        `m` and `s` are shown as they are, unless G-PCC or torchac is needed to decode them; others
-        are encoded by profile `l`.
+        One scene or two, in formats supported by `read`. `.egs` files of profiles `paper-*`, `l`,
+        `m` and `s` are embedded unchanged, unless decoding needs G-PCC or torchac; others are
+        encoded with profile `l`.
     target : str or Path
-        A file ``.html`` that has all in it; or a folder, for any server of static files: the page,
+        A self-contained ``.html`` file; or a folder for any static web server, with the page,
         ``index.html``, and the scenes.
     cameras : str or Path
-        As for `render`: the views to choose from; the page begins with the first.
+        The selectable views, as in `render`; the page starts with the first.
     progress : callable, optional
-        Told while cameras are estimated and scenes encoded.
+        Called while cameras are estimated and scenes encoded.
     max_bytes : int, optional
-        As for `read`.
+        As in `read`.
     overwrite : bool
-        As for `encode_file`; of a folder, whether it may have files.
+        As in `encode_file`; for a folder, whether it may contain files.
     up : {"-y", "y", "-z", "z", "-x", "x"}, optional
-        Which axis is up: estimated cameras are chosen to be upright by it, all views are shown so,
-        and the page turns about it. By default, cameras say what is up, given or estimated.
+        Up axis: estimated cameras are upright with respect to it, all views are shown upright, and
+        the page rotates about it. By default it is derived from the cameras, given or estimated.
 
     Raises
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        As for `read` and `render`; or if there are more scenes, or the target cannot be written.
+        As in `read` and `render`; or if there are more than two scenes, or the target cannot be
+        written.
     MissingTool
-        If the page is not where `viewer` is installed.
+        If the page is missing from the installed `viewer`.
     """
     target = Path(target)
     if up is not None:
@@ -138,7 +139,7 @@ def page_of(
     max_bytes: int | None = None,
     up: str | None = None,
 ) -> tuple[list[SharedScene], dict[str, bytes]]:
-    """The scenes of a page, and its files by name, `PAGE` last; `alone`, that is the only one.
+    """The scenes of a page, and its files by name, `PAGE` last; with `alone`, only `PAGE`.
 
     See `share`.
     """
@@ -163,7 +164,7 @@ def page_of(
         "middle": middle.tolist(),
         "scenes": entries,
     }
-    # No text of a file ends the element that it is in.
+    # No text of a file can close the element that contains it.
     listed = json.dumps(described, allow_nan=False).replace("<", "\\u003c")
     title = html.escape(" and ".join(one.name for one in shared))
     data = "\n".join([_block("scene-list", "application/json", listed), *blocks])
@@ -180,7 +181,7 @@ def _entry(one: SharedScene) -> dict[str, Any]:
 def _views(
     cameras: str | Path, scene: Scene, up: str | None, progress: Progress | None
 ) -> dict[str, Any]:
-    """The views of a page and its overview, what may be up, by name, and which of these is."""
+    """The views of a page and its overview, the possible up axes by name, and the current one."""
     home = 0
     if str(cameras) == "auto":
         asked = None if up is None else up_axis(up)
@@ -204,7 +205,7 @@ def _views(
 def _open(
     path: Path, progress: Progress | None, max_bytes: int | None
 ) -> tuple[SharedScene, Scene]:
-    """A scene, and what a page shows of it."""
+    """A scene, and its Gaussians as shown by a page."""
     with open_scene(path) as file:
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
         if file.format == EGS:
@@ -223,7 +224,7 @@ def _name(path: Path) -> str:
 
 
 def _file_names(shared: Sequence[SharedScene]) -> list[str]:
-    """Names of the scenes' files, which differ."""
+    """Distinct file names for the scenes."""
     names = [Path(one.name).with_suffix(".egs").name for one in shared]
     if len(names) == 2 and names[0].lower() == names[1].lower():
         names = [f"{letter}-{name}" for letter, name in zip("ab", names, strict=True)]
@@ -231,7 +232,7 @@ def _file_names(shared: Sequence[SharedScene]) -> list[str]:
 
 
 def _template() -> str:
-    """The page that was built, without scenes."""
+    """The built page, without scenes."""
     spec = importlib.util.find_spec("viewer")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         built = Path(folder, "web", "page.html")
@@ -248,5 +249,5 @@ def _fill(template: str, **parts: str) -> str:
 
 
 def _block(name: str, kind: str, text: str) -> str:
-    """What a page holds and does not run."""
+    """An inert data element of a page."""
     return f'<script type="{kind}" id="{name}">{text}</script>'

@@ -1,4 +1,4 @@
-"""Scenes far from the origin: shifted before their centres are rounded to float32."""
+"""Scenes far from the origin: translated before their centres are rounded to float32."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 def early_shifts(
     sources: Sequence[str | Path], actions: Sequence[Action], stated: str = ""
 ) -> list[Shift] | None:
-    """The translation that is the first action, if all sources have centres in float64.
+    """The translation in the first action, if all sources have float64 centres.
 
-    In the axes of each source, which may be `stated`.
+    It is given in the axes of each source, which `stated` may override.
     """
     if not actions or actions[0].name != "translate":
         return None
@@ -45,7 +45,7 @@ def edit_shifted(
     plan: Plan | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, tuple[ActionReport, ...]]:
-    """See `edit_scenes`; with `shifts`, the scenes were read with them, so that it is done."""
+    """Like `edit_scenes`; with `shifts`, the first action was already applied when reading."""
     if shifts is None:
         return edit_scenes(scenes, actions, plan, progress)
     count = sum(scene.count for scene in scenes)

@@ -1,4 +1,4 @@
-"""Suffixes of the files that scenes are written to."""
+"""Suffixes of output files."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from gs_codec.formats.table import FORMATS, STREAMED, format_of, read, written
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.wording import listed
 
-#: Of formats that scenes are encoded to, of those of plain floats, of those with levels made by
-#: `convert`, and of all that are written.
+#: Suffixes of formats that scenes are encoded to, of formats with plain floats, of those with
+#: levels made by `convert`, and of all output formats.
 ENCODED = written("steps", "fixed")
 PLAIN = written("floats")
 LEVELLED = written("levels")
 WRITTEN = (*ENCODED, *LEVELLED, *PLAIN)
 
-#: Names of formats that are read from one file.
+#: Names of formats that are read from a single file.
 READ_NAMES = tuple(known.name for known in FORMATS if f".{known.name}" in read())
 
-#: Of formats that are written part by part, below a memory limit.
+#: Suffixes of formats that are written part by part, below a memory limit.
 IN_PARTS = tuple(suffix for known in FORMATS if known.in_parts for suffix in known.written)
 
 
 def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
-    """The suffix of a scene to be written, which selects its format.
+    """The suffix of an output file, which selects the format.
 
     Raises
     ------
     InvalidInput
-        If it is none of `known`, or one that has to be the whole name and is not.
+        If it is not in `known`, or must be the whole name and is not.
     """
     suffix = known_suffix(path)
     if suffix not in known:
@@ -46,13 +46,13 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
 
 
 def known_suffix(path: str | Path) -> str:
-    """The suffix of a format that is written, the longest that fits; "" if it is none."""
+    """The longest matching suffix of an output format; "" if there is none."""
     name = Path(path).name.lower()
     return max((s for s in WRITTEN if name.endswith(s)), key=len, default="")
 
 
 def format_name(suffix: str) -> str:
-    """The format of a suffix from `known_suffix`, as `Config.format` has it."""
+    """The format of a suffix from `known_suffix`, as in `Config.format`."""
     return format_of(suffix).code(suffix) if suffix else ""
 
 
@@ -62,7 +62,7 @@ def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODE
     Raises
     ------
     InvalidInput
-        If it is none of `known`, or the configuration asks for another format.
+        If it is not in `known`, or the configuration selects another format.
     """
     form = format_name(suffix_of(path, known))
     if config.format not in (EGS, form):
@@ -76,7 +76,7 @@ def check_target(
     known: tuple[str, ...] = WRITTEN,
     overwrite: bool = True,
 ) -> str:
-    """The suffix of a target; refuses one that cannot be written, before the work is done."""
+    """The suffix of a target; rejects targets that cannot be written, before any work."""
     for source in sources:
         if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
             raise InvalidInput(f"{target}: input and output are the same file")

@@ -1,1 +1,1 @@
-"""Results as text, Markdown, HTML and pictures; every report and every table on a terminal."""
+"""Results as text, Markdown, HTML and pictures, for all reports and terminal tables."""

@@ -1,4 +1,4 @@
-"""Figures of matplotlib, all in one style."""
+"""Matplotlib figures in one style."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Settings of matplotlib for every figure.
+#: Matplotlib settings for every figure.
 _STYLE = {
     "axes.axisbelow": True,
     "axes.grid": True,
@@ -39,7 +39,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def png_of(plot: Callable[..., Figure], *args: Any) -> bytes:
-    """PNG data of the figure that `plot` makes of `args`, in the style.
+    """PNG data of the figure ``plot(*args)``, in the common style.
 
     Raises
     ------
@@ -49,12 +49,12 @@ def png_of(plot: Callable[..., Figure], *args: Any) -> bytes:
     canvas = needed("matplotlib.backends.backend_agg", "plots").FigureCanvasAgg
     buffer = BytesIO()
     with needed("matplotlib", "plots").rc_context(_STYLE):
-        canvas(plot(*args)).print_png(buffer)  # `savefig` draws a figure with a layout twice
+        canvas(plot(*args)).print_png(buffer)  # `savefig` would draw a figure with a layout twice
     return buffer.getvalue()
 
 
 def make_logarithmic(axis: Axes, which: str) -> None:
-    """A logarithmic axis ``x`` or ``y`` with plain numbers at 1, 2 and 5 of each decade."""
+    """Make axis ``x`` or ``y`` logarithmic, with plain numbers at 1, 2 and 5 of each decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     (axis.set_xscale if which == "x" else axis.set_yscale)("log")

@@ -1,4 +1,4 @@
-"""A page of HTML that needs no other file; its tables are from `Table.html`."""
+"""A self-contained HTML page; its tables are from `Table.html`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ figcaption { font-size: .87rem; color: #333; }
 
 
 def page(title: str, parts: Sequence[str]) -> str:
-    """An HTML document with a title; `parts` are HTML already."""
+    """An HTML document with a title; `parts` are already HTML."""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -55,7 +55,7 @@ def listing(lines: Sequence[str]) -> str:
 
 
 def picture(png: bytes, caption: str) -> str:
-    """An embedded PNG; the caption is its alternative text too."""
+    """An embedded PNG; the caption is also its alternative text."""
     data, text = base64.b64encode(png).decode("ascii"), escape(caption)
     return (
         f'<figure><img alt="{text}" src="data:image/png;base64,{data}">\n'

@@ -10,16 +10,16 @@ from gs_codec.errors import printable
 
 
 class Table(NamedTuple):
-    """Cells under their columns; an empty cell is a value that is not known.
+    """Rows of cells; an empty cell is an unknown value.
 
     Attributes
     ----------
     columns : sequence of str
         Titles.
     rows : sequence of sequence of str
-        A cell for each column.
+        One cell for each column.
     left : tuple of int
-        Columns that are aligned to the left, negative ones from the end; others to the right.
+        Left-aligned columns, negative ones counted from the end; others are right-aligned.
     """
 
     columns: Sequence[str]
@@ -41,7 +41,7 @@ class Table(NamedTuple):
         return "\n".join(line.rstrip() for line in lines)
 
     def markdown(self) -> str:
-        """Markdown; cells are marked up already; empty without rows."""
+        """Markdown; cells already have markup; empty without rows."""
         line = ["---" if left else "---:" for left in self._to_the_left()]
         lines = [self.columns, line, *self.rows] if self.rows else []
         return "\n".join("| " + " | ".join(line) + " |" for line in lines)
@@ -60,11 +60,11 @@ class Table(NamedTuple):
 
 
 def escaped(text: str) -> str:
-    """Text from elsewhere for Markdown, such that it is no markup and stays in its cell."""
+    """Escape foreign text for a Markdown cell."""
     plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
     return "".join(f"\\{letter}" if letter in "\\|`*_[]" else letter for letter in plain)
 
 
 def number(value: float | None, form: str = ".3f") -> str:
-    """A number for a cell, by a format such as ``+.2f``; empty for None."""
+    """Format a number for a cell, such as ``+.2f``; empty for None."""
     return "" if value is None else format(value, form)

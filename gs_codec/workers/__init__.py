@@ -1,1 +1,1 @@
-"""What does tasks: this process, a pool of processes, or a Dask cluster, behind one interface."""
+"""Run tasks in this process, a pool of processes, or a Dask cluster, behind one interface."""

@@ -1,4 +1,4 @@
-"""The client of a Dask scheduler, or of one started on this machine."""
+"""Clients of a Dask scheduler, which may be started on this machine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HOST = "127.0.0.1"
 
 @contextmanager
 def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distributed.Client]:
-    """A client of the scheduler at an address, or of a local cluster of `jobs` processes.
+    """A client of the scheduler at an address, or of a local cluster with `jobs` processes.
 
     Parameters
     ----------
@@ -32,16 +32,16 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
     jobs : int
         Worker processes of a local cluster.
     folder : str
-        Where a local cluster keeps its temporary files.
+        Folder for temporary files of a local cluster.
     name : str
-        What errors call the cluster.
+        Name of the cluster in errors.
 
     Raises
     ------
     InvalidInput, MissingTool
-        If there is no scheduler at the address, or a package that its address needs is missing.
+        If there is no scheduler at the address, or a package for its address is missing.
     """
-    # Dask's messages about workers that come and go do not concern the user.
+    # Hide Dask's messages about workers that come and go.
     for known in ("distributed", *logging.getLogger("distributed").manager.loggerDict):
         if known.startswith("distributed"):
             logging.getLogger(known).setLevel(logging.CRITICAL)
@@ -61,7 +61,7 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
 
 
 def threads_of_workers(client: distributed.Client) -> list[tuple[str, int]]:
-    """Host of each worker, and number of tasks that it does at once; checks versions.
+    """Host of each worker, and its number of concurrent tasks; checks versions.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _introduced(dask_worker: Any) -> tuple[str, str, int]:
 
 
 class _Silent:
-    """Keeps a Dask node from serving web pages, which it does even without a dashboard."""
+    """Prevents a Dask node from serving web pages, which it does even without a dashboard."""
 
     def start_http_server(self, *arguments: Any, **options: Any) -> None:
         """Open no port."""
@@ -106,18 +106,18 @@ class LocalScheduler(_Silent, distributed.Scheduler):
 
 
 class LocalWorker(_Silent, distributed.Worker):
-    """A worker without web pages, in a process of its own."""
+    """A worker without web pages, in a separate process."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        # Ctrl-C is for the process that started it, which ends it.
+        # Ctrl-C is handled by the parent process, which ends this one.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         super().__init__(*arguments, **options)
 
 
 def start_cluster(jobs: int, folder: str) -> distributed.SpecCluster:
-    """Start a scheduler and `jobs` worker processes that keep their files in `folder`.
+    """Start a scheduler and `jobs` worker processes with their files in `folder`.
 
-    They and their client authenticate with a key that only this process has. Other users of the
+    They and their client authenticate with a key known only to this process. Other users of the
     machine can reach the ports, but cannot connect without the key.
     """
     security = distributed.Security.temporary()

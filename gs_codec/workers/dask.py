@@ -1,4 +1,4 @@
-"""Workers of a Dask scheduler, which gives the tasks of a lost worker to another."""
+"""Workers of a Dask scheduler, which reassigns the tasks of a lost worker."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ _GONE = "lost the scheduler; run the same command again to continue (batch: with
 class DaskWorkers:
     """The workers of a scheduler; see `Workers`.
 
-    A worker does as many tasks at once as it has threads, but no more than fit into 70 % of its
-    memory limit. A task that needs more than the limit is refused.
+    A worker runs as many tasks at once as it has threads, if they fit into 70 % of its memory
+    limit. A task that needs more than the limit is rejected.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class DaskWorkers:
                 self._client.unsubscribe_topic(topic)
 
     def stop(self) -> None:
-        """See `Workers`."""
+        """Stop starting tasks; see `Workers`."""
         self._stopped = True
         self._cancel()
 
@@ -89,7 +89,7 @@ class DaskWorkers:
             self._client.cancel(list(self._futures))
 
     def _hear(self, named: dict[str, Any], said: dict[str, Any]) -> None:
-        """Pass on progress of a worker; called on Dask's own thread, before the task is done."""
+        """Forward progress of a worker; called on Dask's own thread, before the task is done."""
         self._listener.stage(named[said["name"]], said["stage"], said["done"], said["total"])
 
 
@@ -100,7 +100,7 @@ def dask_workers(address: str, jobs: int, folder: str, listener: Listener) -> It
     Raises
     ------
     InvalidInput, MissingTool
-        As `connected`; or if a worker has another version.
+        As in `connected`; or if a worker has another version.
     """
     name = f"dask {without_secrets(address)}"
     with connected(address, jobs, folder, name) as client:
@@ -150,7 +150,7 @@ def _free_at_first() -> int | None:
 
 
 def _do(work: Work[Task, R], task: Task, hosts: Counter[str], topic: str) -> R:
-    """Do a task on a worker; progress is sent as Dask events."""
+    """Run a task on a worker; progress is sent as Dask events."""
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit
     if limit is not None and task.need > limit:

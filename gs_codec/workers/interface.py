@@ -1,4 +1,4 @@
-"""What workers of every kind have in common: they do tasks, and yield each when it is done."""
+"""The common interface of workers: they run tasks, and yield each when it is done."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from gs_codec.errors import GsCodecError
 from gs_codec.report import Progress
 from gs_codec.runtime.lazy import from_extra
 
-#: Minimum seconds between two progress reports of a stage.
+#: Minimum seconds between progress reports of a stage.
 _EVERY = 0.1
 
 
 class Task(Protocol):
-    """What a worker is given; it can be pickled."""
+    """A task for a worker; must be picklable."""
 
     @property
     def name(self) -> str:
-        """Identifies the task to listeners."""
+        """Identifies the task in events."""
 
     @property
     def need(self) -> int:
@@ -34,16 +34,16 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a task is done.
+    """The environment of a task.
 
     Parameters
     ----------
     jobs : int
-        Tasks that run at once on this machine, and share its processors.
+        Number of concurrent tasks on this machine, which share its processors.
     folder : str
-        For temporary files.
+        Folder for temporary files.
     progress : callable
-        Is told about the task's progress.
+        Called with the task's progress.
     """
 
     jobs: int
@@ -51,17 +51,17 @@ class Place:
     progress: Progress
 
 
-#: What workers do with a task: a function that can be pickled, or a partial of one.
+#: The function that workers call with a task: picklable, or a partial of such a function.
 Work = Callable[[T, Place], R]
 
 
 class WorkerLost(Exception):
-    """The processes that did a task ended, whenever it was tried."""
+    """The processes that ran a task died in every attempt."""
 
 
 @dataclass(frozen=True)
 class Done(Generic[T, R]):
-    """A task that is done: what the work returned, or its error."""
+    """A finished task: its result, or its error."""
 
     task: T
     value: R | None = None
@@ -69,7 +69,7 @@ class Done(Generic[T, R]):
 
     @classmethod
     def by(cls, work: Work[T, R], task: T, place: Place) -> Done[T, R]:
-        """Do a task."""
+        """Run a task."""
         try:
             return cls(task, work(task, place))
         except GsCodecError as error:
@@ -77,10 +77,10 @@ class Done(Generic[T, R]):
 
 
 class Listener:
-    """Gets the events of tasks; this base class ignores them."""
+    """Receives the events of tasks; this base class ignores them."""
 
     def started(self, task: Any) -> None:
-        """A task was started; a cluster does not say so."""
+        """A task has started; not reported by a cluster."""
 
     def stage(self, task: Any, stage: str, done: int, total: int) -> None:
         """A task made progress in one of its stages."""
@@ -90,21 +90,21 @@ class Listener:
 
 
 class Workers(Protocol):
-    """What does tasks.
+    """Workers that run tasks.
 
     Attributes
     ----------
     name : str
-        What errors call them.
+        Name of the workers in errors.
     at_once : int
-        Tasks that one process does at once; 0 if there are no processes.
+        Number of concurrent tasks of one process; 0 without processes.
     """
 
     name: str
     at_once: int
 
     def run(self, work: Work[T, R], tasks: Iterable[T]) -> Generator[Done[T, R], None, None]:
-        """Yield each task when it is done; closing the generator gives up the others.
+        """Yield each task when it is done; closing the generator abandons the others.
 
         Raises
         ------
@@ -131,7 +131,7 @@ def workers_at(
 
 
 def throttled(progress: Progress) -> Progress:
-    """Pass on every new stage, and at most ten updates a second within a stage."""
+    """Forward every new stage, and at most ten updates a second within a stage."""
     last = ("", 0.0)
 
     def tell(stage: str, done: int, total: int) -> None:

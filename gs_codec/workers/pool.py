@@ -1,4 +1,4 @@
-"""Worker processes: as many as fit into memory, ended with the process that started them."""
+"""Worker processes: as many as fit into memory; they end with their parent."""
 
 from __future__ import annotations
 
@@ -32,19 +32,20 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class Pool:
-    """Processes that do one task after another; see `Workers`.
+    """Processes that run tasks one after another; see `Workers`.
 
-    They end with the ``with`` block that the pool is used in. A task whose process is killed from
-    outside is tried once more, alone, after all others.
+    They end with the ``with`` block of the pool. A task whose process is killed from outside is
+    retried once, alone, after all others.
 
     Parameters
     ----------
     jobs : int
         Maximum number of processes.
     limit : int, optional
-        Bytes of memory for all running tasks; a task that needs more runs alone. None: no limit.
+        Bytes of memory for all running tasks; a task that needs more runs alone. None means no
+        limit.
     folder : str
-        For temporary files of tasks.
+        Folder for temporary files of tasks.
     listener : Listener, optional
     """
 
@@ -98,7 +99,7 @@ class Pool:
             worker.give(work, task)
 
     def _next(self) -> Any:
-        """The first waiting task that fits into memory beside the running ones, or None."""
+        """The first waiting task that fits into memory next to the running ones, or None."""
         taken = sum(worker.task.need for worker in self._busy)
         for task in self._waiting:
             if not self._busy or self._limit is None or taken + task.need <= self._limit:
@@ -107,7 +108,7 @@ class Pool:
         return self._again.popleft() if self._again and not self._busy else None
 
     def _hear(self, worker: _Worker) -> Done | None:
-        """Receive a message: return a task that is done, or pass progress to the listener."""
+        """Receive a message: return a finished task, or forward progress to the listener."""
         try:
             said = worker.connection.recv()
         except (EOFError, OSError):
@@ -132,7 +133,7 @@ class Pool:
 
 
 class _Worker:
-    """A process, and the task it has."""
+    """A process and its current task."""
 
     task: Task
 
@@ -141,17 +142,18 @@ class _Worker:
         self.process = _SPAWN.Process(target=_serve, args=(other, jobs, folder), daemon=True)
         with _without_interrupt():
             self.process.start()
-        # Only the worker may hold its end of the pipe, so that it closes when the worker dies.
+        # Only the worker may hold its end of the pipe, so that the pipe closes when the worker
+        # dies.
         other.close()
 
     def give(self, work: Work, task: Task) -> None:
-        """Send a task; if the process is gone, reading its answer shows that."""
+        """Send a task; if the process is gone, reading its answer will show that."""
         self.task = task
         with suppress(OSError):
             self.connection.send((work, task))
 
     def end(self) -> str:
-        """Kill the process, whatever it does, and say how it ended."""
+        """Kill the process, and return how it ended."""
         self.process.kill()
         self.process.join()
         self.connection.close()
@@ -160,11 +162,11 @@ class _Worker:
 
 @contextmanager
 def _without_interrupt() -> Iterator[None]:
-    """Children started in the block ignore Ctrl-C; their parent ends them."""
+    """Make children started in the block ignore Ctrl-C; their parent ends them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    # The tracker would start with the first process, and it unblocks signals: start it now.
+    # The tracker would start with the first process, and unblock signals, so start it now.
     multiprocessing.resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
@@ -174,7 +176,7 @@ def _without_interrupt() -> Iterator[None]:
 
 
 def _serve(connection: Connection, jobs: int, folder: str) -> None:
-    """Do the tasks that come until the parent is gone."""
+    """Run incoming tasks until the parent is gone."""
     redact_process()
     log_warnings()
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -1,4 +1,4 @@
-"""Tasks done in this process, one after another."""
+"""Run tasks in this process, one after another."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from gs_codec.workers.interface import Done, Listener, Place, R, T, Work
 
 
 class Serial:
-    """Does tasks in this process; see `Workers`.
+    """Runs tasks in this process; see `Workers`.
 
     Parameters
     ----------
     folder : str
-        For temporary files of tasks.
+        Folder for temporary files of tasks.
     listener : Listener, optional
     """
 

@@ -28,9 +28,6 @@ GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 #: Value of the SH basis function of degree 0: a colour is 0.5 + SH_C0 * f_dc.
 SH_C0 = 0.28209479177387814
 
-#: Log-scale that represents a scale of 0, which has no logarithm (log of the smallest float32).
-FLAT = -103.0
-
 #: Factors of the SH basis functions of degrees 1, 2 and 3.
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
@@ -184,6 +181,8 @@ def is_extra_name(name: str) -> bool:
 class Scene:
     """Gaussians as planes, in the parameterisation of the INRIA trainer.
 
+    Raises InvalidInput if shapes or dtypes disagree.
+
     Parameters
     ----------
     positions : ndarray, shape (3, N), float32
@@ -205,11 +204,6 @@ class Scene:
         Comment lines of the PLY header.
     extra : mapping of str to ndarray, each shape (N,)
         Further per-Gaussian properties in their own dtype.
-
-    Raises
-    ------
-    InvalidInput
-        If shapes or dtypes disagree.
     """
 
     positions: NDArray[np.float32]

@@ -12,7 +12,7 @@ from scenes import estimate_few_cameras
 from typer.testing import CliRunner
 
 from gs_codec.bench import losses
-from gs_codec.bench.losses import ESTIMATED, FREE, GIVEN, loss_of, loss_table, misses_of
+from gs_codec.bench.losses import ESTIMATED, FREE, GIVEN, loss_table, misses_of
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene
@@ -20,6 +20,7 @@ from gs_codec.config import Config
 from gs_codec.encoding.order import encode_planned
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.reference_views import draw_reference_views
+from gs_codec.report import psnr_loss
 from samples.captures.capture import capture, write_capture
 from samples.captures.rigs import RIGS
 
@@ -62,9 +63,9 @@ def test_misses_are_what_is_beyond_the_aims(line: dict, missed: dict) -> None:
 
 
 def test_loss_is_that_of_a_scene_of_30_db() -> None:
-    assert loss_of(0) == 0
-    assert loss_of(1e-3) == pytest.approx(3.0103, abs=1e-4)
-    assert loss_of(1.158e-5) == pytest.approx(0.05, abs=1e-4)
+    assert psnr_loss(0) == 0
+    assert psnr_loss(1e-3) == pytest.approx(3.0103, abs=1e-4)
+    assert psnr_loss(1.158e-5) == pytest.approx(0.05, abs=1e-4)
 
 
 def test_command_measures_a_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,7 +82,7 @@ def test_command_measures_a_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     scene, cameras = read_ply(path), [c for c in read_cameras(path.parent) if c.split == "test"]
     data, _ = encode_planned(scene, Config(), None)
     error = draw_reference_views(scene, cameras, (0, 0, 0)).error(decode_scene(data))
-    assert line[FREE]["loss"] == pytest.approx(loss_of(error), rel=0.05)
+    assert line[FREE]["loss"] == pytest.approx(psnr_loss(error), rel=0.05)
     assert line[FREE]["bits_per_gaussian"] == pytest.approx(8 * len(data) / scene.count, rel=0.01)
     assert "| strip |" in result.stderr
     assert "of 1" in result.stderr

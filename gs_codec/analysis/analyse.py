@@ -148,6 +148,8 @@ def analyse_scene(
 ) -> Analysis:
     """Analyse a scene; Gaussians with NaN or infinity are dropped, which a note reports.
 
+    Raises InvalidInput if there is no Gaussian, or no camera.
+
     Parameters
     ----------
     scene : Scene
@@ -163,11 +165,6 @@ def analyse_scene(
     seed : int
         Random seed for sample, shuffling and noise.
     progress : callable, optional
-
-    Raises
-    ------
-    InvalidInput
-        If there is no Gaussian, or no camera.
     """
     scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"), whole=False)
     if not scene.count:

@@ -57,19 +57,14 @@ def analyse_file(
 ) -> dict[str, Any]:
     """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
 
-    Nothing is written if `folder` is None. `options` are the options of `analyse_scene`.
+    Nothing is written if `folder` is None. `options` are the options of `analyse_scene`. Raises
+    InvalidInput if the scene cannot be used, or the folder cannot be written to. Raises MissingTool
+    if matplotlib, which draws the pictures, is not installed.
 
     Returns
     -------
     dict
         Contents of ``report.json``.
-
-    Raises
-    ------
-    InvalidInput
-        If the scene cannot be used, or the folder cannot be written to.
-    MissingTool
-        If matplotlib, which draws the pictures, is not installed.
     """
     check_installed("scipy", "analyze")
     if folder is not None:

@@ -6,7 +6,6 @@ of encoding camera-free, with estimated cameras, and with the other cameras of t
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,12 +23,9 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.pages.tables import Table, number
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.renderer import render
-from gs_codec.report import Progress, step_counter
+from gs_codec.report import Progress, psnr_loss, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-
-#: Assumed mean squared error of a scene against its photographs: 30 dB.
-_OWN_ERROR = 1e-3
 
 #: Target loss of camera-free `m`, dB.
 WANTED = 0.05
@@ -87,10 +83,8 @@ class _Views:
 def measure_losses(paths: Sequence[Path], progress: Progress | None = None) -> Iterator[Line]:
     """A result line for each capture.
 
-    Raises
-    ------
-    InvalidInput
-        If a scene has no cameras.json next to it, or none or all of its cameras are marked.
+    Raises InvalidInput if a scene has no cameras.json next to it, or none or all of its cameras are
+    marked.
     """
     captures = [_open(path) for path in paths]
     for capture in captures:
@@ -131,19 +125,14 @@ def _measure(capture: MeasuredScene, progress: Progress | None) -> Line:
             coded = encode(plan)
             line[way] = {
                 "bits_per_gaussian": 8 * coded.size / count,
-                "loss": loss_of(coded.error),
+                "loss": psnr_loss(coded.error),
                 "reported": coded.reported,
             }
             if plan is not None:
                 around = [encode(size=round(share * coded.size)) for share in _AROUND]
-                line[way]["free_loss"] = loss_of(_between(coded.size, around))
+                line[way]["free_loss"] = psnr_loss(_between(coded.size, around))
             advance()
     return line
-
-
-def loss_of(error: float) -> float:
-    """PSNR loss, in dB, of a 30 dB scene from a mean squared error relative to itself."""
-    return 10 * math.log10(1 + error / _OWN_ERROR)
 
 
 def _between(size: int, coded: Sequence[_Coded]) -> float:

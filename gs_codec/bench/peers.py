@@ -230,10 +230,7 @@ _MOST_BYTES = 1 << 36
 def find_program() -> tuple[str, str]:
     """Path and version of the program: from the environment variable, PATH, or this environment.
 
-    Raises
-    ------
-    MissingTool
-        If there is no such program, or it is a different one.
+    Raises MissingTool if there is no such program, or it is a different one.
     """
     given = os.environ.get(PROGRAM_VARIABLE)
     found = shutil.which(given or _SPLAT_TRANSFORM)

@@ -46,10 +46,7 @@ class Usage:
 def run_apart(arguments: list[str]) -> Usage:
     """Run ``gs-codec ARGUMENTS``.
 
-    Raises
-    ------
-    GsCodecError
-        If it fails, with the command's own message.
+    Raises GsCodecError if it fails, with the command's own message.
     """
     between = [sys.executable, "-I", "-S", "-c", _RUN_AND_TELL]
     command = [*between, sys.executable, "-m", "gs_codec", *arguments]

@@ -49,10 +49,8 @@ _INTRODUCTION = (
 def open_scenes(paths: Sequence[Path]) -> list[MeasuredScene]:
     """Scenes with the cameras and photographs next to them.
 
-    Raises
-    ------
-    InvalidInput
-        If a scene, cameras or photographs cannot be used, or two scenes have one name.
+    Raises InvalidInput if a scene, cameras or photographs cannot be used, or two scenes have one
+    name.
     """
     check_names(paths)
     return [open_beside(path, None) for path in paths]

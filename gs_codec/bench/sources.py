@@ -105,11 +105,7 @@ def open_scene(
     """Read a PLY, tiled to `tile` Gaussians if given, and split the views of `cameras`.
 
     With a folder `truth`, cameras with a photograph there are used for measuring, resized to it.
-
-    Raises
-    ------
-    InvalidInput
-        If a file cannot be used, or no view for measuring has a photograph.
+    Raises InvalidInput if a file cannot be used, or no view for measuring has a photograph.
     """
     scene = read_ply(path, extra)
     scene = tile_scene(scene, tile) if tile else scene

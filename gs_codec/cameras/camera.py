@@ -104,17 +104,13 @@ class Camera:
 def facing(direction: NDArray, up: NDArray) -> NDArray[np.float64]:
     """Rotation of an upright camera: rows right, down, forward.
 
-    A vertical direction is treated as tilted from -z, or from -y if the z axis is up.
+    A vertical direction is treated as tilted from -z, or from -y if the z axis is up. Raises
+    InvalidInput if one of them is zero or not finite.
 
     Parameters
     ----------
     direction, up : ndarray, shape (3,)
         Of any length; `up` points up in the image.
-
-    Raises
-    ------
-    InvalidInput
-        If one of them is zero or not finite.
     """
     forward, up = _scaled("direction", direction), _scaled("up", up)
     forward = forward / np.linalg.norm(forward)

@@ -46,15 +46,12 @@ _UP = np.array([0.0, -1.0, 0.0])
 def read_camera_path(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Read the frames of a camera path of nerfstudio.
 
+    Raises InvalidInput if the structure of the file is wrong, or a camera is not perspective.
+
     Yields
     ------
     tuple of str and dict
         Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
-
-    Raises
-    ------
-    InvalidInput
-        If the structure of the file is wrong, or a camera is not perspective.
     """
     kind = whole.get("camera_type", "perspective")
     if kind != "perspective":
@@ -81,15 +78,12 @@ def read_camera_path(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, d
 def read_supersplat(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Read the poses of SuperSplat: the first view, if the file has it, and the keyframes.
 
+    Raises InvalidInput if the structure of the file is wrong, or a camera is at its own target.
+
     Yields
     ------
     tuple of str and dict
         Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
-
-    Raises
-    ------
-    InvalidInput
-        If the structure of the file is wrong, or a camera is at its own target.
     """
     focal = max(WIDTH, HEIGHT) / 2
     for index, (where, pose) in enumerate(_poses(path, whole)):

@@ -91,6 +91,7 @@ def find_model(folder: Path, places: Sequence[str]) -> Path | None:
     """The folder of the model, in the first of `places` that has one; None if none has.
 
     Of several numbered models, the one with the most images is used, and a log message says so.
+    Raises InvalidInput if images must be counted, and their file is damaged.
 
     Parameters
     ----------
@@ -98,11 +99,6 @@ def find_model(folder: Path, places: Sequence[str]) -> Path | None:
         Folder of a capture.
     places : sequence of str
         `PLACES` or `DEEPER_PLACES`.
-
-    Raises
-    ------
-    InvalidInput
-        If images must be counted, and their file is damaged.
     """
     for place in places:
         found = folder.glob(place.replace("#", "[0-9]*")) if place else [folder]
@@ -145,15 +141,12 @@ def _has_files(folder: Path, suffix: str) -> bool:
 def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Read the cameras of a sparse model, sorted by image name; prefer binary files to text.
 
+    Raises InvalidInput if a file is damaged, or a camera model is not in `_PARAMETERS`.
+
     Yields
     ------
     tuple of str and dict
         Location of the image in the file, and the fields of its `Camera`, with ranges unchecked.
-
-    Raises
-    ------
-    InvalidInput
-        If a file is damaged, or a camera model is not in `_PARAMETERS`.
     """
     if _has_files(folder, ".bin"):
         cameras_path = folder / "cameras.bin"

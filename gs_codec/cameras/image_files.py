@@ -32,10 +32,7 @@ _MOST = 1 << 27
 def read_image(path: str | Path) -> NDArray[np.float32]:
     """Read an image as ``(H, W, 3)`` float32, 0-1; transparent parts are black.
 
-    Raises
-    ------
-    InvalidInput
-        If it is missing, damaged, or larger than the maximum camera size.
+    Raises InvalidInput if it is missing, damaged, or larger than the maximum camera size.
     """
     with located(path):
         pixels = read_pixels(path, _FORMATS, _check_size)
@@ -49,10 +46,7 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
 def image_size(path: str | Path) -> tuple[int, int]:
     """Width and height of an image, pixels, from its header.
 
-    Raises
-    ------
-    InvalidInput
-        As in `read_image`, but only the header is read.
+    Raises InvalidInput, as in `read_image`, but only the header is read.
     """
     with located(path):
         return read_size(path, _FORMATS, _check_size)
@@ -68,10 +62,7 @@ def _check_size(width: int, height: int) -> None:
 def write_png(path: str | Path, image: NDArray) -> None:
     """Write ``(H, W, 3)``, clipped to 0-1, with 8 bits, atomically.
 
-    Raises
-    ------
-    InvalidInput
-        If it cannot be written.
+    Raises InvalidInput if it cannot be written.
     """
     from PIL import Image
 
@@ -114,10 +105,7 @@ def _output_stem(name: str) -> str:
 def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | None]:
     """The image of each camera in a folder, found by `seek_image`.
 
-    Raises
-    ------
-    InvalidInput
-        As in `seek_image`, or if two cameras would share an image.
+    Raises InvalidInput, as in `seek_image`, or if two cameras would share an image.
     """
     paths = [seek_image(folder, camera.name) for camera in cameras]
     owners: dict[Path, int] = {}
@@ -134,10 +122,7 @@ def seek_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path | No
 def find_image(folder: str | Path, name: str) -> Path:
     """Find a camera's image in a folder, by name, with its own or another suffix.
 
-    Raises
-    ------
-    InvalidInput
-        If there is none, or the name is outside the folder.
+    Raises InvalidInput if there is none, or the name is outside the folder.
     """
     path = seek_image(folder, name)
     if path is None:

@@ -25,8 +25,8 @@ from gs_codec.errors import InvalidInput
 def read_inria(path: Path, entries: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     """Read cameras in the layout of the trainer's ``camera_to_JSON``.
 
-    The file's rotations are camera to world, and the principal point is the image's centre
-    unless an entry has both ``cx`` and ``cy``.
+    The file's rotations are camera to world, and the principal point is the image's centre unless
+    an entry has both ``cx`` and ``cy``. Raises InvalidInput if the structure of the file is wrong.
 
     Parameters
     ----------
@@ -38,11 +38,6 @@ def read_inria(path: Path, entries: Any) -> Iterator[tuple[str, dict[str, Any]]]
     ------
     tuple of str and dict
         Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
-
-    Raises
-    ------
-    InvalidInput
-        If the structure of the file is wrong.
     """
     for index, entry in enumerate(entries):
         where = f"{path}: entry {index}"
@@ -50,12 +45,7 @@ def read_inria(path: Path, entries: Any) -> Iterator[tuple[str, dict[str, Any]]]
 
 
 def as_camera(camera: Camera | Mapping[str, Any]) -> Camera:
-    """Convert an entry of ``cameras.json`` to a `Camera`.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Convert an entry of ``cameras.json`` to a `Camera`. Raises InvalidInput."""
     if isinstance(camera, Camera):
         return camera
     return Camera(**_fields("camera", camera))

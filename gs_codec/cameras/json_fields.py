@@ -26,13 +26,7 @@ _MAX_ROTATION = 2.0
 
 
 def load_json(path: Path) -> Any:
-    """Parse a JSON file.
-
-    Raises
-    ------
-    InvalidInput
-        If it is not JSON, too large, or nested too deeply.
-    """
+    """Parse a JSON file. Raises InvalidInput if it is not JSON, too large, or nested too deeply."""
     with opened(path) as data:
         if len(data) > MAX_BYTES:
             raise InvalidInput(

@@ -165,6 +165,8 @@ def lens_fields(
 ) -> dict[str, Any]:
     """Fields of a `Camera` from a file's intrinsics; ranges are checked if they distort.
 
+    Raises InvalidInput, as in `Lens.pinhole`.
+
     Parameters
     ----------
     where : str
@@ -174,11 +176,6 @@ def lens_fields(
     fisheye : bool
     coefficients : mapping
         By name, including `r8`; missing ones are 0.
-
-    Raises
-    ------
-    InvalidInput
-        As in `Lens.pinhole`.
     """
     if not fisheye and not any(coefficients.values()):
         return dict(zip(_VIEW, view, strict=True))
@@ -193,9 +190,7 @@ def lens_fields(
 def check_view(where: str, view: Any) -> None:
     """Check the size, focal lengths and principal point of a camera or lens.
 
-    Raises
-    ------
-    InvalidInput
+    Raises InvalidInput.
     """
     for side in ("width", "height"):
         value = getattr(view, side)

@@ -62,7 +62,8 @@ def read_transforms(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, di
 
     If the size of an image is not stated, it is read from the named image file. If
     ``dataparser_transforms.json`` is in the same folder, cameras are moved as nerfstudio moved them
-    for training.
+    for training. Raises InvalidInput if the structure of the file is wrong, a lens model is not
+    supported, or an image whose size is needed is missing.
 
     Parameters
     ----------
@@ -74,12 +75,6 @@ def read_transforms(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, di
     ------
     tuple of str and dict
         Location of the camera in the file, and the fields of its `Camera`, with ranges unchecked.
-
-    Raises
-    ------
-    InvalidInput
-        If the structure of the file is wrong, a lens model is not supported, or an image whose size
-        is needed is missing.
     """
     frames = as_list(str(path), "frames", whole["frames"])
     shared = {key: value for key, value in whole.items() if key != "frames"}

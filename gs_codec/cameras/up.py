@@ -31,10 +31,7 @@ _LOOSE = 1e-3
 def up_axis(name: str) -> NDArray[np.float64]:
     """The unit vector of an up axis, by name.
 
-    Raises
-    ------
-    InvalidInput
-        If there is no axis of that name.
+    Raises InvalidInput if there is no axis of that name.
     """
     if name not in UPS:
         raise InvalidInput(f"up '{name}': expected {', '.join(UPS)}")

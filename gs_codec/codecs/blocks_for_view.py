@@ -80,6 +80,8 @@ def select_blocks(
 ) -> list[list[int]]:
     """Select the blocks of each level to draw; returns their numbers, ascending.
 
+    Raises CorruptStream if a level's errors are below those of the finer level.
+
     Parameters
     ----------
     levels : sequence of EgsFile
@@ -89,11 +91,6 @@ def select_blocks(
         Maximum number of Gaussians.
     tolerance : float
         Maximum error in pixels of a block that is drawn in place of finer ones.
-
-    Raises
-    ------
-    CorruptStream
-        If a level's errors are below those of the finer level.
     """
     seen = _look(levels, view)
     chosen: list[list[int]] = [[] for _ in levels]

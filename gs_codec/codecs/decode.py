@@ -72,7 +72,9 @@ def decode_part(
     """Decode a part of an `.egs` stream.
 
     Skips SH above the part's degree, blocks with no centres in the part's box (according to the
-    index), and blocks that its view does not need.
+    index), and blocks that its view does not need. Raises InvalidInput if the number of threads is
+    out of range. Raises CorruptStream, TruncatedStream or UnsupportedVersion. Raises MissingTool or
+    ToolFailed if the stream uses G-PCC or torchac, and the program is missing or fails.
 
     Parameters
     ----------
@@ -94,14 +96,6 @@ def decode_part(
         The Gaussians in stream order; with a view, the coarsest level first.
     file : EgsFile
         The header and the sections that were read; with a level, those of the level.
-
-    Raises
-    ------
-    InvalidInput
-        If the number of threads is out of range.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-    MissingTool, ToolFailed
-        If the stream uses G-PCC or torchac, and the program is missing or fails.
     """
     check_threads(threads)
     with using_threads(threads):

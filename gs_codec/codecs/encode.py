@@ -35,6 +35,10 @@ def encode_scene(
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene, to `.egs` or the format that the configuration names.
 
+    Raises InvalidInput if values are not finite and ``config.nonfinite`` is not ``drop``. Raises
+    MissingTool or ToolFailed if `config` asks for G-PCC or torchac, and the program is missing or
+    fails.
+
     Parameters
     ----------
     scene : Scene
@@ -49,13 +53,6 @@ def encode_scene(
     -------
     data : bytes
     report : EncodeReport
-
-    Raises
-    ------
-    InvalidInput
-        If values are not finite and ``config.nonfinite`` is not ``drop``.
-    MissingTool, ToolFailed
-        If `config` asks for G-PCC or torchac, and the program is missing or fails.
     """
     parts, report = encode_parts(scene, config, progress, steps)
     return b"".join(parts), report

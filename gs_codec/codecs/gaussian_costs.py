@@ -109,11 +109,7 @@ def gaussian_bits(file: EgsFile) -> NDArray[np.float64]:
     With profiles `l`, `m` and `s`, the bits of streams are shared in proportion to the code lengths
     of a Gaussian's own symbols, and the common bits of a block (most of the position bits) equally.
     With other profiles, each Gaussian has the mean bits of its block. Sections of the whole file
-    are shared by all Gaussians.
-
-    Raises
-    ------
-    CorruptStream, TruncatedStream
+    are shared by all Gaussians. Raises CorruptStream or TruncatedStream.
     """
     header, costs = file.header, _Costs(file)
     bits = np.full(header.count, sum(costs.once.values()))
@@ -132,10 +128,7 @@ def describe_gaussian(file: EgsFile, index: int) -> CodedGaussian:
     """How a file codes a Gaussian, by its index in stream order.
 
     The sections in `DESCRIPTIONS` must have been read; only the block of the Gaussian is decoded.
-
-    Raises
-    ------
-    CorruptStream, TruncatedStream
+    Raises CorruptStream or TruncatedStream.
     """
     block = index // file.header.block_size
     place = index - file.header.block_range(block)[0]

@@ -202,9 +202,7 @@ class Info:
 def inspect_bytes(data: bytes | Readable) -> Info:
     """Describe a stream from its header and descriptive sections, without decoding its blocks.
 
-    Raises
-    ------
-    CorruptStream, TruncatedStream, UnsupportedVersion
+    Raises CorruptStream, TruncatedStream or UnsupportedVersion.
     """
     return describe(read_file(data, lambda section, _: section in DESCRIPTIONS))
 

@@ -163,10 +163,7 @@ def order_of_file(info: Info) -> Order | None:
 def order_of(scene: Scene) -> Order | None:
     """The order stated in a scene's comments; None for an original.
 
-    Raises
-    ------
-    InvalidInput
-        If the comment is malformed.
+    Raises InvalidInput if the comment is malformed.
     """
     marks = _marks(scene)
     if not marks:
@@ -217,6 +214,8 @@ def put_side_by_side(
 ) -> tuple[Scene, Scene, str]:
     """Bring two scenes, such as an original and its decoded version, into one order.
 
+    Raises InvalidInput if the Gaussians do not match.
+
     Parameters
     ----------
     first, second : Scene
@@ -229,11 +228,6 @@ def put_side_by_side(
     matched_by : str
         How they were matched: ``stored order``, ``index``, ``Morton order`` (in which other formats
         are written) or ``nearest centre``, which also compares appearance.
-
-    Raises
-    ------
-    InvalidInput
-        If the Gaussians do not match.
     """
     if first.count != second.count:
         return first, second, "index"

@@ -39,9 +39,7 @@ def least_memory(count: int, config: Config) -> int:
 def check_encoding(count: int, config: Config) -> None:
     """Check that the memory limit is high enough to encode `count` Gaussians.
 
-    Raises
-    ------
-    InvalidInput
+    Raises InvalidInput.
     """
     _check(least_memory(count, config), f"{counted(count, 'Gaussian')} by profile {config.profile}")
 
@@ -49,10 +47,7 @@ def check_encoding(count: int, config: Config) -> None:
 def slab_within(file: EgsFile, degree: int, wanted: int) -> int:
     """Number of Gaussians to decode at once: `wanted`, or fewer if the memory limit is lower.
 
-    Raises
-    ------
-    InvalidInput
-        If one block does not fit.
+    Raises InvalidInput if one block does not fit.
     """
     each = _decoding(degree)
     working = _working(Feature.TORCHAC in file.header.features)

@@ -54,12 +54,8 @@ class Slabs:
     def counted(self) -> tuple[int, Iterator[Scene]]:
         """The number of Gaussians, and the slabs.
 
-        With a box, the number is known only after decoding, so all slabs are kept in memory.
-
-        Raises
-        ------
-        InvalidInput
-            If the scene has Gaussians, but none are in the box or in view.
+        With a box, the number is known only after decoding, so all slabs are kept in memory. Raises
+        InvalidInput if the scene has Gaussians, but none are in the box or in view.
         """
         scenes = self.scenes()
         if self.chosen.part.box is None:
@@ -104,15 +100,10 @@ def opened_slabs(
 ) -> Iterator[Slabs]:
     """Open a file to decode a part of it slab by slab, within the blocks `among` if given.
 
-    Raises
-    ------
-    InvalidInput
-        If the file cannot be read.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If it is not a valid `.egs` file; damaged blocks raise when a slab is decoded.
-    MissingTool
-        If it uses G-PCC and the program (`tmc3`, or from the environment) is not installed; or
-        likewise torchac.
+    Raises InvalidInput if the file cannot be read. Raises CorruptStream, TruncatedStream or
+    UnsupportedVersion if it is not a valid `.egs` file; damaged blocks raise when a slab is
+    decoded. Raises MissingTool if it uses G-PCC and the program (`tmc3`, or from the environment)
+    is not installed; or likewise torchac.
     """
     with using_threads(threads), bounded(max_memory), opened(path) as data:
         start = time.perf_counter()
@@ -160,15 +151,10 @@ def verify_file(
 ) -> VerifyReport:
     """Check all checksums of an `.egs` file and decode all of it, without writing.
 
-    Raises
-    ------
-    InvalidInput
-        If the file cannot be read.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If it is not a valid `.egs` file.
-    MissingTool, ToolFailed
-        If it uses G-PCC and the program (`tmc3`, or from the environment) is not installed or
-        fails; or likewise torchac.
+    Raises InvalidInput if the file cannot be read. Raises CorruptStream, TruncatedStream or
+    UnsupportedVersion if it is not a valid `.egs` file. Raises MissingTool or ToolFailed if it uses
+    G-PCC and the program (`tmc3`, or from the environment) is not installed or fails; or likewise
+    torchac.
     """
     start = time.perf_counter()
     with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:

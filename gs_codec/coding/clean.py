@@ -86,13 +86,9 @@ def clean_scene(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene
     """Clean a scene; return it and the `EncodeReport` fields that count the changes.
 
     Profile ``lossless`` keeps every float, unless ``config.nonfinite`` is ``drop``. A part of a
-    scene (not `whole`) may end up empty.
-
-    Raises
-    ------
-    InvalidInput
-        If values are not finite and ``config.nonfinite`` is ``error``, except with ``lossless``; or
-        if no Gaussian of a whole scene remains.
+    scene (not `whole`) may end up empty. Raises InvalidInput if values are not finite and
+    ``config.nonfinite`` is ``error``, except with ``lossless``; or if no Gaussian of a whole scene
+    remains.
     """
     exact = config.profile == LOSSLESS
     if exact and config.nonfinite == "error":
@@ -109,11 +105,8 @@ def clean_scene(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene
 def drop_nonfinite(scene: Scene, config: Config, whole: bool = True) -> tuple[Scene, int]:
     """Drop Gaussians with NaN or damaged infinities; return the scene and how many were dropped.
 
-    Raises
-    ------
-    InvalidInput
-        If there are any and ``config.nonfinite`` is ``error``, or if the scene is `whole` and no
-        Gaussian remains.
+    Raises InvalidInput if there are any and ``config.nonfinite`` is ``error``, or if the scene is
+    `whole` and no Gaussian remains.
     """
     planes = [(group, row) for group in GROUPS for row in getattr(scene, group)]
     finite = run_all(lambda item: np.count_nonzero(_sound(*item)), planes)

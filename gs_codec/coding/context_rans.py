@@ -160,12 +160,9 @@ class PassReader:
         The kernel is called with the words of all streams, the end of each stream's words, the
         states, all tables, `rows`, the raw bits of all streams, the read positions ``(2, streams)``
         in words and in bits, which it advances, and `arguments`. It returns 0 or a fault (an index
-        into `FAULTS`). It may read up to `LANES` words past the end before it stops.
-
-        Raises
-        ------
-        TruncatedStream, CorruptStream
-            If the size of a section does not match its symbols, or the kernel returns a fault.
+        into `FAULTS`). It may read up to `LANES` words past the end before it stops. Raises
+        TruncatedStream or CorruptStream if the size of a section does not match its symbols, or the
+        kernel returns a fault.
         """
         words, bits = [], []
         for data in sections:

@@ -149,10 +149,7 @@ def decode_tree(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Invert `encode_tree`: codes with omitted bits set to 0, and how many bits each omits.
 
-    Raises
-    ------
-    CorruptStream
-        If the size of the data does not match `count` codes.
+    Raises CorruptStream if the size of the data does not match `count` codes.
     """
     codes, lefts = np.zeros((2, count), np.int64)
 
@@ -174,10 +171,7 @@ def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
 def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -> NDArray[np.int64]:
     """Invert `encode_geometry` for `count` codes.
 
-    Raises
-    ------
-    TruncatedStream, CorruptStream
-        If the size of the section does not match `count` codes.
+    Raises TruncatedStream or CorruptStream if the size of the section does not match `count` codes.
     """
     reader = ByteReader(data, where)
     tree = reader.take(reader.unpack("I")[0])

@@ -251,10 +251,8 @@ def decode_tables(
 ) -> list[NDArray[np.int64]]:
     """Invert `encode_tables`.
 
-    Raises
-    ------
-    CorruptStream
-        If the size of the stream does not match the tables, or a table has no symbol.
+    Raises CorruptStream if the size of the stream does not match the tables, or a table has no
+    symbol.
     """
     weights = [np.zeros(alphabet, np.int64) for alphabet in alphabets]
 

@@ -135,10 +135,8 @@ def decode_colour(
 ) -> NDArray[np.uint16]:
     """Invert `encode_colour`.
 
-    Raises
-    ------
-    CorruptStream
-        If the section's size does not match the points, or a colour is out of range.
+    Raises CorruptStream if the section's size does not match the points, or a colour is out of
+    range.
     """
     values = np.zeros((3, cells.shape[1]), np.int64)
 

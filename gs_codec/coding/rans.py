@@ -182,6 +182,9 @@ def decode_symbols(
 ) -> NDArray[np.uint16]:
     """Decode symbols ``(C, count)`` of consecutive groups of channels.
 
+    Raises TruncatedStream or CorruptStream if the number of words does not match a group's symbols,
+    or the final states are not the encoder's initial states.
+
     Parameters
     ----------
     states : memoryview
@@ -196,12 +199,6 @@ def decode_symbols(
         Name of the block in errors.
     whole : bool
         Whether `groups` are all the groups that were coded.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream
-        If the number of words does not match a group's symbols, or the final states are not the
-        encoder's initial states.
     """
     lanes = read_states(states, min(LANES, count), where)
     words = [read_words(data, where) for _, data in groups]

@@ -39,12 +39,7 @@ def edit_scenes(
     """Merge scenes and apply actions in order; everything is in ``RDF``.
 
     A single scene without actions is returned unchanged. Actions that need cameras use those of the
-    plan.
-
-    Raises
-    ------
-    InvalidInput
-        If an action does not apply to the scene, or removes all Gaussians.
+    plan. Raises InvalidInput if an action does not apply to the scene, or removes all Gaussians.
     """
     if actions or len(scenes) > 1:
         scenes = [without_order(turn_axes(scene)) for scene in scenes]

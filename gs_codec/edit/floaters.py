@@ -85,6 +85,9 @@ def find_floaters(
 ) -> NDArray[np.uint8]:
     """Label floaters; see `remove_floaters` for the rules.
 
+    Raises InvalidInput if cameras cannot be read, or there are none. Raises MissingTool if cameras
+    are given, and scipy is not installed.
+
     Parameters
     ----------
     scene : Scene
@@ -97,13 +100,6 @@ def find_floaters(
     ndarray, shape (N,), uint8
         0 for Gaussians that are kept; for others the index in `FLOATERS` of the first rule that
         matches.
-
-    Raises
-    ------
-    InvalidInput
-        If cameras cannot be read, or there are none.
-    MissingTool
-        If cameras are given, and scipy is not installed.
     """
     if str(cameras) == "auto":
         raise InvalidInput(

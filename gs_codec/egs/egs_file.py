@@ -336,16 +336,14 @@ def padded_parts(section: Section) -> list[bytes | memoryview]:
 def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
     """Parse a file and check it.
 
+    Raises TruncatedStream, CorruptStream or UnsupportedVersion.
+
     Parameters
     ----------
     data : bytes
     wanted : callable, optional
         ``wanted(id, block)`` returns whether to read and check a section; by default all are. Other
         sections are not read.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream, UnsupportedVersion
     """
     view = data if isinstance(data, FileBytes) else memoryview(data)
     if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:

@@ -174,12 +174,7 @@ def unpack_header(
     reserved: bytes,
     block_size: int,
 ) -> Header:
-    """The inverse of `pack_header`.
-
-    Raises
-    ------
-    CorruptStream, UnsupportedVersion
-    """
+    """The inverse of `pack_header`. Raises CorruptStream or UnsupportedVersion."""
     if unknown := features & ~sum(Feature):
         raise UnsupportedVersion(
             f"header: needs features {_named_bits(unknown)}, this reader knows "

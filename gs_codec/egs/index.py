@@ -47,9 +47,7 @@ def bounds_of(file: EgsFile) -> Box | None:
 def check_centres(file: EgsFile, block: int, positions: NDArray[np.float32]) -> None:
     """Check that the index matches the decoded centres ``(3, n)`` of a block.
 
-    Raises
-    ------
-    CorruptStream
+    Raises CorruptStream.
     """
     if centre_box(positions).tobytes() != index_of(file)[block, :6].tobytes():
         raise CorruptStream(f"{_WHERE}: does not match block {block}")
@@ -58,9 +56,7 @@ def check_centres(file: EgsFile, block: int, positions: NDArray[np.float32]) -> 
 def check_boxes(file: EgsFile, boxes: NDArray[np.float32]) -> None:
     """Check that the index matches the boxes ``(blocks, 6)`` of decoded, finite centres.
 
-    Raises
-    ------
-    CorruptStream
+    Raises CorruptStream.
     """
     # Adding 0 turns -0 into 0.
     found, told = boxes + np.float32(0), np.ascontiguousarray(index_of(file)[:, :6])
@@ -72,10 +68,8 @@ def check_boxes(file: EgsFile, boxes: NDArray[np.float32]) -> None:
 def read_index(data: memoryview, blocks: int) -> NDArray[np.float32]:
     """Parse the extents of `blocks` blocks, ``(blocks, 12)``; inverse of `index_section`.
 
-    Raises
-    ------
-    CorruptStream
-        If their number is wrong, or a box is invalid or does not contain its centres.
+    Raises CorruptStream if their number is wrong, or a box is invalid or does not contain its
+    centres.
     """
     if len(data) != 4 * EXTENT * blocks:
         raise CorruptStream(
@@ -112,9 +106,7 @@ def levels_of(file: EgsFile) -> list[int]:
 def open_level(file: EgsFile, level: int) -> EgsFile:
     """Open a level as a file of its own; its descriptions are read and checked.
 
-    Raises
-    ------
-    CorruptStream, TruncatedStream, UnsupportedVersion
+    Raises CorruptStream, TruncatedStream or UnsupportedVersion.
     """
     with within(level):
         data = file.nested(SectionId.LEVEL, level)
@@ -145,9 +137,7 @@ def _read_errors(data: memoryview, blocks: int) -> NDArray[np.float32]:
 def check_errors(finer: NDArray[np.float32], coarser: NDArray[np.float32]) -> None:
     """Check that no block has a lower error than the finer blocks it replaces.
 
-    Raises
-    ------
-    CorruptStream
+    Raises CorruptStream.
     """
     least = np.maximum.reduceat(finer, np.arange(0, len(finer), FANOUT))
     if (coarser < least).any():

@@ -30,12 +30,7 @@ Parts = list[bytes | memoryview]
 
 
 def check_levels(config: Config, rate: object = None, max_memory: int | None = None) -> None:
-    """Reject options that cannot be combined with levels.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Reject options that cannot be combined with levels. Raises InvalidInput."""
     if config.lod and rate is not None:
         raise InvalidInput("lod: cannot be combined with a target: coarser levels add a third")
     if config.lod and max_memory is not None:

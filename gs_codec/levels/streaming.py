@@ -44,7 +44,8 @@ def stream_levels(
     """The files of a scene as streamed SOG, and sentences on what they cannot represent.
 
     Every leaf has all levels, made only from its own Gaussians, so that viewers can choose a level
-    for each leaf without drawing anything twice.
+    for each leaf without drawing anything twice. Raises InvalidInput if there are no Gaussians, or
+    if values are not finite and ``config.nonfinite`` is not ``drop``.
 
     Parameters
     ----------
@@ -61,12 +62,6 @@ def stream_levels(
     files : dict of str to bytes
         Files by name, which may include a folder; `lod-meta.json` comes last.
     lost : tuple of str
-
-    Raises
-    ------
-    InvalidInput
-        If there are no Gaussians, or if values are not finite and ``config.nonfinite`` is not
-        ``drop``.
     """
     with using_threads(config.threads, scene.count):
         scene = turn_axes(clean_scene(scene, config)[0])

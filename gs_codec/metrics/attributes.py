@@ -251,12 +251,8 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     stored; opacity also after the sigmoid, rotation also as an angle in degrees. An ellipsoid has
     several equivalent parameterisations; the nearest is compared. Rotations about an axis do not
     count if the other two axes are equal within 5 %. Missing SH bands count as zero. Opacities of 0
-    and 1, whose logit is infinite, are compared only after the sigmoid.
-
-    Raises
-    ------
-    InvalidInput
-        If the scenes differ in their number of Gaussians.
+    and 1, whose logit is infinite, are compared only after the sigmoid. Raises InvalidInput if the
+    scenes differ in their number of Gaussians.
     """
     if first.count != second.count:
         raise InvalidInput(

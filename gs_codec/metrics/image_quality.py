@@ -52,12 +52,8 @@ class Lpips:
 def load_lpips(path: str | Path) -> Lpips:
     """Load LPIPS with the backbone whose torchvision state dict is in a file.
 
-    Raises
-    ------
-    InvalidInput
-        If the file is missing, or not such a state dict.
-    MissingTool
-        If the package or one of its dependencies is not installed.
+    Raises InvalidInput if the file is missing, or not such a state dict. Raises MissingTool if the
+    package or one of its dependencies is not installed.
     """
     with opened(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about lpips' calls of torchvision

@@ -37,6 +37,10 @@ def compare_views(
 ) -> Comparison:
     """Render both scenes for every camera and compare the images.
 
+    Raises InvalidInput if a ground-truth image is missing, is shared by two cameras or has another
+    shape, or an image cannot be written. Raises InvalidInput or MissingTool, as in `compare_images`
+    and `read_photograph`.
+
     Parameters
     ----------
     first, second : Scene
@@ -55,14 +59,6 @@ def compare_views(
     progress : callable, optional
     lpips : path, optional
         As in `compare_images`.
-
-    Raises
-    ------
-    InvalidInput
-        If a ground-truth image is missing, is shared by two cameras or has another shape, or an
-        image cannot be written.
-    InvalidInput, MissingTool
-        As in `compare_images` and `read_photograph`.
     """
     backbone = None if lpips is None else load_lpips(lpips).backbone
     names = output_names(cameras) if images else []

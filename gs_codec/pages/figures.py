@@ -30,10 +30,7 @@ _STYLE = {
 def new_figure(width: float, height: float) -> Figure:
     """A new figure; width and height in inches.
 
-    Raises
-    ------
-    MissingTool
-        If matplotlib is not installed.
+    Raises MissingTool if matplotlib is not installed.
     """
     return needed("matplotlib.figure", "plots").Figure(figsize=(width, height))
 
@@ -41,10 +38,7 @@ def new_figure(width: float, height: float) -> Figure:
 def png_of(plot: Callable[..., Figure], *args: Any) -> bytes:
     """PNG data of the figure ``plot(*args)``, in the common style.
 
-    Raises
-    ------
-    MissingTool
-        If matplotlib is not installed.
+    Raises MissingTool if matplotlib is not installed.
     """
     canvas = needed("matplotlib.backends.backend_agg", "plots").FigureCanvasAgg
     buffer = BytesIO()

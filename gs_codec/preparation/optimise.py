@@ -61,7 +61,9 @@ def optimise(
 
     Views come in random order, each once before any repeats. On the CPU, the result does not depend
     on interruptions and resuming from `checkpoint`. There are no iterations if the rendered views
-    already equal the images.
+    already equal the images. Raises InvalidInput if an image is not finite, or the checkpoint is
+    damaged, belongs to other inputs, or cannot be written. Raises MissingTool if ``cuda`` is
+    requested but not available.
 
     Parameters
     ----------
@@ -82,14 +84,6 @@ def optimise(
     dict
         For reports: ``iterations``; ``updated``, the number of visible and thus changed Gaussians;
         ``seconds``, including time before interruptions; and ``curve``, see `_curve`.
-
-    Raises
-    ------
-    InvalidInput
-        If an image is not finite, or the checkpoint is damaged, belongs to other inputs, or cannot
-        be written.
-    MissingTool
-        If ``cuda`` is requested but not available.
     """
     on_device = gsplat_backend.is_chosen(device)
     for camera, image in zip(views.cameras, views.images, strict=True):

@@ -58,10 +58,7 @@ def digest_of(parts: Iterable[NDArray | str]) -> str:
 def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
     """Write a checkpoint of a run whose inputs have `digest`, atomically.
 
-    Raises
-    ------
-    InvalidInput
-        If it cannot be written.
+    Raises InvalidInput if it cannot be written.
     """
     with atomic_writer(path) as file:
         np.savez(
@@ -76,10 +73,7 @@ def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
 def read_checkpoint(path: Path, digest: str, fresh: AdamState) -> Checkpoint | None:
     """Read the checkpoint of a run that starts from `fresh`; None if there is no file.
 
-    Raises
-    ------
-    InvalidInput
-        If it cannot be read, is damaged, or belongs to other inputs.
+    Raises InvalidInput if it cannot be read, is damaged, or belongs to other inputs.
     """
     if not os.path.lexists(path):
         return None

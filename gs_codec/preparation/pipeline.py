@@ -83,14 +83,8 @@ def prepare_scene(
     """Run the steps of a plan on a scene.
 
     `steps_of` gives the step sizes that decide how far a balanced plan prunes; by default those of
-    profile `m`.
-
-    Raises
-    ------
-    InvalidInput
-        If there are no cameras, no Gaussian would be left, or an image is broken.
-    MissingTool
-        If refinement needs a device, and there is none.
+    profile `m`. Raises InvalidInput if there are no cameras, no Gaussian would be left, or an image
+    is broken. Raises MissingTool if refinement needs a device, and there is none.
     """
     if plan.steps.refine:
         is_chosen(plan.device)
@@ -121,10 +115,7 @@ def prepare_scene(
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:
     """Render or read the views that guide a plan's steps, and those that measure quality.
 
-    Raises
-    ------
-    InvalidInput
-        If there are no cameras, none has a photograph, or a photograph is damaged.
+    Raises InvalidInput if there are no cameras, none has a photograph, or a photograph is damaged.
     """
     known = _split(scene, plan, progress)
     rest, test, _ = known

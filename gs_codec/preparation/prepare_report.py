@@ -145,12 +145,7 @@ def save_report(folder: str | Path, report: PrepareReport) -> None:
     """Write ``report.json``, ``ablation.md`` and ``labels.npy``.
 
     ``labels.npy`` has a uint8 for each input Gaussian, in the input's order: its index in `LABELS`,
-    0 for kept ones.
-
-    Raises
-    ------
-    InvalidInput
-        If they cannot be written.
+    0 for kept ones. Raises InvalidInput if they cannot be written.
     """
     labels = io.BytesIO()
     np.save(labels, report.labels)

@@ -55,10 +55,7 @@ _BISECTIONS = 6
 def portion(count: int, percent: float) -> int:
     """Number of Gaussians in `percent` percent of `count`, rounded down.
 
-    Raises
-    ------
-    InvalidInput
-        If no Gaussian would remain.
+    Raises InvalidInput if no Gaussian would remain.
     """
     # The 1e-6 compensates for binary rounding of percentages: 7 % of 100 is 7.
     number = int(np.floor(count * percent / 100 + 1e-6))

@@ -141,10 +141,7 @@ class ViewSplit(NamedTuple):
 def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Camera, Path]]:
     """The cameras whose image is in a folder, and the images' paths.
 
-    Raises
-    ------
-    InvalidInput
-        If no camera has an image, or as in `seek_images`.
+    Raises InvalidInput if no camera has an image, or as in `seek_images`.
     """
     paths = seek_images(folder, cameras)
     found = [(camera, path) for camera, path in zip(cameras, paths, strict=True) if path]
@@ -177,10 +174,7 @@ def draw_targets(
 ) -> ReferenceViews:
     """Render a scene's own views as targets, in float32, on the device that fits them.
 
-    Raises
-    ------
-    MissingTool
-        If the device is requested but not available.
+    Raises MissingTool if the device is requested but not available.
     """
     on_device = gsplat_backend.is_chosen(device)
     values = gsplat_backend.upload(scene) if on_device else None
@@ -201,12 +195,8 @@ def read_photographs(
 ) -> ReferenceViews:
     """Read and undistort photographs, and resize the cameras to them.
 
-    Raises
-    ------
-    InvalidInput
-        If one is damaged, or its shape differs from its camera's.
-    MissingTool
-        If one must be undistorted, and OpenCV is not installed.
+    Raises InvalidInput if one is damaged, or its shape differs from its camera's. Raises
+    MissingTool if one must be undistorted, and OpenCV is not installed.
     """
     read = run_all(lambda item: read_photograph(*item), found)
     cameras, images = zip(*read, strict=True)

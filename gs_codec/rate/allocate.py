@@ -71,12 +71,8 @@ def encode_to_target(
 
     With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
     against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
-    estimated from the scene. `views` are those of the plan, if already known.
-
-    Raises
-    ------
-    InvalidInput
-        If the target is unreachable; the error gives the range.
+    estimated from the scene. `views` are those of the plan, if already known. Raises InvalidInput
+    if the target is unreachable; the error gives the range.
     """
     limit = target.limit(original.count, ply_bytes)
     seen = references = None

@@ -37,10 +37,7 @@ def meet_target(
 ) -> tuple[bytes, EncodeReport]:
     """Meet a target by pruning: keep as many Gaussians as it allows, the most visible ones.
 
-    Raises
-    ------
-    InvalidInput
-        If the plan also prunes, or the target is unreachable.
+    Raises InvalidInput if the plan also prunes, or the target is unreachable.
     """
     steps = Plan().steps if plan is None else plan.steps
     if target.allow_prune or (steps.by_leave_one_out and not steps.balanced):

@@ -23,11 +23,8 @@ except ImportError:  # Windows
 def check_writable(path: str | Path, overwrite: bool = True) -> None:
     """Check that a file can be written to a path.
 
-    Raises
-    ------
-    InvalidInput
-        If it is a directory or device, its directory is missing or not writable, or, without
-        `overwrite`, it exists.
+    Raises InvalidInput if it is a directory or device, its directory is missing or not writable,
+    or, without `overwrite`, it exists.
     """
     target = Path(path)
     if os.path.isdir(target):
@@ -130,14 +127,10 @@ def _locked(descriptor: int) -> Iterator[None]:
 def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
     """Open a new file that becomes `path` if the block succeeds; it is flushed to disk.
 
-    If the system supports it, the file has no name until it is complete, so a process killed at
-    any moment leaves nothing behind. Exception: if `path` exists, a process killed between the two
-    system calls that name and move the file leaves a complete, hidden copy.
-
-    Raises
-    ------
-    InvalidInput
-        If the file cannot be written; then nothing is left behind.
+    If the system supports it, the file has no name until it is complete, so a process killed at any
+    moment leaves nothing behind. Exception: if `path` exists, a process killed between the two
+    system calls that name and move the file leaves a complete, hidden copy. Raises InvalidInput if
+    the file cannot be written; then nothing is left behind.
     """
     check_writable(path)
     target = Path(path)
@@ -200,10 +193,8 @@ def _keep_name(folder: Path) -> None:
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
     """Write files by name into a folder; missing folders are created.
 
-    Raises
-    ------
-    InvalidInput
-        If a folder cannot be made, or a file cannot be written; files already written remain.
+    Raises InvalidInput if a folder cannot be made, or a file cannot be written; files already
+    written remain.
     """
     target = make_folder(folder)
     for name, content in files.items():

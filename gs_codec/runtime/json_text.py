@@ -9,10 +9,8 @@ from typing import Any
 def parse_json(text: str | bytes, with_constants: bool = False) -> Any:
     """Parse a JSON text; integers of 16 digits or more become floats, infinite if too large.
 
-    Raises
-    ------
-    ValueError, RecursionError
-        If it is not valid JSON; NaN and Infinity are valid only `with_constants`.
+    Raises ValueError or RecursionError if it is not valid JSON; NaN and Infinity are valid only
+    `with_constants`.
     """
     constant = None if with_constants else _refuse_constant
     return json.loads(text, parse_int=_number, parse_constant=constant)

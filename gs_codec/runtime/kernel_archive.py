@@ -71,15 +71,12 @@ def _made_for() -> dict[str, str]:
 class Archive:
     """An archive that has been read.
 
+    Raises ValueError if it is damaged, or was made for something else.
+
     Parameters
     ----------
     content : bytes-like
         Content of the file after the magic number.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or was made for something else.
     """
 
     def __init__(self, content: Any) -> None:

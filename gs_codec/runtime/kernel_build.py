@@ -29,10 +29,7 @@ _FIRST_NUMBER = 10**9
 def build_all(folder: Path) -> None:
     """Write all archives into a folder, in parallel processes.
 
-    Raises
-    ------
-    OSError
-        If one could not be built, or this system is not supported.
+    Raises OSError if one could not be built, or this system is not supported.
     """
     from gs_codec.runtime.kernel_archive import TIERS, target_of
 

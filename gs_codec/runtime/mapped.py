@@ -84,10 +84,7 @@ class FileBytes:
 def opened(path: str | Path) -> Iterator[FileBytes]:
     """Open a file and yield its bytes.
 
-    Raises
-    ------
-    InvalidInput
-        If it is missing, empty, a directory, or not readable.
+    Raises InvalidInput if it is missing, empty, a directory, or not readable.
     """
     try:
         file = open(path, "rb")  # noqa: SIM115 (closed below)

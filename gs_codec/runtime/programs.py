@@ -47,10 +47,7 @@ class Limits:
 def first_line(command: Sequence[str], limits: Limits) -> str:
     """First line that a program prints, as printable ASCII; it may run for a minute at most.
 
-    Raises
-    ------
-    ToolFailed, OSError
-        If it does not end in time, or cannot be run.
+    Raises ToolFailed or OSError if it does not end in time, or cannot be run.
     """
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         brief = replace(limits, seconds=60.0, processor_seconds=10)
@@ -67,10 +64,7 @@ def run_on_files(
 ) -> bytes:
     """Run a program in a folder with the files `inputs`; return the bytes of file `output`.
 
-    Raises
-    ------
-    ToolFailed
-        If it fails, exceeds its limits, or writes more than `most` bytes.
+    Raises ToolFailed if it fails, exceeds its limits, or writes more than `most` bytes.
     """
     try:
         with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:

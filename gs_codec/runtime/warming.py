@@ -37,10 +37,7 @@ class WarmReport:
 def warm(progress: Callable[[str, int, int], None]) -> WarmReport:
     """Compile kernels that are neither in the package nor in the cache.
 
-    Raises
-    ------
-    InvalidInput
-        If no folder can store them.
+    Raises InvalidInput if no folder can store them.
     """
     from gs_codec.runtime.kernel_cache import cache_folder, is_writable
 

@@ -115,12 +115,8 @@ def auto_cameras(
 ) -> list[Camera]:
     """Estimate cameras near a scene's training cameras: first an overview, then others.
 
-    The same scene gives the same cameras, of `WIDTH` x `HEIGHT` pixels.
-
-    Raises
-    ------
-    InvalidInput
-        If no view shows anything.
+    The same scene gives the same cameras, of `WIDTH` x `HEIGHT` pixels. Raises InvalidInput if no
+    view shows anything.
     """
     return estimate_views(scene, count, progress=progress).cameras
 
@@ -133,12 +129,8 @@ def estimate_views(
 ) -> Estimate:
     """Like `auto_cameras`, with further results.
 
-    If the unit vector `up` is given, cameras are upright with respect to it.
-
-    Raises
-    ------
-    InvalidInput
-        If no view shows anything.
+    If the unit vector `up` is given, cameras are upright with respect to it. Raises InvalidInput if
+    no view shows anything.
     """
     found = gather_evidence(scene, progress=progress)
     chosen: list[Camera] = []
@@ -161,12 +153,7 @@ def guiding_cameras(
     """Cameras for guidance: two to four for each of `views`, with no more pixels in total.
 
     Many small views see more of a scene than few large ones. `width` overrides the width of the
-    images.
-
-    Raises
-    ------
-    InvalidInput
-        If no view shows anything.
+    images. Raises InvalidInput if no view shows anything.
     """
     found = estimate_views(scene, _MANY * views, progress=progress)
     if width is None:

@@ -29,6 +29,8 @@ def find_cameras(
 ) -> list[Camera]:
     """Cameras from a file or folder (see `read_cameras`), ``auto`` (estimated), or given ones.
 
+    Raises InvalidInput if there are no cameras.
+
     Parameters
     ----------
     source : path, "auto", or sequence of Camera or mapping
@@ -44,11 +46,6 @@ def find_cameras(
         Number of ``auto`` cameras.
     progress : callable, optional
         Called while ``auto`` cameras are estimated.
-
-    Raises
-    ------
-    InvalidInput
-        If there are no cameras.
     """
     if split not in SPLITS:
         raise InvalidInput(f"split '{split}': expected one of {', '.join(SPLITS)}")

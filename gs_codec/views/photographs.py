@@ -20,7 +20,9 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
 
     The photograph of a camera with a lens may be smaller than the lens states. It counts as already
     undistorted if its size is that of the `Lens.pinhole` camera, or that divided by a whole number,
-    and is not such a size of the lens.
+    and is not such a size of the lens. Raises InvalidInput if the photograph is damaged, or its
+    shape differs from the camera's. Raises MissingTool if it must be undistorted, and OpenCV is not
+    installed.
 
     Parameters
     ----------
@@ -33,13 +35,6 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
         The camera, with the size of the image.
     ndarray, shape (H, W, 3), float32
         0-1.
-
-    Raises
-    ------
-    InvalidInput
-        If the photograph is damaged, or its shape differs from the camera's.
-    MissingTool
-        If it must be undistorted, and OpenCV is not installed.
     """
     image = read_image(path)
     size = image.shape[1], image.shape[0]

@@ -45,14 +45,8 @@ _DEVICE = (
 def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     """Write ``report.md``, its plots as PNG files, and ``headline.md`` into a folder.
 
-    `lines` are all or some result lines of the suite; sections without lines are omitted.
-
-    Raises
-    ------
-    MissingTool
-        If matplotlib is not installed.
-    InvalidInput
-        If a file cannot be written.
+    `lines` are all or some result lines of the suite; sections without lines are omitted. Raises
+    MissingTool if matplotlib is not installed. Raises InvalidInput if a file cannot be written.
     """
     check_installed("matplotlib", "plots")
     results, pictures = Results(lines), dict[str, bytes]()

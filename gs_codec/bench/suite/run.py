@@ -44,11 +44,8 @@ class Options:
 
     Cameras come from ``cameras.json`` next to a file, otherwise they are estimated. Photographs are
     in the folder ``images`` there, if it exists; `width`, in pixels, applies to views without them.
-
-    Raises
-    ------
-    InvalidInput
-        If there are no scenes, two have one name, a group is unknown, or a number is out of range.
+    Raises InvalidInput if there are no scenes, two have one name, a group is unknown, or a number
+    is out of range.
     """
 
     scenes: tuple[Path, ...]
@@ -76,12 +73,8 @@ class Options:
 def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Lines:
     """Yield result lines as they are measured; `tell` is called with the next step.
 
-    The first line contains the `command` to repeat the measurement.
-
-    Raises
-    ------
-    InvalidInput
-        If a scene, cameras or photographs cannot be used; raised before measuring.
+    The first line contains the `command` to repeat the measurement. Raises InvalidInput if a scene,
+    cameras or photographs cannot be used; raised before measuring.
     """
     check_installed("scipy", "bench suite")
     scenes = [open_beside(path, options.width) for path in options.scenes]

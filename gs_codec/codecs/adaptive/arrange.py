@@ -84,12 +84,8 @@ def arrange_scene(
     """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
 
     With `block`, Gaussians are sorted only within each run of `block` Gaussians. Without
-    `may_have_far`, the position grid spans all Gaussians. See `Arranged` for `watched`.
-
-    Raises
-    ------
-    ValueError
-        If `asked` has another number of Gaussians than the scene.
+    `may_have_far`, the position grid spans all Gaussians. See `Arranged` for `watched`. Raises
+    ValueError if `asked` has another number of Gaussians than the scene.
     """
     some = slice(None, None, sample_stride(scene.count))
     opacity = scene.opacity[0, some]

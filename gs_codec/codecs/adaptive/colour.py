@@ -106,11 +106,7 @@ def read_colours(
     """Decode the values ``(3, n)`` that `code_colours` returned.
 
     ``rows (contexts,)`` are table numbers; `nearest`, `unit` and ``shifts (n,)`` are the arguments
-    of `code_colours`.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream
+    of `code_colours`. Raises TruncatedStream or CorruptStream.
     """
     values = np.zeros((3, len(shifts)), np.int64)
     reader.decode(sections, _read, rows, *nearest, unit, shifts, values)

@@ -59,9 +59,7 @@ def _add(spans, rows, values, contexts, owners, cycle, costs):
 def block_costs(blocks: Blocks, number: int) -> BlockCosts:
     """Decode block `number`; return the bits and step sizes of its Gaussians.
 
-    Raises
-    ------
-    CorruptStream, TruncatedStream
+    Raises CorruptStream or TruncatedStream.
     """
     found = blocks.read(number)
     coded, shifts = _coded_again(blocks, found)
@@ -80,11 +78,7 @@ def block_costs(blocks: Blocks, number: int) -> BlockCosts:
 def gaussian_classes(file: EgsFile) -> NDArray[np.uint8]:
     """Shape and colour class of each Gaussian ``(2, N)``, in stream order.
 
-    A class counts octaves of step size above the finest.
-
-    Raises
-    ------
-    CorruptStream, TruncatedStream
+    A class counts octaves of step size above the finest. Raises CorruptStream or TruncatedStream.
     """
     blocks, classes = Blocks(file, 0), np.zeros((2, file.header.count), np.uint8)
 

@@ -89,12 +89,7 @@ class Blocks:
         self.bands = sh_bands(SH_COEFFICIENTS[degree])
 
     def read(self, block: int) -> DecodedBlock:
-        """Decode a block.
-
-        Raises
-        ------
-        TruncatedStream, CorruptStream
-        """
+        """Decode a block. Raises TruncatedStream or CorruptStream."""
         where = f"block {block}"
         lattice, section = self.lattice, partial(self.file.section, block=block)
         start, stop = self.file.header.block_range(block)

@@ -60,10 +60,7 @@ def encode_marks(lists: Sequence[NDArray[np.int64]]) -> bytes:
 def decode_marks(data: memoryview, sizes: Sequence[int], where: str) -> list[NDArray[np.int64]]:
     """Invert `encode_marks`, for lists of these sizes.
 
-    Raises
-    ------
-    CorruptStream
-        If the size of the stream does not match the lists.
+    Raises CorruptStream if the size of the stream does not match the lists.
     """
     lists = [np.zeros(size, np.int64) for size in sizes]
 
@@ -143,12 +140,7 @@ def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
 def read_lattice(
     data: memoryview, coefficients: int, has_far: bool = False
 ) -> tuple[Lattice, PassModels]:
-    """Invert `write_lattice`.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream
-    """
+    """Invert `write_lattice`. Raises TruncatedStream or CorruptStream."""
     reader = ByteReader(data, _WHERE)
     *origin, step = reader.unpack("4f")
     bits = reader.unpack("3B")
@@ -215,9 +207,7 @@ def write_far(positions: NDArray[np.float32]) -> bytes:
 def read_far(file: EgsFile, block: int) -> NDArray[np.float32]:
     """Centres ``(3, f)`` of the far Gaussians of a block, which come last in it.
 
-    Raises
-    ------
-    CorruptStream
+    Raises CorruptStream.
     """
     data = file.sections.get((SectionId.FAR, block))
     if data is None:

@@ -254,10 +254,7 @@ def read_bands(
     """Invert `code_bands`, writing to ``levels (3, K, n)``, initially 0.
 
     `rows` has the table numbers ``(contexts,)`` of each band of the scene; K may cover fewer bands.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream
+    Raises TruncatedStream or CorruptStream.
     """
     left = np.zeros(len(shifts), np.int64)
     for number, band in enumerate(sh_bands(levels.shape[1]), 1):

@@ -217,9 +217,7 @@ def read_shapes(
 ) -> tuple[NDArray[np.int64], Shape]:
     """Decode the shape pass: shape and colour classes ``(2, n)``, and shapes.
 
-    Raises
-    ------
-    TruncatedStream, CorruptStream
+    Raises TruncatedStream or CorruptStream.
     """
     names = ("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
     units = np.array([lattice.units[name] for name in ("opacity", "scaling", "rotation")])

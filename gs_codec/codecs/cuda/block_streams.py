@@ -47,9 +47,7 @@ class Streams:
     def of(cls, file: EgsFile, streams: Sequence[str], data: NDArray[np.uint8]) -> Streams:
         """Locate the streams of a file; fill ``data``, `PADDING` longer, with its checked sections.
 
-        Raises
-        ------
-        TruncatedStream, CorruptStream
+        Raises TruncatedStream or CorruptStream.
         """
         data[:] = 0
         for key, content in file.sections.items():
@@ -95,12 +93,7 @@ class Streams:
         faults: NDArray[np.int64],
         coders: NDArray[np.int64],
     ) -> None:
-        """Check the kernels' end positions, final states and faults.
-
-        Raises
-        ------
-        CorruptStream
-        """
+        """Check the kernels' end positions, final states and faults. Raises CorruptStream."""
         for block, (place, coder) in enumerate(zip(self.trees, coders.tolist(), strict=True)):
             low, high, _, position, _ = coder
             check_end(low, high, position, int(place[1] - place[0]), f"geometry of block {block}")

@@ -89,15 +89,13 @@ def for_each(kernel: Any, count: int, *arguments: Any) -> None:
 def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
     """Decode all blocks of a file to tensors on a device, in stream order.
 
+    Raises TruncatedStream or CorruptStream.
+
     Returns
     -------
     dict of str to Tensor
         Float32 ``means (N, 3)``, ``quats (N, 4)``, ``log_scales (N, 3)``, ``logits (N,)``, ``sh (N,
         1 + K, 3)``, as stored in the file.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream
     """
     count, coefficients = file.header.count, SH_COEFFICIENTS[file.header.sh_degree]
     with working_on(device) as place:

@@ -50,10 +50,7 @@ class Tmc3:
     def find(cls, path: str | Path | None = None) -> Tmc3:
         """Find the program at `path`, or through the environment variable or PATH.
 
-        Raises
-        ------
-        MissingTool
-            If there is none, or it is a different program.
+        Raises MissingTool if there is none, or it is a different program.
         """
         given = str(path) if path is not None else os.environ.get(VARIABLE)
         found = shutil.which(given or "tmc3")
@@ -78,10 +75,7 @@ class Tmc3:
     ) -> bytes:
         """Run the program in a folder with the files `inputs`; return the bytes of file `output`.
 
-        Raises
-        ------
-        ToolFailed
-            If it fails, exceeds its limits, or writes more than `most` bytes.
+        Raises ToolFailed if it fails, exceeds its limits, or writes more than `most` bytes.
         """
         return run_on_files([self.path, *arguments], inputs, output, self.limits, most)
 
@@ -118,9 +112,7 @@ _LEAST_BLOCK = 512
 def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> bytes:
     """Code ``cells (3, N)`` of at most 18 bits per axis, and ``colours (3, N)`` of at most 8 bits.
 
-    Raises
-    ------
-    ToolFailed
+    Raises ToolFailed.
     """
     rows = np.empty(cells.shape[1], _ROW)
     for name, plane in zip((*_AXES, *_COLOURS), (*cells, *colours), strict=True):
@@ -138,10 +130,7 @@ def decode_points(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
     """Invert `encode_points` for `count` points of these depths; points come in any order.
 
-    Raises
-    ------
-    ToolFailed
-        If the program fails, or does not return exactly `count` points.
+    Raises ToolFailed if the program fails, or does not return exactly `count` points.
     """
     most = _HEADER_BYTES + 64 * count
     ply = tool.run(_DECODE, {"in.bin": data}, "out.ply", most)
@@ -187,9 +176,7 @@ def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
 def tool_of(config: Config) -> Tmc3 | None:
     """Find the program that a configuration selects; None if our octree codes the points.
 
-    Raises
-    ------
-    MissingTool
+    Raises MissingTool.
     """
     if not config.may_use_gpcc:
         return None
@@ -213,10 +200,8 @@ def encode_gpcc(
 ) -> list[Section]:
     """The section of a block's points, if any of their channels varies.
 
-    Raises
-    ------
-    ToolFailed
-        If the program fails; with `verify`, also if decoding does not return the points.
+    Raises ToolFailed if the program fails; with `verify`, also if decoding does not return the
+    points.
     """
     if not any(map(sum, ordered.depths)):
         return []
@@ -240,9 +225,7 @@ def is_gpcc(file: EgsFile) -> bool:
 def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
     """Find the program that decodes a file's points; None if the file needs none.
 
-    Raises
-    ------
-    CorruptStream, MissingTool
+    Raises CorruptStream or MissingTool.
     """
     if not is_gpcc(file):
         return None
@@ -261,11 +244,8 @@ def decode_gpcc(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
     """Symbols of positions and of SH-DC ``(3, n)`` of a block, in canonical order.
 
-    Raises
-    ------
-    TruncatedStream, CorruptStream
-    ToolFailed
-        If decoding fails; the stream or the program may be at fault.
+    Raises TruncatedStream or CorruptStream. Raises ToolFailed if decoding fails; the stream or the
+    program may be at fault.
     """
     quantisers = [channel.quantiser for channel in channels[:6]]
     axes, colours = triple_depths(quantisers[:3]), triple_depths(quantisers[3:])

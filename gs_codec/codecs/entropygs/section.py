@@ -102,9 +102,7 @@ def channels_of(file: EgsFile) -> list[Channel]:
 def read_channels(data: memoryview, coefficients: int) -> list[Channel]:
     """Invert `write_channels`, for `coefficients` SH-AC coefficients per colour.
 
-    Raises
-    ------
-    TruncatedStream, CorruptStream
+    Raises TruncatedStream or CorruptStream.
     """
     reader = ByteReader(data, _WHERE)
     channels = []

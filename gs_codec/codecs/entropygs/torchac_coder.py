@@ -38,10 +38,7 @@ _VALUES = 1 << 22
 def require_torchac() -> None:
     """Import torch and torchac; the first import compiles torchac.
 
-    Raises
-    ------
-    MissingTool
-        If they are not installed, or torchac cannot be compiled.
+    Raises MissingTool if they are not installed, or torchac cannot be compiled.
     """
     _load()
 
@@ -114,9 +111,7 @@ def is_torchac(file: EgsFile) -> bool:
 def require_coder(file: EgsFile) -> None:
     """Check that the coder of a file's attributes is installed.
 
-    Raises
-    ------
-    CorruptStream, MissingTool
+    Raises CorruptStream or MissingTool.
     """
     if is_torchac(file):
         read_line(file, SectionId.CODER)
@@ -145,9 +140,7 @@ def decode_stream(
 ) -> list[NDArray[np.uint16]]:
     """The inverse of `encode_stream` for `count` symbols of each channel.
 
-    Raises
-    ------
-    TruncatedStream, CorruptStream
+    Raises TruncatedStream or CorruptStream.
     """
     reader = ByteReader(data, where)
     expected = reader.unpack("I")[0]

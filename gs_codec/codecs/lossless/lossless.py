@@ -83,11 +83,8 @@ def decode_lossless(
 ) -> dict[str, NDArray[np.float32]]:
     """Decode blocks to attribute groups, in stream order.
 
-    `spans` gives each block's range in the result; SH is decoded up to `degree`.
-
-    Raises
-    ------
-    CorruptStream, TruncatedStream
+    `spans` gives each block's range in the result; SH is decoded up to `degree`. Raises
+    CorruptStream or TruncatedStream.
     """
     rows = group_rows(SH_COEFFICIENTS[degree])
     count = max((span.stop for span in spans.values()), default=0)

@@ -31,7 +31,8 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
     """Convert a scene to another coordinate system, and add the comment that names it.
 
     If only signs differ, as between ``RUB`` and ``RDF``, every number stays exact; if y and z are
-    swapped, SH of degree 2 and 3 are rounded once; see `move_scene`.
+    swapped, SH of degree 2 and 3 are rounded once; see `move_scene`. Raises InvalidInput if
+    `system` is not a coordinate system.
 
     Parameters
     ----------
@@ -44,11 +45,6 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
     -------
     Scene
         The same object if it is in that system already.
-
-    Raises
-    ------
-    InvalidInput
-        If `system` is not a coordinate system.
     """
     turn = _turn(system_of(scene), system)
     if np.array_equal(turn, np.eye(3)):

@@ -25,6 +25,9 @@ def read_pixels(
 ) -> NDArray[np.uint8]:
     """Pixels ``(H, W, 4)``, RGBA, of an image, or of the first image of a file with several.
 
+    Raises InvalidInput if it cannot be opened, or is not a valid image of these formats; or if
+    `check_size` raises.
+
     Parameters
     ----------
     source : str, Path or binary file
@@ -33,11 +36,6 @@ def read_pixels(
         file; its PostScript reader would run the file as a program.
     check_size : callable
         Called as ``check_size(width, height)`` before pixels are decoded.
-
-    Raises
-    ------
-    InvalidInput
-        If it cannot be opened, or is not a valid image of these formats; or if `check_size` raises.
     """
     with _opened(source, formats, check_size) as image:
         return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
@@ -48,10 +46,7 @@ def read_size(
 ) -> tuple[int, int]:
     """Width and height of an image, without decoding its pixels; arguments as for `read_pixels`.
 
-    Raises
-    ------
-    InvalidInput
-        As for `read_pixels`.
+    Raises InvalidInput, as for `read_pixels`.
     """
     with _opened(source, formats, check_size) as image:
         return image.size

@@ -76,10 +76,7 @@ class _Storage:
 def parse_pickle(data: bytes) -> Any:
     """The value of a pickle.
 
-    Raises
-    ------
-    InvalidInput
-        If it is damaged, or does what no file of PyTorch does.
+    Raises InvalidInput if it is damaged, or does what no file of PyTorch does.
     """
     machine = _Machine()
     with refusing("pickle"):

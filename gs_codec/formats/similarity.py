@@ -41,7 +41,8 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     """Turn, mirror, scale and shift a scene; centres, shapes, SH and normals follow.
 
     Computed in float64 and rounded once. If axes only swap and change signs, numbers of centres and
-    shapes keep their bits, and so do SH whose signs alone change.
+    shapes keep their bits, and so do SH whose signs alone change. Raises InvalidInput if the matrix
+    shears, or scales axes differently, or by 0.
 
     Parameters
     ----------
@@ -53,11 +54,6 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     -------
     Scene
         The same object if the matrix moves nothing.
-
-    Raises
-    ------
-    InvalidInput
-        If the matrix shears, or scales axes differently, or by 0.
     """
     try:
         wide = np.asarray(matrix, np.float64)

@@ -32,16 +32,13 @@ _SPACE = struct.Struct("<2sH")
 class Archive:
     """The files in a zip by name, with a slash after each folder, whatever the zip has.
 
+    Raises InvalidInput if it has too many entries or bytes in them, or two of one name.
+
     Parameters
     ----------
     file : zipfile.ZipFile
     file_bytes : int
         Size of the zip.
-
-    Raises
-    ------
-    InvalidInput
-        If it has too many entries or bytes in them, or two of one name.
     """
 
     def __init__(self, file: zipfile.ZipFile, file_bytes: int) -> None:
@@ -77,10 +74,7 @@ class Archive:
     def read(self, name: str, limit: int) -> bytes:
         """The bytes of a file.
 
-        Raises
-        ------
-        InvalidInput
-            If it is missing, damaged, encrypted, or larger than `limit`.
+        Raises InvalidInput if it is missing, damaged, encrypted, or larger than `limit`.
         """
         size = self.size(name)
         if size > limit:
@@ -103,10 +97,8 @@ class Archive:
     def read_part(self, name: str, start: int, stop: int) -> bytes:
         """Bytes `start` to `stop` of a file; the others are read piece by piece, and checked.
 
-        Raises
-        ------
-        InvalidInput
-            If it is missing, damaged or encrypted, or compressed and larger than the part.
+        Raises InvalidInput if it is missing, damaged or encrypted, or compressed and larger than
+        the part.
         """
         shown, size = _shown(name), self.size(name)
         entry = self._entries[name]

@@ -80,7 +80,8 @@ def render(
     """Render a scene like the 3DGS rasteriser (Kerbl et al. 2023, Section 6).
 
     Gaussians with an attribute or a projection that is not finite are not drawn. On the CPU the
-    result does not depend on the number of threads.
+    result does not depend on the number of threads. Raises MissingTool if ``cuda`` is requested but
+    not available.
 
     Parameters
     ----------
@@ -96,11 +97,6 @@ def render(
     device : {"auto", "cpu", "cuda"}
         ``cuda`` renders with gsplat; its images agree with the CPU's to 40 dB or better. ``auto``
         uses it if it is installed and torch sees a device.
-
-    Raises
-    ------
-    MissingTool
-        If ``cuda`` is requested but not available.
     """
     if antialiased is None:
         antialiased = scene.antialiased
@@ -187,10 +183,7 @@ def write_views(
 ) -> list[Path]:
     """Render each camera's view to a file in `folder`, named by `output_names`; see `render`.
 
-    Raises
-    ------
-    InvalidInput
-        If an image cannot be written.
+    Raises InvalidInput if an image cannot be written.
     """
     paths = [make_folder(folder) / f"{name}.png" for name in output_names(cameras)]
     advance = step_counter(progress, "views", len(cameras))

@@ -85,10 +85,7 @@ class GltfFile:
     def values(self, accessor: Any, kind: str, where: str) -> NDArray[np.float32]:
         """Numbers ``(count, components)`` of an accessor of type `kind`, normalised if it says so.
 
-        Raises
-        ------
-        InvalidInput
-            If it is of another type, sparse, or outside its buffer.
+        Raises InvalidInput if it is of another type, sparse, or outside its buffer.
         """
         known = self.item("accessors", accessor)
         component = known.get("componentType")
@@ -149,10 +146,7 @@ class GltfFile:
 def open_gltf(path: Path, data: memoryview) -> GltfFile:
     """Open the bytes of a `.glb` or `.gltf` file.
 
-    Raises
-    ------
-    InvalidInput
-        If it is neither, or not of version 2.
+    Raises InvalidInput if it is neither, or not of version 2.
     """
     text, binary = _chunks(data) if data[:4] == MAGIC else (data, None)
     with refusing("glTF"):

@@ -215,12 +215,9 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a `.glb` file, or, `as_text`, of a `.gltf`, and what it cannot hold, in words.
 
-    Colours without view dependence are there too, for programs that show points.
-
-    Raises
-    ------
-    InvalidInput
-        If there are no Gaussians, a value is not finite, or a scale too large for a float32.
+    Colours without view dependence are there too, for programs that show points. Raises
+    InvalidInput if there are no Gaussians, a value is not finite, or a scale too large for a
+    float32.
     """
     check_finite(scene, "glTF")
     if not scene.count:

@@ -86,10 +86,7 @@ class Ply:
     def rows(self, name: str) -> Rows:
         """Rows of an element; those of a text file are read at once.
 
-        Raises
-        ------
-        InvalidInput
-            If rows are missing, or have list properties.
+        Raises InvalidInput if rows are missing, or have list properties.
         """
         element = self.header.elements[name]
         if element.lists:

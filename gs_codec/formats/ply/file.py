@@ -53,6 +53,8 @@ def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = No
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
     The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
+    Raises InvalidInput if the file is not a PLY, is truncated, lacks properties, or has some that
+    `extra` refuses.
 
     Parameters
     ----------
@@ -63,11 +65,6 @@ def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = No
         is left out.
     max_bytes : int, optional
         Largest size of floats and kept properties; default: see `most_bytes`.
-
-    Raises
-    ------
-    InvalidInput
-        If the file is not a PLY, is truncated, lacks properties, or has some that `extra` refuses.
     """
     with opened(path) as data:
         return scene_of(ply_of(path, data), extra, max_bytes)

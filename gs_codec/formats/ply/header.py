@@ -92,10 +92,7 @@ class PlyHeader:
 def read_header(data: memoryview | FileBytes) -> PlyHeader:
     """Read the header of a PLY file; the body is not touched.
 
-    Raises
-    ------
-    InvalidInput
-        If it is not the header of a PLY file.
+    Raises InvalidInput if it is not the header of a PLY file.
     """
     lines, size = _split_lines(data)
     byte_order: str | None = None

@@ -168,12 +168,8 @@ def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
 
     Ranges of chunks are from the lowest to the highest value: clipping some so that the others are
     finer gains nothing (measured on centres, scales and colours). Far Gaussians come last, drawn to
-    the box of the others: one of their chunks also has near ones.
-
-    Raises
-    ------
-    InvalidInput
-        If a value is not finite.
+    the box of the others: one of their chunks also has near ones. Raises InvalidInput if a value is
+    not finite.
     """
     check_finite(scene, ".compressed.ply")
     nearer, moved = bring_nearer(scene)

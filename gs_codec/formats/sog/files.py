@@ -89,10 +89,7 @@ class Meta:
 def parse_meta(data: bytes) -> Meta:
     """Parse and check `meta.json`.
 
-    Raises
-    ------
-    InvalidInput
-        If it is not JSON, or not of SOG version 1 or 2.
+    Raises InvalidInput if it is not JSON, or not of SOG version 1 or 2.
     """
     with refusing(UNBUNDLED):
         meta = parse_json(data)
@@ -225,10 +222,7 @@ class Files:
     def read(self, name: str, limit: int) -> bytes:
         """The bytes of a file.
 
-        Raises
-        ------
-        InvalidInput
-            If it is missing, encrypted, or of more than `limit` bytes.
+        Raises InvalidInput if it is missing, encrypted, or of more than `limit` bytes.
         """
         if self.archive:
             return self.archive.read(str(self.folder / name), limit)
@@ -275,10 +269,7 @@ class Unit:
 def opened_files(path: Path, data: memoryview) -> Iterator[tuple[Files, str]]:
     """The files of the scene of a zip or JSON file of these bytes, and which of them states it.
 
-    Raises
-    ------
-    InvalidInput
-        If it is no valid zip, or one without a scene, or of several.
+    Raises InvalidInput if it is no valid zip, or one without a scene, or of several.
     """
     if data[: len(ZIP)] != ZIP:
         yield Files(path.parent), path.name
@@ -290,10 +281,7 @@ def opened_files(path: Path, data: memoryview) -> Iterator[tuple[Files, str]]:
 def scene_in(archive: Archive) -> str:
     """The name of the `meta.json` or `lod-meta.json` of the scene in a zip.
 
-    Raises
-    ------
-    InvalidInput
-        If there is none, or several scenes could be meant.
+    Raises InvalidInput if there is none, or several scenes could be meant.
     """
     streamed = archive.named(STREAMED)
     folders = tuple(name.removesuffix(STREAMED) for name in streamed)
@@ -309,10 +297,7 @@ def scene_in(archive: Archive) -> str:
 def unit_of(files: Files, name: str) -> Unit:
     """The scene that a `meta.json` among these files states.
 
-    Raises
-    ------
-    InvalidInput
-        If it is missing or not valid.
+    Raises InvalidInput if it is missing or not valid.
     """
     meta, beside = parse_meta(files.read(name, _META_BYTES)), files.beside(name)
     images = tuple(chain.from_iterable(meta.files.values()))
@@ -336,10 +321,7 @@ def opened_unit(files: Files, name: str) -> Iterator[Unit]:
 def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
     """Pixels ``(height, width, 4)`` of a WebP or PNG image, RGBA.
 
-    Raises
-    ------
-    InvalidInput
-        If it is neither, is animated, or has more than `most` pixels.
+    Raises InvalidInput if it is neither, is animated, or has more than `most` pixels.
     """
 
     def check_size(width: int, height: int) -> None:

@@ -106,10 +106,7 @@ def _around(nodes: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
 def is_streamed(path: Path, data: FileBytes) -> bool:
     """Whether a file has the name of a `lod-meta.json`, or is a zip with one.
 
-    Raises
-    ------
-    InvalidInput
-        If it is a zip that is not valid.
+    Raises InvalidInput if it is a zip that is not valid.
     """
     if data[: len(ZIP)] != ZIP:
         return path.name.lower() == STREAMED

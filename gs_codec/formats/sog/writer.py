@@ -52,16 +52,13 @@ _Group = tuple[dict[str, object], dict[str, NDArray[np.uint8]]]
 def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a `.sog` file, and what it cannot hold, in words; Gaussians in Morton order.
 
+    Raises InvalidInput if a value is not finite, or an image would have more pixels than WebP has.
+
     Parameters
     ----------
     scene : Scene
     steps : AttributeSteps, optional
         Values are as near as these ask, at few bits. By default as near as the format holds.
-
-    Raises
-    ------
-    InvalidInput
-        If a value is not finite, or an image would have more pixels than WebP has.
     """
     check_finite(scene, ".sog")
     order = spatial_order(scene.positions, scene.log_scale)

@@ -116,10 +116,7 @@ def read_streams(
 ) -> tuple[SpzHeader, list[Bytes], str]:
     """Header, bytes of each attribute, and coordinate system of the bytes of a file.
 
-    Raises
-    ------
-    InvalidInput
-        If it is not a valid file, or decodes to more than `max_bytes`.
+    Raises InvalidInput if it is not a valid file, or decodes to more than `max_bytes`.
     """
     data = bytes(view)
     if data.startswith(MAGIC) and int.from_bytes(data[4:8], "little") > 3:

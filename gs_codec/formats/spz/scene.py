@@ -119,7 +119,8 @@ def pack_spz(
     """The bytes of an `.spz` file of version 3 or 4, and what it cannot hold, in words.
 
     Gaussians are in Morton order, and in the format's own coordinates. Far ones, for which the
-    others would have fewer bits of fractions, are drawn nearer.
+    others would have fewer bits of fractions, are drawn nearer. Raises InvalidInput if a value is
+    not finite.
 
     Parameters
     ----------
@@ -128,11 +129,6 @@ def pack_spz(
     steps : AttributeSteps, optional
         Values are rounded to multiples of the format's step, up to about these; the file is then
         smaller. By default they have all that the format holds.
-
-    Raises
-    ------
-    InvalidInput
-        If a value is not finite.
     """
     check_finite(scene, ".spz")
     order = spatial_order(scene.positions, scene.log_scale)

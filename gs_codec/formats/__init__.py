@@ -1,1 +1,1 @@
-"""Foreign formats: PLY, compressed PLY, `.splat`, `.spz`, SOG."""
+"""Formats of other programs: PLY, compressed PLY, `.splat`, `.spz`, SOG, glTF, USD, checkpoints."""

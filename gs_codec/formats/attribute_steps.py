@@ -1,4 +1,4 @@
-"""Step sizes that a writer may round attributes to, beyond what its format rounds anyway."""
+"""Step sizes that a writer may round attributes to, in addition to the format's own rounding."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gs_codec.scene import Scene
 
 
 class ShGrid(NamedTuple):
-    """Levels that a format has for SH-AC: ``(level + offset) * step``.
+    """Levels of a format for SH-AC: ``(level + offset) * step``.
 
     Attributes
     ----------
     steps : ndarray, shape (3, N), float32
-        Of each band.
+        Step sizes of each band.
     offset : float
     """
 
@@ -27,7 +27,7 @@ class ShGrid(NamedTuple):
 
 @dataclass(frozen=True)
 class AttributeSteps:
-    """Step sizes wanted of each Gaussian.
+    """Wanted step sizes of each Gaussian.
 
     Attributes
     ----------
@@ -53,10 +53,10 @@ class AttributeSteps:
 
     @classmethod
     def least(cls, scene: Scene) -> AttributeSteps:
-        """Steps finer than those of any format."""
+        """Step sizes finer than those of any format."""
         rows = {"f_rest": (3, scene.count), "log_scale": (3, scene.count)}
         return cls(**{f.name: np.zeros(rows.get(f.name, scene.count)) for f in fields(cls)})
 
     def take(self, index: NDArray[np.integer] | slice) -> AttributeSteps:
-        """The steps of the Gaussians that `index` selects, in that order."""
+        """Step sizes of the Gaussians selected by `index`, in that order."""
         return replace(self, **{f.name: getattr(self, f.name)[..., index] for f in fields(self)})

@@ -1,7 +1,7 @@
-"""Vectors grouped into cells, each as coarse as its vectors' step sizes allow.
+"""Group vectors into cells, as coarse as the step sizes of the vectors allow.
 
-Squared errors count in units of a step size that each vector has. A bit is worth what it is worth
-to a uniform quantiser of that step: then rounding by tables of any size is as fine as the steps.
+Squared errors are in units of the vector's step size. A bit has the same value as for a uniform
+quantiser with that step, so rounding by tables of any size is as fine as the steps.
 """
 
 from __future__ import annotations
@@ -16,37 +16,38 @@ from numpy.typing import NDArray
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 
-#: What a bit is worth: a uniform quantiser has an error of 1/12, and a quarter with one bit more.
+#: Value of a bit: the error of a uniform quantiser is 1/12, and a quarter of that with one more
+#: bit.
 WORTH = math.log(4.0) / 12
 
-#: About how many bits a 0 in a row takes.
+#: Approximate bits of a 0 in a row.
 _ZERO_BITS = 0.6
 
-#: The same for 1 and -1.
+#: Approximate bits of a 1 or -1.
 _FIRST_BITS = 2.5
 
-#: About how many more bits each octave above takes.
+#: Approximate extra bits for each further octave of magnitude.
 _OCTAVE_BITS = 1.5
 
-#: Most times that the means of the halves of a cell are moved.
+#: Maximum number of times that the means of the halves of a cell are updated.
 _MOVES = 5
 
-#: Vectors for one thread at a time.
+#: Number of vectors per task.
 _CHUNK = 1 << 13
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Vectors grouped into cells, by splitting from one cell on.
+    """Vectors grouped into cells, by repeatedly splitting one initial cell.
 
     Attributes
     ----------
     order : ndarray, shape (N,), int32
-        The vectors of each cell, one cell after another.
+        Indices of the vectors, cell by cell.
     stops : ndarray, shape (cells,), int64
         End of each cell in `order`.
     groups : ndarray, shape (cells,), int64
-        Which of some larger, early cells each is part of.
+        The larger, earlier cell that each cell is part of.
     """
 
     order: NDArray[np.int32]
@@ -60,12 +61,12 @@ class Cells:
         return labels
 
     def sizes(self) -> NDArray[np.int64]:
-        """Vectors of each cell."""
+        """Number of vectors of each cell."""
         return np.diff(self.stops, prepend=0)
 
 
 class _Splits(NamedTuple):
-    """Cells, how each is best split, and what that gains; see `Cells` for `groups`."""
+    """Cells, the best split of each, and its gain; see `Cells` for `groups`."""
 
     starts: NDArray[np.int64]
     stops: NDArray[np.int64]
@@ -77,17 +78,17 @@ class _Splits(NamedTuple):
 def split_cells(
     vectors: NDArray[np.float32], weights: NDArray[np.float64], most: int, groups: int = 1
 ) -> Cells:
-    """Split vectors into cells as long as that lowers errors more than it costs bits.
+    """Split vectors into cells as long as this reduces the error by more than the bits cost.
 
     Parameters
     ----------
     vectors : ndarray, shape (N, D), float32
     weights : ndarray, shape (N,), float64
-        One over the square of each step size.
+        The inverse square of each step size.
     most : int
-        Most cells.
+        Maximum number of cells.
     groups : int
-        Groups of cells, about.
+        Approximate number of groups of cells.
     """
     order = np.arange(len(vectors), dtype=np.int32)
     cells = _split_each(vectors, weights, order, np.zeros(1, np.int64), np.array([len(vectors)]))
@@ -95,7 +96,7 @@ def split_cells(
         if len(cells.starts) < groups:
             cells = cells._replace(groups=np.arange(len(cells.starts)))
         room = most - len(cells.starts)
-        # The best halves first: the gains of their parts may be larger than those of others.
+        # The best half first, because their parts may gain more than other cells.
         chosen = np.argsort(-cells.gains, kind="stable")[: -(-room // 2)]
         chosen = np.sort(chosen[cells.gains[chosen] > 0])
         if not len(chosen):
@@ -123,7 +124,7 @@ def _split_each(
 ) -> _Splits:
     """Find the two parts of each cell, and sort the vectors of each in `order` by them."""
     middles, gains = starts.copy(), np.zeros(len(starts))
-    # About as many vectors in each batch.
+    # About the same number of vectors in each batch.
     batches = np.cumsum(stops - starts) // _CHUNK
     cuts = [*np.flatnonzero(np.diff(batches, prepend=-1)), len(starts)]
 
@@ -171,7 +172,7 @@ def _split(vectors, weights, order, starts, stops, middles, gains):
 
 @kernel
 def _start_halves(vectors, weights, members, whole, side):
-    """Part the vectors at the mean of the axis along which they vary most; False if in none."""
+    """Split vectors at the mean of the axis of largest variance; False if there is none."""
     depth = vectors.shape[1]
     squares = np.zeros(depth)
     whole[:] = 0.0
@@ -196,9 +197,9 @@ def _start_halves(vectors, weights, members, whole, side):
 
 @kernel
 def _move_halves(vectors, weights, members, halves, side):
-    """Move vectors to the half whose mean is nearer, some times; return how many the second has.
+    """Move vectors to the half with the nearer mean, repeatedly; return the size of the second.
 
-    ``halves`` become the weighted sums of each half, and its weight.
+    ``halves`` receive the weighted sum of each half, and its weight.
     """
     depth, count = vectors.shape[1], len(members)
     normal = np.empty(depth)
@@ -236,9 +237,9 @@ def _move_halves(vectors, weights, members, halves, side):
 
 @kernel
 def _cost_of(sums):
-    """Error and bits of a row for vectors with these weighted sums, less what all rows have.
+    """Error and bits of a row for vectors with these weighted sums, minus the common part.
 
-    The squared error of vectors about their mean is their squares less the mean's.
+    The squared error of vectors about their mean is the sum of their squares minus the mean's.
     """
     depth = len(sums) - 1
     cost = 0.0
@@ -250,7 +251,7 @@ def _cost_of(sums):
 
 @inlined
 def _value_cost(square):
-    """Error and bits of a value of a row, whose step is as fine as all vectors of it ask."""
+    """Error and bits of a value of a row, whose step is as fine as all its vectors require."""
     if square < 0.25:
         return square + WORTH * _ZERO_BITS
     bits = _FIRST_BITS + _OCTAVE_BITS * max(np.floor(0.5 * np.log2(square)), 0.0)
@@ -263,9 +264,9 @@ def row_means(
     labels: NDArray[np.int32],
     count: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weighted means ``(count, D)`` of the vectors of each label, and their weights ``(count,)``.
+    """Weighted means ``(count, D)`` of the vectors with each label, and their weights ``(count,)``.
 
-    The mean of none is 0.
+    The mean of no vectors is 0.
     """
     sums, total = np.zeros((count, vectors.shape[1])), np.zeros(count)
     _add_rows(vectors, weights, labels, sums, total)

@@ -1,7 +1,7 @@
 """Checkpoints of trainers in PyTorch's files: gsplat's ``.pt``, and splatfacto's ``.ckpt``.
 
-A file is a zip of a pickle, which says what there is, and of an entry for each tensor's numbers.
-Nothing that the pickle names is run.
+A file is a zip of a pickle, which describes the content, and of an entry with each tensor's values.
+Nothing named in the pickle is executed.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ log = logging.getLogger(__name__)
 
 PICKLE = "data.pkl"
 
-#: Most bytes of a pickle; those of trainers have some thousands.
+#: Maximum bytes of a pickle; those of trainers have a few thousand.
 _PICKLE_BYTES = 1 << 22
 
-#: Types of the numbers of a storage. BFloat16 is the upper half of a float32.
+#: Types of the values of a storage. BFloat16 is the upper half of a float32.
 _TYPES = {
     "torch FloatStorage": "<f4",
     "torch HalfStorage": "<f2",
@@ -50,10 +50,10 @@ _TYPES = {
 }
 _FLOAT = "torch FloatStorage"
 
-#: Entries of a checkpoint begin at multiples of so many bytes, as PyTorch's do.
+#: Entries of a checkpoint begin at multiples of this offset, as in PyTorch's files.
 _MULTIPLE = 64
 
-#: What precedes splatfacto's names of tensors.
+#: Prefix of splatfacto's tensor names.
 _MODEL = "_model.gauss_params."
 
 
@@ -65,7 +65,7 @@ def is_checkpoint(path: Path, data: FileBytes) -> bool:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Archive, str, dict[str, StoredTensor]]]:
-    """The zip, the folder in it, and the tensors of Gaussians by name."""
+    """Open the zip; yield its folder, and the tensors of Gaussians by name."""
     with located(path), opened_zip(path) as archive:
         name = only_scene(archive.named(PICKLE), f"{PICKLE}, expected a checkpoint of PyTorch")
         folder = name.removesuffix(PICKLE)
@@ -79,9 +79,9 @@ def _opened(path: Path) -> Iterator[tuple[Archive, str, dict[str, StoredTensor]]
 
 
 def _splats(root: Any) -> dict[str, StoredTensor]:
-    """Tensors by name in the first dictionary that has ``means``, whatever precedes the names."""
+    """Tensors by name, from the first dictionary with ``means``; prefixes are ignored."""
     outer = [root, *root.values()] if isinstance(root, dict) else []
-    # Each once: a hostile file may have one a million times.
+    # Each dictionary once, because a hostile file may contain one a million times.
     for state in {id(state): state for state in outer if isinstance(state, dict)}.values():
         tensors = {str(k): value for k, value in state.items() if isinstance(value, StoredTensor)}
         for name in tensors:
@@ -95,7 +95,7 @@ def _splats(root: Any) -> dict[str, StoredTensor]:
 
 
 def stated_size(path: Path, data: Sized) -> tuple[int, int]:
-    """Number of Gaussians, and SH degree, that a checkpoint states."""
+    """Number of Gaussians and SH degree of a checkpoint, from its header."""
     with _opened(path) as (_, _, tensors):
         return check_shapes(tensors)
 
@@ -119,7 +119,7 @@ def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
 
 
 def _numbers(archive: Archive, folder: str, tensor: StoredTensor, most: int) -> NDArray[np.float32]:
-    """Numbers of a tensor, copied; of its storage, which may be larger, only those are kept."""
+    """Values of a tensor, copied, because its storage may be larger."""
     if tensor.kind not in _TYPES:
         raise InvalidInput(f"tensor of {tensor.kind!a:.40}, expected floats")
     dtype, where = np.dtype(_TYPES[tensor.kind]), f"storage {tensor.key[:20]!a}"
@@ -141,12 +141,12 @@ def _numbers(archive: Archive, folder: str, tensor: StoredTensor, most: int) -> 
 
 
 def write_checkpoint(path: str | Path, scene: Scene) -> tuple[str, ...]:
-    """Write a checkpoint: gsplat's or, as ``.ckpt``, splatfacto's, of which SH degree is always 3.
+    """Write a checkpoint of gsplat or, for ``.ckpt``, of splatfacto, with SH degree 3.
 
     Returns
     -------
     tuple of str
-        What it cannot hold, in words.
+        Sentences on what it cannot represent.
     """
     arrays, of_model = tensors_of(scene), Path(path).suffix.lower() == ".ckpt"
     if of_model:
@@ -171,7 +171,7 @@ def write_checkpoint(path: str | Path, scene: Scene) -> tuple[str, ...]:
 
 
 def _splatfacto(arrays: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-    """The same by splatfacto's names; its model has SH degree 3 unless it is told otherwise."""
+    """The arrays with splatfacto's names; its models have SH degree 3 by default."""
     missing = SH_COEFFICIENTS[-1] - arrays["shN"].shape[1]
     changed = {
         "opacities": arrays["opacities"][:, None],

@@ -1,4 +1,4 @@
-"""Scenes as Open3D tensor point clouds, sharing memory where layouts allow."""
+"""Convert scenes from and to Open3D point clouds, sharing memory if layouts allow."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _KNOWN = {*GROUPS, "scale", "normals"}
 
 
 def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
-    """A point cloud whose attributes share memory with the scene where layouts allow.
+    """A point cloud whose attributes share memory with the scene if layouts allow.
 
     A cloud cannot state its coordinate system, so every cloud is ``RDF``: a scene in another
     system is converted. Attributes are those that `gs_codec.read` lists, zero ``normals (N, 3)``
@@ -55,7 +55,7 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
 
 
 def check_cloud(cloud: Any) -> None:
-    """`InvalidInput` for what is no point cloud of Open3D."""
+    """Raise `InvalidInput` unless the argument is an Open3D point cloud."""
     open3d = needed("open3d", "a scene as a point cloud")
     if not isinstance(cloud, open3d.t.geometry.PointCloud):
         given = "None" if cloud is None else type(cloud).__name__
@@ -71,9 +71,9 @@ def from_cloud(
     """The scene of a point cloud with the attributes that `gs_codec.read` lists.
 
     One of ``log_scale`` and ``scale`` is enough. If both are present, they must agree, so that an
-    edit of one is never ignored. `extra` says what to do with other attributes and with normals
-    that are not all zero; if `tell`, a log message names those that are left out. Infinities that
-    are values become finite, see `finite_ends`, unless `exact`.
+    edit of one is never ignored. `extra` controls other attributes, and normals that are not all
+    zero; if `tell`, a log message names those that are dropped. Valid infinities become finite (see
+    `finite_ends`), unless `exact`.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def from_cloud(
 def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geometry.PointCloud:
     """A copy of a cloud whose file did not state its `system`, converted to ``RDF``.
 
-    Raises as `from_cloud` and `turn_axes` do.
+    Raises like `from_cloud` and `turn_axes`.
     """
     return to_cloud(state_system(from_cloud(cloud, "keep"), system))
 
@@ -132,7 +132,7 @@ def _exponential(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _check_scales(linear: NDArray[np.float32], log_scale: NDArray[np.float32]) -> None:
-    """Refuse planes ``(3, N)`` if only one was edited; allow for different rounding of exp."""
+    """Reject planes ``(3, N)`` if only one was edited; allow for different rounding of exp."""
     if linear.shape != log_scale.shape:
         raise InvalidInput(
             f"scale: {counted(linear.shape[1], 'row')}, expected {log_scale.shape[1]:,}"

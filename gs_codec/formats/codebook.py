@@ -1,6 +1,6 @@
-"""Tables of values and of vectors, and what is rounded to them at the least error and bits.
+"""Tables of values and of vectors, and rounding to them with the lowest error and bits.
 
-Errors and bits are weighed as in `cells`.
+Errors and bits are weighted as in `cells`.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from gs_codec.formats.cells import WORTH, row_means, split_cells
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 
-#: Values from which a table is made; of more, some.
+#: Maximum number of values that a table is made from.
 _SAMPLE = 1 << 20
 
-#: Times that prices follow the levels that were chosen by them.
+#: Number of times that prices are updated from the levels chosen with them.
 _ROUNDS = 4
 
-#: Levels tried on each side of the nearest.
+#: Number of levels tried on each side of the nearest.
 _REACH = 5
 
-#: Values for one thread at a time.
+#: Number of values per task.
 _CHUNK = 1 << 12
 
-#: Smallest step, to divide by.
+#: Minimum step size, for division.
 _TINY = 2.0**-40
 
 
@@ -40,16 +40,16 @@ def nearest_rows(
     rows: NDArray[np.float32],
     bits: NDArray[np.float64],
 ) -> NDArray[np.int32]:
-    """Index of the row of least error and bits for each of the vectors `members`.
+    """Index of the row with the lowest error and bits for each of the vectors `members`.
 
     Parameters
     ----------
     vectors, weights : ndarray
-        As for `split_cells`.
+        As in `split_cells`.
     members : ndarray, shape (n,), integer
     rows : ndarray, shape (K, D), float32
     bits : ndarray, shape (K,), float64
-        Of each label.
+        Bits of each label.
     """
     labels = np.empty(len(members), np.int32)
     table = np.ascontiguousarray(rows.T)
@@ -82,13 +82,13 @@ def _find_nearest(vectors, weights, members, table, squares, price, labels):
 def make_table(
     values: NDArray[np.floating], steps: NDArray[np.floating], most: int = 256
 ) -> NDArray[np.float32]:
-    """At most `most` ascending values, at least one, from which others differ least.
+    """Choose 1 to `most` ascending values that approximate all values best.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
     steps : ndarray, shape (n,)
-        An error counts in units of these.
+        Units of the errors.
     """
     if not len(values):
         return np.zeros(1, np.float32)
@@ -105,7 +105,7 @@ def make_table(
 def choose_levels(
     values: NDArray[np.floating], steps: NDArray[np.floating], table: NDArray[np.floating]
 ) -> NDArray[np.uint8]:
-    """Index in an ascending table for each value: as near as its step asks, at few bits.
+    """Index in an ascending table for each value: within its step size, with few bits.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def choose_levels(
 def choose_colours(
     values: NDArray[np.floating], steps: NDArray[np.floating], table: NDArray[np.floating]
 ) -> NDArray[np.uint8]:
-    """As `choose_levels`, at few bits of images that state red and blue by what green is less.
+    """Like `choose_levels`, with few bits in images that store red and blue minus green.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def choose_colours(
 
 
 def label_bits(counts: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Bits of each label, by how often each is used; one that is not may be, at a high price."""
+    """Bits of each label, from its frequency; an unused label has a high price."""
     shares = np.maximum(counts, 0.5) / max(counts.sum(), 1)
     return -np.log2(shares)
 
@@ -171,7 +171,7 @@ def _choose(values, by_step, table, price, levels):
             while 0 <= k < len(table):
                 error = (table[k] - value) * scale
                 error *= error
-                # Those farther on are worse by their error alone.
+                # Values farther away are worse by their error alone.
                 if error >= cost:
                     break
                 if error + price[k] < cost:
@@ -222,5 +222,5 @@ def _beside(green, near, value, by_step, table, price):
 
 @inlined
 def _offset(j):
-    """Levels tried beside the nearest: powers of two."""
+    """Offsets of the levels tried around the nearest: powers of two."""
     return (1 << (abs(j) - 1)) * (1 if j > 0 else -1) if j else 0

@@ -1,4 +1,4 @@
-"""Coordinate systems by where x, y and z point: ``RDF`` is right, down, forward.
+"""Coordinate systems by the directions of x, y and z: ``RDF`` is right, down, forward.
 
 Scenes in PLY files are ``RDF`` by convention (the trainer's, COLMAP's), and so is every scene that
 states no other system.
@@ -23,7 +23,7 @@ _LETTERS = ("LR", "DU", "BF")
 
 
 def system_of(scene: Scene) -> str:
-    """The coordinate system a scene states, else the convention's."""
+    """The coordinate system that a scene states, else the convention's."""
     return scene.coordinates or CONVENTION
 
 
@@ -37,7 +37,7 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
     Parameters
     ----------
     scene : Scene
-        In the system it states, else in ``RDF``.
+        A scene in the system that it states, else in ``RDF``.
     system : str
         Three letters for x, y and z: L or R first, then one of U or D and one of F or B.
 
@@ -64,19 +64,19 @@ def turn_shift(shift: Shift, before: str, after: str) -> Shift:
 
 
 def state_system(scene: Scene, system: str) -> Scene:
-    """The scene with a comment that names its system, and the same numbers; see `turn_axes`."""
+    """Add a comment that names a scene's system, without changing numbers; see `turn_axes`."""
     _axes(system)
     kept = tuple(line for line in scene.comments if coordinates_of([line]) is None)
     return replace(scene, comments=(*kept, coordinates_comment(system)))
 
 
 def _turn(before: str, after: str) -> NDArray[np.float64]:
-    """The matrix that takes coordinates from one system to another."""
+    """The matrix that converts coordinates from one system to another."""
     return _axes(after) @ _axes(before).T
 
 
 def _axes(system: str) -> NDArray[np.float64]:
-    """Where x, y and z of a system point, row by row, by right, up and forward."""
+    """Directions of x, y and z of a system (rows), in terms of right, up and forward."""
     places = [next((k for k, pair in enumerate(_LETTERS) if c in pair), -1) for c in system]
     if places not in ([0, 1, 2], [0, 2, 1]):
         raise InvalidInput(f"coordinates {system!a:.20}, expected such as RDF, RUB or LUF")

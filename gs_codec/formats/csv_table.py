@@ -1,4 +1,4 @@
-"""Attributes as a table of text (CSV): a line for each Gaussian, named and ordered as in a PLY."""
+"""Attributes as a text table (CSV): one line per Gaussian, columns as in a PLY."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gs_codec.formats.table import CSV
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import Scene
 
-#: Digits that tell numbers of a type apart; integers have theirs.
+#: Digits that distinguish all numbers of a type; integers are exact.
 _DIGITS = {4: "%.9g", 8: "%.17g"}
 
 
@@ -26,7 +26,7 @@ def write_csv(path: str | Path, scene: Scene) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        What it cannot hold, in words.
+        Sentences on what it cannot represent.
     """
     scene = replace(scene, has_normals=False)
     types = vertex_rows(scene.between(0, 0)).dtype

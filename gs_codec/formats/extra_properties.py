@@ -1,4 +1,4 @@
-"""Properties and elements beyond the 3DGS layout: kept, refused, or left out with a warning."""
+"""Properties and elements beyond the 3DGS layout: kept, rejected, or dropped with a warning."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gs_codec.scene import NORMALS, Scene, other_comments
 
 log = logging.getLogger(__name__)
 
-#: Most characters of a name in a line.
+#: Maximum characters of a name in a message.
 _LENGTH = 60
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:
-    """Names in one line; beyond `most`, only how many more."""
+    """Names in one line; if there are more than `most`, the number of the others."""
     shown = [name[:_LENGTH] for name in names[:most]]
     more = len(names) - len(shown)
     return ", ".join([*shown, f"{more} more"] if more else shown)
@@ -31,7 +31,7 @@ def left_out(
     lines: Mapping[str, int] | None = None,
     others: Sequence[str] = (),
 ) -> list[str]:
-    """What is left out, if anything, as one line; `lines` counts those of a kind."""
+    """Describe what is dropped, if anything, in one line; `lines` counts lines by kind."""
     said = [*others, *(f"{kind} ({count:,})" for kind, count in (lines or {}).items() if count)]
     kinds = (("elements", elements), ("properties", properties))
     said += [f"{kind} {listed(names)}" for kind, names in kinds if names]
@@ -45,7 +45,7 @@ def say_left_out(
     lines: Mapping[str, int] | None = None,
     others: Sequence[str] = (),
 ) -> None:
-    """Log what is left out of a file, if anything, in one line."""
+    """Log what is dropped from a file, if anything, in one line."""
     for line in left_out(properties, elements, lines, others):
         log.warning("%s: %s", where, line)
 
@@ -62,12 +62,12 @@ def left_out_of(scene: Scene, known: SceneFormat) -> list[str]:
 
 
 def say_degree_4(where: str | Path) -> None:
-    """Log that SH of degree 4 is left out."""
+    """Log that SH of degree 4 is dropped."""
     say_left_out(where, others=["SH of degree 4"])
 
 
 def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> None:
-    """Refuse what is beyond the layout, if anything."""
+    """Reject properties and elements beyond the layout, if there are any."""
     if elements:
         raise InvalidInput(
             f"element '{elements[0][:_LENGTH]}' beside 'vertex'; choose extra=\"drop\""
@@ -80,7 +80,7 @@ def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> No
 
 
 def scene_without(where: str | Path, scene: Scene, extra: Extra) -> Scene:
-    """A scene whose extra properties were read, with what `extra` says of them."""
+    """Apply `extra` to a scene whose extra properties were read."""
     if extra == "error":
         refuse_beyond([*scene.extra])
     if extra == "keep" or not scene.extra:

@@ -1,4 +1,4 @@
-"""Read the pixels of untrusted images, and write WebP; the only module that uses Pillow for it."""
+"""Read the pixels of untrusted images, and write WebP; the only user of Pillow for this."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 
-#: Checks width and height of an image; raises a `GsCodecError` to refuse it.
+#: Checks width and height of an image; raises a `GsCodecError` to reject it.
 CheckSize = Callable[[int, int], None]
 
 
@@ -44,7 +44,7 @@ def read_pixels(
 def read_size(
     source: str | Path | BinaryIO, formats: Sequence[str], check_size: CheckSize
 ) -> tuple[int, int]:
-    """Width and height of an image, without decoding its pixels; arguments as for `read_pixels`.
+    """Width and height of an image, without decoding its pixels; arguments as in `read_pixels`.
 
     Raises InvalidInput, as for `read_pixels`.
     """
@@ -53,11 +53,11 @@ def read_size(
 
 
 def write_webp(pixels: NDArray[np.uint8]) -> bytes:
-    """A lossless WebP image of RGBA pixels ``(H, W, 4)``, those of alpha 0 as well."""
+    """A lossless WebP image of RGBA pixels ``(H, W, 4)``, including those of alpha 0."""
     from PIL import Image
 
     stream = io.BytesIO()
-    # Slower methods gain nothing on pixels without neighbours.
+    # Slower methods gain nothing, because neighbouring pixels are unrelated.
     Image.fromarray(pixels).save(stream, "WEBP", lossless=True, exact=True, method=4, quality=80)
     return stream.getvalue()
 
@@ -66,7 +66,7 @@ def write_webp(pixels: NDArray[np.uint8]) -> bytes:
 def _opened(
     source: str | Path | BinaryIO, formats: Sequence[str], check_size: CheckSize
 ) -> Iterator[Any]:
-    """An image of Pillow; errors of the block are those of the image."""
+    """Open an image with Pillow; errors of the block become errors of the image."""
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -86,7 +86,7 @@ def _opened(
 
 
 def _check_webp(source: str | Path | BinaryIO, check_size: CheckSize) -> None:
-    """Check the size that the header of a WebP file states; other files are not checked."""
+    """Check the size stated in the header of a WebP file; other files are not checked."""
     if isinstance(source, str | Path):
         with open(source, "rb") as file:
             _check_webp(file, check_size)

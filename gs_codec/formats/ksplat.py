@@ -1,9 +1,9 @@
-"""`.ksplat` files of mkkellogg's viewer (GaussianSplats3D), read.
+"""Read `.ksplat` files of mkkellogg's viewer (GaussianSplats3D).
 
-A header, and one for each section, of fixed sizes; then the sections, each a few tables and a row
-for each Gaussian. Values are float32 (level 0), or half floats with centres as 16-bit offsets from
-the middle of a bucket (level 1), of which SH-AC are bytes between two bounds (level 2). Red, green,
-blue and opacity are a byte each.
+A file has a header, then a header for each section, all of fixed size; then the sections, each with
+a few tables and a row per Gaussian. Values are float32 (level 0), or half floats with centres as
+16-bit offsets from the middle of a bucket (level 1), with SH-AC as bytes between two bounds in
+addition (level 2). Red, green, blue and opacity are a byte each.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ _SECTION = np.dtype({
     "itemsize": 1024,
 })  # fmt: skip
 
-#: Bounds of SH-AC where a file says 0.
+#: Bounds of SH-AC if a file states 0.
 _BOUNDS = (-1.5, 1.5)
 
-#: Range of centres where a file says 0.
+#: Range of centres if a file states 0.
 _RANGE = 32767
 
 #: Types of centres, of scales and rotation, and of SH-AC, by level.
@@ -49,7 +49,7 @@ _TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
 
 @dataclass(frozen=True)
 class _Section:
-    """Its header, its rows, and the centres of buckets ``(buckets, 3)`` with their lengths."""
+    """A section: header, rows, and the centres of buckets ``(buckets, 3)`` with their lengths."""
 
     header: np.void
     rows: NDArray
@@ -80,14 +80,14 @@ def _headers(data: memoryview) -> tuple[np.void, NDArray]:
 
 
 def _counted(headers: NDArray) -> NDArray:
-    """Headers with a count of Gaussians; some writers state only how many of it are loaded."""
+    """Headers with the number of Gaussians; some writers state only the number of loaded ones."""
     counted = headers.copy()
     counted["count"] = np.where(headers["count"], headers["count"], headers["loaded"])
     return counted
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
-    """Number of Gaussians, and SH degree, that a file states."""
+    """Number of Gaussians and SH degree, from the header."""
     with located(path):
         return _size(*_headers(data))
 
@@ -132,7 +132,7 @@ def read_ksplat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
 
 
 def _sections(data: memoryview, header: np.void, sections: NDArray) -> list[_Section]:
-    """The sections, each within the file."""
+    """The sections; each must be within the file."""
     found, start = [], _HEADER.itemsize + len(sections) * _SECTION.itemsize
     centre, shape, sh = _TYPES[header["level"]]
     for section in sections:
@@ -164,7 +164,7 @@ def _sections(data: memoryview, header: np.void, sections: NDArray) -> list[_Sec
 
 
 def _centres(section: _Section) -> NDArray[np.float32]:
-    """Centres ``(3, n)``; those of 16 bits are relative to the middle of their bucket."""
+    """Centres ``(3, n)``; 16-bit ones are relative to the middle of their bucket."""
     rows, header = section.rows["centre"], section.header
     if rows.dtype.kind == "f":
         return rows.T
@@ -187,7 +187,7 @@ def _centres(section: _Section) -> NDArray[np.float32]:
 
 
 def _put_sh(planes: NDArray[np.float32], sh: NDArray, header: np.void) -> None:
-    """Set planes ``(3, K, n)`` from rows ``(n, 3k)``: band by band, all of a colour together."""
+    """Set planes ``(3, K, n)`` from rows ``(n, 3k)``: band by band, each colour together."""
     values = sh.T
     if sh.dtype.kind == "u":
         low, high = (

@@ -1,4 +1,4 @@
-"""Limits on the decoded size of a file; and turn the exceptions of libraries into one error."""
+"""Limits on the decoded size of a file; conversion of library exceptions to one error."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from gs_codec.errors import InvalidInput, one_line
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 
-#: A file may decode to this many bytes, or to `EXPANSION` times its size if that is more.
+#: Maximum decoded bytes of a file, or `EXPANSION` times its size if that is more.
 DECODED_BYTES = 1 << 30
 EXPANSION = 1000
 
-#: What libraries raise if they cannot read data.
+#: Exceptions of libraries that cannot read data.
 FAILURES: tuple[type[Exception], ...] = (
     ArithmeticError,
     EOFError,
     LookupError,
     MemoryError,
     OSError,
-    RuntimeError,  # nested too deep, or not implemented
-    SyntaxError,  # Pillow's for broken images
+    RuntimeError,  # nested too deeply, or not implemented
+    SyntaxError,  # Pillow's, for damaged images
     TypeError,
-    ValueError,  # also text that is not UTF-8
+    ValueError,  # includes text that is not UTF-8
     struct.error,
     zlib.error,
 )
 
 
 def most_bytes(file_bytes: int, max_bytes: int | None) -> int:
-    """Most bytes of floats and extra properties that a file of this size may decode to."""
+    """Maximum bytes of floats and extra properties that a file of this size may decode to."""
     return max(DECODED_BYTES, EXPANSION * file_bytes) if max_bytes is None else max_bytes
 
 
 def check_count(count: int, sh_degree: int, file_bytes: int, max_bytes: int | None = None) -> None:
-    """Refuse more Gaussians than a file of this size may hold, before memory is allocated."""
+    """Reject more Gaussians than a file of this size may contain, before allocating memory."""
     check_bytes(float_bytes(count, sh_degree), count, file_bytes, max_bytes)
 
 
 def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None) -> None:
-    """Refuse Gaussians whose data is larger than a file of this size may decode to."""
+    """Reject Gaussians whose data exceeds the maximum for a file of this size."""
     limit = most_bytes(file_bytes, max_bytes)
     if wanted > limit:
         raise InvalidInput(
@@ -53,7 +53,7 @@ def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None)
 
 @contextmanager
 def refusing(what: str, *more: type[Exception]) -> Iterator[None]:
-    """Turn the exceptions of libraries that cannot read data, and `more`, into one error."""
+    """Convert the exceptions of libraries that cannot read data, and `more`, to one error."""
     failures: tuple[type[Exception], ...] = (*FAILURES, *more)
     try:
         yield

@@ -1,6 +1,6 @@
-"""Values that several formats share: opacities and colours of a byte, packed quaternions.
+"""Values shared by several formats: 8-bit opacities and colours, packed quaternions.
 
-And what their writers share: a part of the scene at a time, and sentences on what is lost.
+Also shared by their writers: processing part by part, and sentences on what is lost.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from gs_codec.scene import GROUPS, SH_C0, Scene
 
 log = logging.getLogger(__name__)
 
-#: Gaussians computed at once.
+#: Number of Gaussians computed at once.
 _AT_ONCE = 1 << 16
 
-#: Opacities of 0 and 255 have no logit and are moved by this many steps.
+#: Opacities of 0 and 255 have no logit, and are moved by this many steps.
 _END = 0.25
 
 
@@ -38,7 +38,7 @@ def planes_of(channels: int, count: int, values: Callable[[slice], NDArray]) -> 
 
 
 def spans(count: int) -> Iterator[slice]:
-    """Spans of Gaussians that are computed at once."""
+    """Spans of Gaussians to compute at once."""
     for start in range(0, count, _AT_ONCE):
         yield slice(start, min(start + _AT_ONCE, count))
 
@@ -78,9 +78,9 @@ def largest_restored(
 
 
 def largest_omitted(rot: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The inverse of `largest_restored`: three components ``(3, N)``, and the largest's index.
+    """Invert `largest_restored`: three components ``(3, N)``, and the index of the largest.
 
-    Quaternions ``(4, N)`` are of any norm; one of norm 0 is taken for the first unit vector.
+    Quaternions ``(4, N)`` may have any norm; norm 0 is replaced by the first unit vector.
     """
     wide = unit_quaternions(rot)
     largest = np.argmax(np.abs(wide), axis=0)
@@ -93,7 +93,7 @@ def unit_quaternions(rot: NDArray[np.float32]) -> NDArray[np.float64]:
     """Quaternions ``(4, N)`` of length 1; one of norm 0 becomes the first unit vector."""
     wide = rot.astype(np.float64)
     wide[0, ~wide.any(axis=0)] = 1.0
-    # Norms of tiny or huge components would be 0 or infinite.
+    # Norms of tiny or huge components would underflow or overflow.
     wide /= np.abs(wide).max(axis=0)
     return wide / np.sqrt((wide * wide).sum(axis=0))
 
@@ -106,21 +106,21 @@ def sigmoid(logits: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass
 class Clipped:
-    """How many Gaussians have values that a format does not reach, by what they are."""
+    """Number of Gaussians with values out of a format's range, by attribute."""
 
     counts: dict[str, int] = field(default_factory=dict)
 
     def limited(
         self, what: str, values: NDArray[np.floating], low: float, high: float
     ) -> NDArray[np.floating]:
-        """Clip values ``(channels, n)`` to an interval, and count the Gaussians that it changes."""
+        """Clip values ``(channels, n)`` to an interval, and count the Gaussians that change."""
         limited = np.clip(values, low, high)
         changed = int(np.count_nonzero((limited != values).any(axis=0)))
         self.counts[what] = self.counts.get(what, 0) + changed
         return limited
 
     def sentences(self) -> list[str]:
-        """What was clipped, in words."""
+        """Sentences on what was clipped."""
         return [
             f"{what} of {counted(count, 'Gaussian')} clipped to the format's range"
             for what, count in self.counts.items()
@@ -129,6 +129,6 @@ class Clipped:
 
 
 def check_finite(scene: Scene, suffix: str) -> None:
-    """Refuse values that are not finite."""
+    """Reject values that are not finite."""
     if not all(np.isfinite(getattr(scene, group)).all() for group in GROUPS):
         raise InvalidInput(f"values that are not finite, which {suffix} cannot hold")

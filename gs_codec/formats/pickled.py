@@ -1,7 +1,7 @@
-"""Pickles of PyTorch's files, taken apart and put together without running what they name.
+"""Read and write the pickles of PyTorch files without executing what they name.
 
-A pickle is a program that may call any function. Here it only builds numbers, text, lists, tuples,
-dictionaries, and tensors as descriptions of where their numbers are stored; what else it names or
+A pickle is a program that may call any function. Here it can only build numbers, text, lists,
+tuples, dictionaries, and tensors as descriptions of their storage; everything else that it names or
 calls becomes `UNKNOWN`.
 """
 
@@ -16,10 +16,11 @@ from typing import Any
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
 
-#: Integers of more bits are `UNKNOWN`: to hash one takes time, and Python may refuse to print it.
+#: Integers with more bits become `UNKNOWN`: hashing them takes time, and Python may refuse to print
+#: them.
 _MOST_BITS = 64
 
-#: Stands for everything that a pickle makes and that is none of the above.
+#: Stands for everything in a pickle that is not one of the above.
 UNKNOWN = object()
 
 _TENSOR = "torch._utils _rebuild_tensor_v2"
@@ -29,7 +30,7 @@ _PARAMETERS = ("torch._utils _rebuild_parameter", "torch._utils _rebuild_paramet
 
 @dataclass(frozen=True)
 class StoredTensor:
-    """Where the numbers of a tensor are.
+    """Location of the values of a tensor.
 
     Attributes
     ----------
@@ -38,11 +39,11 @@ class StoredTensor:
     key : str
         Name of the storage.
     length : int
-        Numbers in the storage.
+        Number of values in the storage.
     offset : int
-        Number of the first one of the tensor.
+        Index of the tensor's first value.
     shape, strides : tuple of int
-        Strides are in numbers.
+        Strides are in values.
     """
 
     kind: str
@@ -54,7 +55,7 @@ class StoredTensor:
 
     @property
     def used(self) -> tuple[int, int]:
-        """Numbers of the storage, from the first to behind the last, that are the tensor's."""
+        """Range of the storage's values that the tensor uses: first, and one past the last."""
         if 0 in self.shape:
             return 0, 0
         last = sum((n - 1) * stride for n, stride in zip(self.shape, self.strides, strict=False))
@@ -86,7 +87,7 @@ def parse_pickle(data: bytes) -> Any:
 
 
 class _Machine:
-    """The stack of a pickle, those below its marks, and what it keeps by number."""
+    """The stack of a pickle, the stacks below its marks, and its memo."""
 
     def __init__(self) -> None:
         self.stack: list[Any] = []
@@ -111,12 +112,12 @@ class _Machine:
         self.stack = []
 
     def marked(self) -> list[Any]:
-        """What lies above the last mark, which goes."""
+        """Pop everything above the last mark."""
         items, self.stack = self.stack, self.below.pop()
         return items
 
     def collect(self, size: int) -> None:
-        """A tuple of the top of the stack, of so many values."""
+        """Combine the top `size` values of the stack into a tuple."""
         items = tuple(self.stack[-size:])
         del self.stack[-size:]
         self.stack.append(items)
@@ -129,7 +130,7 @@ class _Machine:
             self.stack[-1].extend(items)
 
     def update(self, items: list[Any]) -> None:
-        """Items of a dictionary; to hash a tuple might take for ever."""
+        """Set items of a dictionary; hashing a tuple might take for ever."""
         if isinstance(self.stack[-1], dict):
             pairs = zip(items[::2], items[1::2], strict=True)
             self.stack[-1].update({k: v for k, v in pairs if isinstance(k, str | int)})
@@ -148,7 +149,7 @@ class _Machine:
         self.stack.append(made)
 
     def find(self, _: Any) -> None:
-        """The storage that is meant by ("storage", class, key, device, length)."""
+        """The storage described by ("storage", class, key, device, length)."""
         kind, known, key, _, length = self.stack.pop()
         if kind != "storage" or not isinstance(known, _Global) or not isinstance(key, str):
             raise InvalidInput("pickle: refers to what is no storage")
@@ -171,12 +172,12 @@ def _tensor(storage: _Storage, offset: Any, shape: Any, strides: Any) -> StoredT
 
 def _whole(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 40:
-        # Without the value: a tuple might take for ever to print.
+        # Without the value, because printing a tuple might take for ever.
         raise InvalidInput(f"pickle: {type(value).__name__}, expected a whole number below 2^40")
     return value
 
 
-#: Opcodes by what they do: push their argument, something new, or a tuple of so many values.
+#: Opcodes by operation: push their argument, push something new, or push a tuple of values.
 _PUSHED = {
     *("BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT", "SHORT_BINSTRING", "BINSTRING"),
     *("SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8", "SHORT_BINBYTES", "BINBYTES", "BINBYTES8"),
@@ -210,7 +211,7 @@ _STEPS: Mapping[str, Callable[[_Machine, Any], None]] = {
     "BINPERSID": _Machine.find,
     "REDUCE": _Machine.reduce,
     "NEWOBJ": _Machine.make,
-    # State beyond a dictionary's items, such as versions of modules.
+    # State besides a dictionary's items, such as versions of modules.
     "BUILD": lambda machine, _: machine.stack.pop(),
     "POP": lambda machine, _: machine.stack.pop(),
 }
@@ -222,7 +223,7 @@ def _push(machine: _Machine, kind: Callable[[list[Any]], Any]) -> None:
 
 
 def write_pickle(value: Any) -> bytes:
-    """The pickle of dictionaries of text, whole numbers and tensors, as PyTorch writes it."""
+    """The pickle of dictionaries of text, whole numbers and tensors, in PyTorch's form."""
     return b"\x80\x02" + _written(value) + b"."
 
 
@@ -245,6 +246,6 @@ def _written(value: Any) -> bytes:
 def _written_tensor(tensor: StoredTensor) -> bytes:
     storage = ("storage", _Global(tensor.kind), tensor.key, "cpu", tensor.length)
     numbers = b"".join(map(_written, (tensor.offset, tensor.shape, tensor.strides)))
-    # No gradient is asked for, and nothing to be called with it.
+    # No gradient required, and no backward hooks.
     rest = b"\x89" + _written(_Global(_ORDERED)) + b")R"
     return _written(_Global(_TENSOR)) + b"(" + _written(storage) + b"Q" + numbers + rest + b"tR"

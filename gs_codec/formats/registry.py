@@ -1,4 +1,4 @@
-"""Recognise scene formats by content, then by suffix; read scenes of any format but `.egs`."""
+"""Recognise scene formats by content, then by suffix; read scenes in any format except `.egs`."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from gs_codec.runtime.mapped import FileBytes, opened
 from gs_codec.runtime.wording import listed
 from gs_codec.scene import Scene, Shift, float_bytes
 
-#: Suffixes of the files that are read.
+#: Suffixes of readable files.
 SUFFIXES = read()
 
-#: Those that tell their files from others with the same first bytes are asked first.
+#: Formats with a `recognises` function are tried first.
 _BY_CONTENT = sorted(FORMATS, key=lambda known: known.recognises is None)
 _BY_SUFFIX = {suffix: known for known in FORMATS for suffix in known.read}
 
@@ -49,7 +49,7 @@ class SceneFile:
     data : FileBytes
         The bytes of the file.
     shift : tuple of three float, optional
-        Translation of centres before they are rounded; see `has_doubles`.
+        Translation of centres before rounding; see `has_doubles`.
     """
 
     path: Path
@@ -58,7 +58,7 @@ class SceneFile:
 
     @cached_property
     def format(self) -> str:
-        """The format, recognised by content, then by suffix; `InvalidInput` if by neither."""
+        """The format, recognised by content, then by suffix; `InvalidInput` if neither succeeds."""
         return self._recognised.name
 
     @cached_property
@@ -90,7 +90,7 @@ class SceneFile:
 
     @cached_property
     def scene_format(self) -> SceneFormat:
-        """What the format is; a PLY of packed properties is one of its own."""
+        """The format's description; a PLY of packed properties has its own."""
         packed = self._recognised is PLY and is_packed(self.ply.header)
         return COMPRESSED_PLY if packed else self._recognised
 
@@ -106,12 +106,12 @@ class SceneFile:
 
     @property
     def is_compressed(self) -> bool:
-        """Whether the file is in a compressed format, which is any but plain PLY."""
+        """Whether the file is in a compressed format, which is any except plain PLY."""
         return self.scene_format is not PLY
 
     @property
     def has_doubles(self) -> bool:
-        """Whether it is a PLY of float64 centres."""
+        """Whether it is a PLY with float64 centres."""
         if self.is_compressed:
             return False
         vertex = self.ply.header.elements.get("vertex")
@@ -124,16 +124,16 @@ class SceneFile:
 
     @property
     def stored_bytes(self) -> int:
-        """Size of the scene, bytes: of this file, or of all files of a SOG scene."""
+        """Size of the scene in bytes: of this file, or of all files of a SOG scene."""
         stored = self._recognised.stored_bytes
         return len(self.data) if stored is None else stored(self.path, self._whole)
 
     def ratio_bytes(self, raw_bytes: int) -> int:
-        """Bytes that a ratio counts from: of a PLY, or the floats' `raw_bytes` if compressed."""
+        """Reference size for ratios: of a PLY, or of the floats (`raw_bytes`) if compressed."""
         return raw_bytes if self.is_compressed else self.stored_bytes
 
     def stated_bytes(self) -> int:
-        """Bytes of floats that the header states (not for `.egs`); reads only the header."""
+        """Bytes of floats stated in the header (not for `.egs`); reads only the header."""
         if (stated := self._recognised.stated_size) is not None:
             return float_bytes(*stated(self.path, self._whole))
         header = self.ply.header
@@ -145,7 +145,7 @@ class SceneFile:
     def scene(
         self, extra: Extra = "keep", max_bytes: int | None = None, exact: bool = False
     ) -> Scene:
-        """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`.
+        """Read a scene in any format except `.egs`; `extra` and `max_bytes` are as in `read_ply`.
 
         Infinities that are values become finite, see `finite_ends`, unless `exact`. Raises
         InvalidInput if it is not a valid file of its format, or is larger than `max_bytes`.
@@ -164,7 +164,7 @@ class SceneFile:
 
 @contextmanager
 def open_scene(path: str | Path, shift: Shift | None = None) -> Iterator[SceneFile]:
-    """Open the file of a scene, in any format; raises as `opened` does."""
+    """Open the file of a scene, in any format; raises like `opened`."""
     with opened(path) as data:
         yield SceneFile(Path(path), data, shift)
 
@@ -176,7 +176,7 @@ class Overview:
     Attributes
     ----------
     format : str
-        As ``compressed ply`` or ``spz``.
+        Such as ``compressed ply`` or ``spz``.
     count, sh_degree : int
         Number of Gaussians, and their SH degree.
     bounds : tuple of two tuples of float, or None
@@ -185,7 +185,7 @@ class Overview:
         Directions of x, y and z as three letters (such as ``RUB``), if the file or its format
         states them.
     antialiased : bool
-        Whether it asks for opacity compensation.
+        Whether it uses opacity compensation.
     extra : tuple of str
         Names of extra properties.
     file_bytes, raw_bytes : int
@@ -208,19 +208,19 @@ class Overview:
 
 
 def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
-    """Read a scene of any format but `.egs`, and summarise it; raises as `SceneFile.scene` does."""
+    """Read a scene in any format except `.egs`, and summarise it; raises like `SceneFile.scene`."""
     return read_with_overview(path, max_bytes)[1]
 
 
 def check_file(path: str | Path, max_bytes: int | None = None) -> None:
-    """Read what `SceneFile.scene` leaves out, coarser levels; raises as it does."""
+    """Read the coarser levels, which `SceneFile.scene` skips; raises like it."""
     with open_scene(path) as file:
         if (checker := file.scene_format.checker) is not None:
             checker(file.path, file.data[:], max_bytes)
 
 
 def read_with_overview(path: str | Path, max_bytes: int | None = None) -> tuple[Scene, Overview]:
-    """A scene of any format but `.egs`, in its own coordinate system, and its summary."""
+    """A scene in any format except `.egs`, in its own coordinate system, and its summary."""
     with open_scene(path) as file:
         scene, file_bytes = file.scene("keep", max_bytes), file.stored_bytes
         name = file.scene_format.name

@@ -1,4 +1,4 @@
-"""Rounds PLY properties to float32, and measures by how much centres move."""
+"""Round PLY properties to float32, and measure by how much centres move."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from gs_codec.scene import Shift
 
 log = logging.getLogger(__name__)
 
-#: Errors of centres below this share of a Gaussian's longest axis are not worth a shift.
+#: Errors of centres below this share of a Gaussian's longest axis need no shift.
 _SEEN = 0.01
 
 
 class Rounding:
-    """Fills planes of float32 tile by tile, from several threads; says what was rounded.
+    """Fills float32 planes tile by tile, from several threads; logs what was rounded.
 
     Parameters
     ----------
     names : sequence of str
-        Of the planes; centres come first.
+        Names of the planes; centres come first.
     shift : tuple of three float, optional
-        Added to centres that are float64, before they are rounded.
+        Added to float64 centres before rounding.
     system : str
         Coordinate system of the file.
     """
@@ -45,7 +45,7 @@ class Rounding:
         self._lock = Lock()
 
     def fill(self, planes: Sequence[NDArray[np.float32]], tile: NDArray) -> None:
-        """Fill the part of the planes of a tile of rows."""
+        """Fill the part of the planes for a tile of rows."""
         for k, (plane, name) in enumerate(zip(planes, self._names, strict=True)):
             with np.errstate(over="ignore", invalid="ignore"):
                 plane[:] = self._exact(k, tile)
@@ -64,7 +64,7 @@ class Rounding:
         return column
 
     def _measure(self, planes: Sequence[NDArray[np.float32]], tile: NDArray) -> None:
-        """Largest errors of centres, and the box of the exact ones."""
+        """Largest errors of centres, and the exact bounding box."""
         with np.errstate(all="ignore"):
             exact = np.stack([self._exact(k, tile) for k in range(3)]).astype(np.float64)
             error = np.abs(np.stack(planes[:3]) - exact).max(axis=0)
@@ -79,7 +79,7 @@ class Rounding:
                 self._high = np.maximum(self._high, exact[:, usable].max(axis=1))
 
     def tell(self, path: str | Path) -> None:
-        """Log what was rounded: a line on centres, and one on all else."""
+        """Log what was rounded: one line on centres, and one on everything else."""
         centres = [name for name in self._names[:3] if self._rounded[name]]
         others = [name for name in self._names[3:] if self._rounded[name]]
         if centres:

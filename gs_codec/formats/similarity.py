@@ -1,4 +1,4 @@
-"""Scenes turned, mirrored, scaled and shifted."""
+"""Rotate, mirror, scale and translate scenes."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from gs_codec.scene import (
     with_offset,
 )
 
-#: Axes may be scaled this differently: matrices in files are rounded.
+#: Tolerance for scaling axes differently, because matrices in files are rounded.
 _ALIKE = 1e-4
 
-#: Decimals of weights; what is 0 or 1 is so exactly.
+#: Decimals of weights; 0 and 1 are then exact.
 _DECIMALS = 14
 
-#: Gaussians that are summed at once, so that sums stay in the processor's cache.
+#: Number of Gaussians summed at once, so that sums stay in the processor's cache.
 _SOME = 1024
 
-#: Directions that tell all SH of a degree apart. Bands are homogeneous, so lengths do not matter.
+#: Directions that distinguish all SH of a degree. Bands are homogeneous, so lengths do not matter.
 _DIRECTIONS = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
 
 
 def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
-    """Turn, mirror, scale and shift a scene; centres, shapes, SH and normals follow.
+    """Rotate, mirror, scale and translate a scene: centres, shapes, SH and normals.
 
     Computed in float64 and rounded once. If axes only swap and change signs, numbers of centres and
     shapes keep their bits, and so do SH whose signs alone change. Raises InvalidInput if the matrix
@@ -48,7 +48,7 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     ----------
     scene : Scene
     matrix : array_like, shape (4, 4)
-        Takes centres, as columns ``(x, y, z, 1)``, to their places.
+        Multiplies centres, as columns ``(x, y, z, 1)``, from the left.
 
     Returns
     -------
@@ -62,8 +62,8 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     if np.array_equal(wide, np.eye(4)):
         return scene
     turn, factor = _turn_and_factor(wide)
-    # What is also done to the own axes of the ellipsoids: all, if axes only swap and change signs,
-    # else the mirroring. The rest is a rotation.
+    # The part that is also applied to the ellipsoids' own axes: all of it if axes are only swapped
+    # or negated, otherwise the reflection. The rest is a rotation.
     swaps = np.isin(turn, (-1, 0, 1)).all()
     own = turn if swaps else np.eye(3) * np.round(np.linalg.det(turn))
     axial = np.eye(4)
@@ -85,9 +85,9 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
 
 
 def sh_turn(turn: NDArray[np.float64], sh_degree: int) -> NDArray[np.float64]:
-    """Matrix ``(K, K)`` that takes SH-AC coefficients of a colour to those of a turned scene.
+    """Matrix ``(K, K)`` that converts SH-AC coefficients of a colour to those of a rotated scene.
 
-    In the direction ``turn @ d`` they give the colour that the others give in `d`.
+    In direction ``turn @ d`` they give the same colour as the original ones in `d`.
     """
     count = SH_COEFFICIENTS[sh_degree]
     turned, before = np.zeros((2, count, len(_DIRECTIONS)))
@@ -102,11 +102,11 @@ def sh_turn(turn: NDArray[np.float64], sh_degree: int) -> NDArray[np.float64]:
 
 
 def rotation_of(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """The rotation matrix ``(3, 3)`` of a quaternion wxyz of any norm but 0, which gives NaN."""
+    """The rotation matrix ``(3, 3)`` of a quaternion wxyz of any norm except 0, which gives NaN."""
     with np.errstate(invalid="ignore", over="ignore"):
         unit = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
     conjugate = np.diag([1.0, -1.0, -1.0, -1.0])
-    # Multiplied from the left, and from the right by the conjugate.
+    # Multiply from the left, and by the conjugate from the right.
     return (_product(unit) @ conjugate @ _product(unit) @ conjugate)[1:, 1:]
 
 
@@ -145,7 +145,7 @@ def _product(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _with_normals(extra: Mapping[str, NDArray], turn: NDArray[np.float64]) -> dict[str, NDArray]:
-    """Extra properties, of which normals are turned."""
+    """Extra properties, with normals rotated."""
     turned = dict(extra)
     if set(NORMALS) <= set(extra):
         planes = np.stack([extra[name] for name in NORMALS]).astype(np.float32)
@@ -157,7 +157,7 @@ def _with_normals(extra: Mapping[str, NDArray], turn: NDArray[np.float64]) -> di
 def _weighted(
     planes: NDArray[np.float32], weights: NDArray, shifts: ArrayLike = 0.0
 ) -> NDArray[np.float32]:
-    """Weighted sums of planes, plus shifts; planes that only change signs keep their bits."""
+    """Weighted sums of planes, plus shifts; planes that only change sign stay bit-exact."""
     if np.array_equal(weights, np.eye(len(planes))) and not np.any(shifts):
         return planes
     sums = empty(planes.shape, np.float32)

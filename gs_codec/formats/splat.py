@@ -1,7 +1,7 @@
 """`.splat` files of antimatter15's viewer: 32 bytes per Gaussian, without SH-AC.
 
-Centre and scales (linear) are float32. Red, green, blue, opacity and the components wxyz of the
-quaternion are a byte each.
+Centre and linear scales are float32. Red, green, blue, opacity and the quaternion components wxyz
+are one byte each.
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
 
 
 def stated_size(path: Path, data: Sized) -> tuple[int, int]:
-    """Number of Gaussians that a file of this size has, and their SH degree."""
+    """Number of Gaussians in a file of this size, and their SH degree."""
     return len(data) // RECORD, 0
 
 
 def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.splat` file, and what it cannot hold, in words.
+    """The bytes of a `.splat` file, and sentences on what it cannot represent.
 
     Raises InvalidInput if there are no Gaussians, a value is not finite, or a scale too large for a
     float32.
@@ -85,6 +85,6 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     rows["colour"][:, :3] = clipped.limited("colours", np.rint(colour), 0, 255).T
     rows["colour"][:, 3] = np.rint(255 * sigmoid(scene.opacity[0].astype(np.float64)))
     rot = np.rint(128 * unit_quaternions(scene.rot))
-    # A byte holds -128 but not 128; the negative quaternion is the same rotation.
+    # A byte represents -128 but not 128; the negated quaternion is the same rotation.
     rows["rot"] = 128 + np.where((rot > 127).any(axis=0), -rot, rot).T
     return rows.tobytes(), (SPLAT.rounding, *clipped.sentences(), *left_out_of(scene, SPLAT))

@@ -1,8 +1,8 @@
-"""Every format of scenes: suffixes, signatures, readers and writers, what it holds.
+"""The table of scene formats: suffixes, signatures, readers, writers, and capabilities.
 
 A format is added by a module that reads and writes it, and by its `SceneFormat` here. Commands,
-suffixes, recognition, conversion, batches and help ask these. They are in a module of their own
-because `--help` and options ask them, too: no reader is imported before it is used.
+suffixes, recognition, conversion, batches and help use this table. It is a separate module because
+`--help` and options use it too; readers are imported only on use.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SSOG = ".ssog"
 #: First bytes of a zip.
 ZIP = b"PK\x03\x04"
 
-#: What a format may hold beside the floats of its Gaussians.
+#: Data other than the floats of Gaussians that a format may hold.
 PROPERTIES = "extra properties"
 COMMENTS = "comments"
 FLAG = "antialias flag"
@@ -38,60 +38,61 @@ class SceneFormat:
     Attributes
     ----------
     name : str
-        In reports, and for ``--input-format``.
+        Name in reports, and for ``--input-format``.
     read : tuple of str
-        Suffixes of the files that are read.
+        Suffixes of readable files.
     signatures, short_signatures : tuple of bytes
-        First bytes of its files. Short ones may begin a file of another format by chance: they do
-        not count for files with a suffix of `unmarked`.
+        First bytes of its files. Short ones may begin a file of another format by chance, so they
+        do not count for files with a suffix in `unmarked`.
     unmarked : mapping of str to str
-        Suffixes of files without signature, and which text they are (``JSON``, or none: "").
+        Suffixes of files without signature, and the kind of text in them (``JSON``, or "" for
+        none).
     recognises : callable, optional
-        Whether a file is of this format, if others begin with the same bytes: ``(path, data)``.
+        ``(path, data)`` -> whether a file has this format, if others begin with the same bytes.
     reader : callable, optional
-        ``(path, data, max_bytes) -> Scene``; `.egs` and PLY are read otherwise.
+        ``(path, data, max_bytes) -> Scene``; `.egs` and PLY are read differently.
     stated_size : callable, optional
-        Number of Gaussians and SH degree by the header: ``(path, data)``.
+        ``(path, data)`` -> number of Gaussians and SH degree from the header.
     stored_bytes : callable, optional
-        Bytes of all files of a scene, if there are several: ``(path, data)``.
+        ``(path, data)`` -> bytes of all files of a scene, if there are several.
     checker : callable, optional
-        Reads what `reader` leaves out: ``(path, data, max_bytes)``.
+        ``(path, data, max_bytes)``: reads what `reader` skips.
     opens_file : bool
-        Whether its reader reads from the file itself, so that not all bytes are read before.
+        Whether its reader reads from the open file, instead of getting all bytes.
     written : mapping of str to mapping
-        Suffixes, or names, of the files that are written, and what of `writer`'s arguments they
-        stand for.
+        Suffixes, or names, of output files, and the arguments of `writer` that they imply.
     writes : {"steps", "fixed", "floats", "levels"}
-        What is written: values rounded to step sizes, which profiles choose; values at the format's
-        own precision; uncompressed floats; or, by `convert` alone, coarser levels, too.
+        Kind of output: values rounded to step sizes chosen by profiles; values at the format's own
+        precision; uncompressed floats; or, only with `convert`, also coarser levels.
     writer : callable, optional
-        Of ``floats``: ``(path, scene)``, returns in words what the format cannot hold. Of ``fixed``
-        and ``steps``: ``(scene)``, and ``steps=`` an `AttributeSteps` or None; returns the bytes of
-        a file, and the same. `.egs` and streamed SOG are written otherwise.
+        For ``floats``: ``(path, scene)``, returns sentences on what the format cannot represent.
+        For ``fixed`` and ``steps``: ``(scene)``, with ``steps=`` an `AttributeSteps` or None;
+        returns the bytes of a file, and these sentences. `.egs` and streamed SOG are written
+        differently.
     options : mapping of str to str
-        Fields of `Config` that only this format has, and which of `writer`'s arguments they are.
+        Fields of `Config` that only this format has, and the corresponding arguments of `writer`.
     coded_as : str, optional
         The format in `Config`, if that is not the suffix without its dot.
     rounding : str
-        In words, what writing rounds.
+        Description of what writing rounds.
     is_rounded : bool
-        Whether all values but a few are rounded.
+        Whether nearly all values are rounded.
     keeps : tuple of str
-        Which of `PROPERTIES`, `COMMENTS` and `FLAG` it holds.
+        Which of `PROPERTIES`, `COMMENTS` and `FLAG` it can represent.
     sh_degrees : mapping of str to int
-        SH degree of what is written, by suffix, where there is but one.
+        The only SH degree that is written, by suffix, if there is only one.
     system : str
         Its coordinate system, as three letters; empty if files may have any.
     sorts : bool
         Whether Gaussians are written in Morton order.
     sh_grid : callable, optional
-        The `ShGrid` of so many Gaussians, if rounding SH-AC to the nearest is not best.
+        The `ShGrid` for a number of Gaussians, if rounding SH-AC to the nearest level is not best.
     in_parts : bool
         Whether it is written part by part, below a memory limit.
     in_folders : tuple of str, optional
-        Suffixes of the files in a folder that are scenes of a batch; by default, all that are read.
+        Suffixes of files in a folder that a batch treats as scenes; by default, all readable ones.
     floats_per_byte : int
-        Bytes of raw floats for each byte of a file, about.
+        Approximate bytes of raw floats per byte of a file.
     require : callable, optional
         Raises `MissingTool` if a package that it needs is not installed.
     """
@@ -126,12 +127,12 @@ class SceneFormat:
 
     @property
     def is_exact(self) -> bool:
-        """Whether it is encoded to, and yet holds all floats."""
+        """Whether it is an encoded format that keeps all floats exactly."""
         return self.writes == "fixed" and not self.is_rounded
 
     @property
     def batched(self) -> tuple[str, ...]:
-        """Suffixes of the files in a folder that are scenes of a batch."""
+        """Suffixes of files in a folder that a batch treats as scenes."""
         return self.read if self.in_folders is None else self.in_folders
 
     def check_installed(self) -> None:
@@ -140,7 +141,7 @@ class SceneFormat:
             self.require()
 
     def code(self, suffix: str) -> str:
-        """The format in `Config` of a suffix that is written."""
+        """The format in `Config` for an output suffix."""
         return self.coded_as or suffix.removeprefix(".")
 
 
@@ -209,7 +210,7 @@ SOG = SceneFormat(
     floats_per_byte=20,
 )
 
-#: PlayCanvas' PLY of packed properties, which the header of a PLY tells from others.
+#: PlayCanvas's PLY of packed properties, recognised by the header of a PLY.
 COMPRESSED_PLY = SceneFormat(
     name="compressed ply",
     written={".compressed.ply": {}},
@@ -275,7 +276,8 @@ USD = SceneFormat(
     require=_ours("usd.scene", "require_usd_core"),
 )
 
-#: Checkpoints of gsplat (`.pt`) and splatfacto (`.ckpt`). Those in folders may be anything.
+#: Checkpoints of gsplat (`.pt`) and splatfacto (`.ckpt`). Files with these suffixes in folders may
+#: be anything.
 CHECKPOINT = SceneFormat(
     name="pt",
     read=(".pt", ".ckpt"),
@@ -318,7 +320,7 @@ STREAMED_SOG = SceneFormat(
     floats_per_byte=20,
 )
 
-#: All of them, in the order in which commands list them.
+#: All formats, in the order in which commands list them.
 FORMATS = (
     PLY,
     EGS,
@@ -336,17 +338,17 @@ FORMATS = (
 
 
 def written(*writes: str) -> tuple[str, ...]:
-    """Suffixes, or names, of the files that are written so; see `SceneFormat.writes`."""
+    """Suffixes, or names, of output files of these kinds; see `SceneFormat.writes`."""
     return tuple(s for each in FORMATS if each.writes in writes for s in each.written)
 
 
 def read() -> tuple[str, ...]:
-    """Suffixes of the files that are read."""
+    """Suffixes of readable files."""
     return tuple(suffix for each in FORMATS for suffix in each.read)
 
 
 def read_names() -> tuple[str, ...]:
-    """Suffixes and names of the files that are read, as help lists them."""
+    """Suffixes and names of readable files, as listed in help."""
     return tuple(
         name
         for each in FORMATS
@@ -357,19 +359,19 @@ def read_names() -> tuple[str, ...]:
 
 
 def unmarked_names() -> tuple[str, ...]:
-    """Names of formats whose files may be without signature."""
+    """Names of formats whose files may have no signature."""
     return tuple(each.name for each in FORMATS if each.unmarked)
 
 
 def format_of_file(name: str) -> SceneFormat | None:
-    """The format of the longest suffix of a file's name; None if that is of no format."""
+    """The format of the longest matching suffix of a file name; None if there is none."""
     known = (suffix for each in FORMATS for suffix in (*each.written, *each.read))
     suffix = max((s for s in known if name.lower().endswith(s)), key=len, default="")
     return format_of(suffix) if suffix else None
 
 
 def format_of(suffix: str) -> SceneFormat:
-    """The format that is written to files of a suffix, or else is read from them."""
+    """The format written to files with a suffix, or else read from them."""
     found = [each for each in FORMATS if suffix in each.written]
     found += [each for each in FORMATS if suffix in each.read]
     return found[0]

@@ -1,4 +1,4 @@
-"""Tensors of trainers: one array for each attribute, with a row for each Gaussian."""
+"""Tensors of trainers: one array per attribute, with one row per Gaussian."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from gs_codec.formats.packed_values import sh_of_colours, sigmoid
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS, Scene
 
-#: Tensors by gsplat's names, and nerfstudio's names of two of them.
+#: gsplat's names of tensors, and nerfstudio's names for two of them.
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 NERFSTUDIO = {"features_dc": "sh0", "features_rest": "shN"}
 
 
 def tensors_of(scene: Scene) -> dict[str, NDArray[np.float32]]:
-    """Arrays by gsplat's names, values before activation; see `to_tensors` for shapes."""
+    """Arrays with gsplat's names, before activation; see `to_tensors` for shapes."""
     rest = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
     return {
         "means": np.array(scene.positions.T, order="C"),
@@ -34,7 +34,7 @@ def tensors_of(scene: Scene) -> dict[str, NDArray[np.float32]]:
 
 
 def _by_our_names(tensors: Mapping[str, Any]) -> dict[str, Any]:
-    """The same by gsplat's names; `InvalidInput` if two of them become one."""
+    """Tensors renamed to gsplat's names; `InvalidInput` if two names coincide."""
     named = {NERFSTUDIO.get(name, name): tensor for name, tensor in tensors.items()}
     if len(named) < len(tensors):
         raise InvalidInput(f"tensors {', '.join(tensors)}: some by two names")
@@ -42,7 +42,7 @@ def _by_our_names(tensors: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
-    """Number of Gaussians, and SH degree, of what has shapes by either trainer's names.
+    """Number of Gaussians and SH degree, from the shapes of tensors with either trainer's names.
 
     Raises InvalidInput if one is missing, there twice or not known, or shapes do not go together.
     """
@@ -75,9 +75,9 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def scene_of_tensors(tensors: Mapping[str, NDArray], where: str | Path = "tensor 'shN'") -> Scene:
-    """The scene of arrays by gsplat's or nerfstudio's names; raises as `check_shapes` does.
+    """The scene of arrays with gsplat's or nerfstudio's names; raises like `check_shapes`.
 
-    `where` begins a warning.
+    `where` is the prefix of a warning.
     """
     count, degree = check_shapes(tensors)
     named = _by_our_names(tensors)
@@ -91,7 +91,7 @@ def scene_of_tensors(tensors: Mapping[str, NDArray], where: str | Path = "tensor
             return np.array(named[name].reshape(count, rows).T, np.float32, order="C")
 
     f_dc = planes("sh0", 3)
-    # Without SH-AC, nerfstudio's are colours before the sigmoid.
+    # Without SH-AC, nerfstudio's values are colours before the sigmoid.
     if "features_dc" in tensors and not degree:
         f_dc = sh_of_colours(sigmoid(f_dc.astype(np.float64)))
     f_rest = np.empty((3, coefficients, count), np.float32)

@@ -1,4 +1,4 @@
-"""Zip files: entries read within limits, and written alike on all systems."""
+"""Zip files: entries are read within limits, and written identically on all systems."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from gs_codec.runtime.wording import counted
 
 _ENTRIES = 10_000
 
-#: Unused bytes are read in parts of this size.
+#: Unused bytes are read in pieces of this size.
 _PIECE = 1 << 20
 
-#: Number of a system in a zip.
+#: Number of the system Unix in a zip.
 _UNIX = 3
 
 #: Bytes before the name of an entry.
 _HEADER = 30
 
-#: Header of an extra field that is only padding.
+#: Header of an extra field that only pads.
 _SPACE = struct.Struct("<2sH")
 
 
 class Archive:
-    """The files in a zip by name, with a slash after each folder, whatever the zip has.
+    """The files in a zip by name, with forward slashes, whatever the zip uses.
 
     Raises InvalidInput if it has too many entries or bytes in them, or two of one name.
 
@@ -95,7 +95,7 @@ class Archive:
         return entry.file_size
 
     def read_part(self, name: str, start: int, stop: int) -> bytes:
-        """Bytes `start` to `stop` of a file; the others are read piece by piece, and checked.
+        """Bytes `start` to `stop` of a file; the others are read in pieces, and checked.
 
         Raises InvalidInput if it is missing, damaged or encrypted, or compressed and larger than
         the part.
@@ -120,7 +120,7 @@ def _shown(name: str) -> str:
 
 
 def _pass(file: IO[bytes], size: int) -> int:
-    """Read so many bytes, if there are, and forget them; return how many there were."""
+    """Skip up to `size` bytes; return how many there were."""
     left = size
     while left and (piece := len(file.read(min(left, _PIECE)))):
         left -= piece
@@ -128,7 +128,7 @@ def _pass(file: IO[bytes], size: int) -> int:
 
 
 def only_scene(names: Sequence[str], expected: str) -> str:
-    """The one of the names; `InvalidInput` if there are none, or several scenes could be meant."""
+    """The only name; `InvalidInput` if there are none, or several."""
     if not names:
         raise InvalidInput(f"a zip without {expected}")
     if len(names) > 1:
@@ -141,7 +141,7 @@ def only_scene(names: Sequence[str], expected: str) -> str:
 
 @contextmanager
 def opened_zip(file: Path | BinaryIO) -> Iterator[Archive]:
-    """The entries of a zip file while the block runs; `InvalidInput` if it is not valid."""
+    """Open the entries of a zip file for the block; `InvalidInput` if it is not valid."""
     with refusing("zip", zipfile.BadZipFile):
         opened = zipfile.ZipFile(file)
     with opened:
@@ -152,10 +152,10 @@ def opened_zip(file: Path | BinaryIO) -> Iterator[Archive]:
 def write_zip(
     file: BinaryIO | io.BytesIO, files: Mapping[str, bytes | memoryview], multiple: int = 1
 ) -> None:
-    """Write a zip of files as they are, each beginning at a `multiple` of bytes."""
+    """Write a zip of uncompressed files, each beginning at a `multiple` of bytes."""
     with zipfile.ZipFile(file, "w") as archive:
         for name, data in files.items():
-            # Its date is fixed; its system would be that of this machine.
+            # Its date is fixed; its system would otherwise be that of this machine.
             entry = zipfile.ZipInfo(name)
             entry.create_system = _UNIX
             if multiple > 1:

@@ -1,4 +1,4 @@
-"""Files of glTF 2.0: the document, its buffers, and the numbers of accessors."""
+"""Files of glTF 2.0: the document, its buffers, and the values of accessors."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
 _DATA_URI = "data:application/octet-stream;base64,"
 
-#: Numbers of WebGL for the types of components, and for the target of a buffer view.
+#: WebGL constants for component types, and for the target of a buffer view.
 _FLOAT = 5126
 _UNSIGNED_BYTE = 5121
 _ARRAY_BUFFER = 34962
 
-#: Types of components, and what a normalised integer of them is divided by.
+#: Component types, and the divisor of their normalised integers.
 _COMPONENTS = {
     5120: ("<i1", 127.0),
     5121: ("<u1", 255.0),
@@ -49,11 +49,11 @@ class GltfFile:
     Attributes
     ----------
     path : Path
-        Buffers in files of their own are beside it.
+        Path of the file; separate buffers are in the same folder.
     document : dict
         Its JSON.
     binary : memoryview or None
-        The buffer within a `.glb`.
+        The embedded buffer of a `.glb`.
     """
 
     path: Path
@@ -72,7 +72,7 @@ class GltfFile:
         return self._lists[name]
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
-        """An object of a list of the document."""
+        """An object from a list of the document."""
         found = self.items(name)
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(found):
             raise InvalidInput(f"glTF: {name} {index!a:.20}, expected one of {len(found)}")
@@ -83,7 +83,7 @@ class GltfFile:
         return whole(self.item("accessors", accessor).get("count"), "accessor.count")
 
     def values(self, accessor: Any, kind: str, where: str) -> NDArray[np.float32]:
-        """Numbers ``(count, components)`` of an accessor of type `kind`, normalised if it says so.
+        """Values ``(count, components)`` of an accessor of type `kind`, normalised if it states so.
 
         Raises InvalidInput if it is of another type, sparse, or outside its buffer.
         """
@@ -126,7 +126,7 @@ class GltfFile:
         return self._loaded[index]
 
     def _load(self, uri: Any, length: int) -> bytes:
-        """Bytes of a data URI, or of a file beside this one."""
+        """Bytes of a data URI, or of a file in the same folder."""
         if not isinstance(uri, str):
             raise InvalidInput("glTF: buffer.uri is no text")
         if uri.startswith("data:"):
@@ -183,14 +183,14 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
 
 
 def whole(value: Any, where: str) -> int:
-    """A whole number from 0 up of a document; `InvalidInput` if it is none."""
+    """A non-negative integer of a document; `InvalidInput` otherwise."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 40:
         raise InvalidInput(f"glTF: {where} is {value!a:.40}, expected a whole number")
     return value
 
 
 def numbers(value: Any, length: int, where: str) -> list[float]:
-    """A list of finite numbers of a document; `InvalidInput` if it is none."""
+    """A list of `length` finite numbers of a document; `InvalidInput` otherwise."""
     if not isinstance(value, list) or len(value) != length:
         raise InvalidInput(f"glTF: {where} is not a list of {counted(length, 'number')}")
     for each in value:
@@ -201,10 +201,11 @@ def numbers(value: Any, length: int, where: str) -> list[float]:
 
 
 def pack_document(document: dict[str, Any], arrays: dict[str, NDArray], as_text: bool) -> bytes:
-    """The bytes of a file whose only mesh is of points with these attributes ``(N, components)``.
+    """The bytes of a file with one mesh of points with these attributes ``(N, components)``.
 
-    Float32 arrays are stored as they are, uint8 ones as normalised. `document` has the members
-    beside buffers, views and accessors; `as_text` puts the buffer into the JSON (`.gltf`).
+    Float32 arrays are stored unchanged, uint8 arrays as normalised integers. `document` has the
+    other members than buffers, views and accessors; `as_text` embeds the buffer in the JSON
+    (`.gltf`).
     """
     views, accessors, offset = [], [], 0
     for name, array in arrays.items():

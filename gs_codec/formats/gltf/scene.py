@@ -1,7 +1,7 @@
-"""Gaussians in glTF 2.0 by the extension KHR_gaussian_splatting: `.glb` and `.gltf`.
+"""Gaussians in glTF 2.0 with the extension KHR_gaussian_splatting: `.glb` and `.gltf`.
 
 Centres, unit quaternions xyzw, linear scales, opacities 0-1 and SH are float32 attributes of
-points; readers accept the integers that the extension allows. y is up.
+points; the reader also accepts the integers that the extension allows. y is up.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands,
 _EXTENSION = "KHR_gaussian_splatting"
 _SYSTEM = GLTF.system
 
-#: Maximum number of primitives that nodes show, for each node and primitive of the file.
+#: Maximum number of primitives shown by nodes, per node and primitive of the file.
 _SHOWN = 16
 
 _COLOUR_SPACES = ("srgb_rec709_display",)
@@ -46,7 +46,7 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
         file = open_gltf(path, view)
         placed = _placed_primitives(file)
         count, degree = _total(file, placed)
-        # Buffers may lie in files beside it.
+        # Buffers may be in separate files.
         stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
         check_count(count, degree, max(len(view), stored), max_bytes)
         if any(_sh_name(4, 0) in each.primitive["attributes"] for each in placed):
@@ -55,7 +55,7 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
-    """Number of Gaussians and SH degree that the document states; raises as `read_gltf` does."""
+    """Number of Gaussians and SH degree stated in the document; raises like `read_gltf`."""
     with located(path):
         file = open_gltf(path, view)
         return _total(file, _placed_primitives(file))
@@ -71,14 +71,14 @@ def _total(file: GltfFile, placed: list[_Placed]) -> tuple[int, int]:
 
 
 class _Placed(NamedTuple):
-    """A primitive of Gaussians, and the matrix ``(4, 4)`` of its node and those above."""
+    """A primitive of Gaussians, and the matrix ``(4, 4)`` of its node and ancestors."""
 
     primitive: dict[str, Any]
     matrix: NDArray[np.float64]
 
 
 def _placed_primitives(file: GltfFile) -> list[_Placed]:
-    """Primitives of Gaussians, in the order of the nodes from the roots on."""
+    """Primitives of Gaussians, in the order of nodes from the roots."""
     found = []
     nodes, splats = file.items("nodes"), _Splats(file)
     below = {child for node in nodes for child in _children(node)}
@@ -88,7 +88,7 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
             break
         index, above = pending.popleft()
         node = file.item("nodes", index)
-        with np.errstate(over="ignore", invalid="ignore"):  # refused when the scene is placed
+        with np.errstate(over="ignore", invalid="ignore"):  # rejected when the scene is placed
             matrix = above @ _placement(node)
         pending.extend((child, matrix) for child in _children(node))
         if "mesh" in node:
@@ -105,9 +105,9 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
 
 
 class _Splats:
-    """The primitives of Gaussians of each mesh, and the maximum that all nodes may show.
+    """The primitives of Gaussians of each mesh, with a limit on the total that nodes may show.
 
-    Several nodes may show one mesh. Without a maximum, a small file could take minutes.
+    Several nodes may show one mesh. Without a limit, a small file could take minutes.
     """
 
     def __init__(self, file: GltfFile) -> None:
@@ -116,7 +116,7 @@ class _Splats:
         self.most = _SHOWN * (len(file.items("nodes")) + primitives)
 
     def of(self, index: Any) -> list[dict[str, Any]]:
-        """Those of a mesh."""
+        """The primitives of a mesh."""
         mesh = self._file.item("meshes", index)
         if index not in self._known:
             self._known[index] = [each for each in _primitives(mesh) if _is_splats(each)]
@@ -213,7 +213,7 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
 
 
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.glb` file, or, `as_text`, of a `.gltf`, and what it cannot hold, in words.
+    """The bytes of a `.glb` or, `as_text`, a `.gltf`; sentences on what it cannot represent.
 
     Colours without view dependence are there too, for programs that show points. Raises
     InvalidInput if there are no Gaussians, a value is not finite, or a scale too large for a

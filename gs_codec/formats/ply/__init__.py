@@ -1,1 +1,1 @@
-"""PLY files: the INRIA layout, its dialects, and PlayCanvas' packed properties."""
+"""PLY files: the INRIA layout, its dialects, and PlayCanvas's packed properties."""

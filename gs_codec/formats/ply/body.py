@@ -29,7 +29,7 @@ _INFINITY = re.compile(rb"\b1\.#inf\d*", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of an element, which are read tile by tile.
+    """Rows of an element, read tile by tile.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Rows:
         return self.read(0, self.count)
 
     def pick(self, index: slice | NDArray[np.int64]) -> Rows:
-        """The rows that `index` selects; a slice is of step 1."""
+        """The rows selected by `index`; a slice must have step 1."""
         if isinstance(index, slice):
             first, end, _ = index.indices(self.count)
             size = max(end - first, 0)
@@ -77,14 +77,14 @@ class Rows:
 
 @dataclass(frozen=True)
 class Ply:
-    """A PLY file: `data` has all its bytes."""
+    """A PLY file; `data` has all its bytes."""
 
     path: Path
     header: PlyHeader
     data: FileBytes
 
     def rows(self, name: str) -> Rows:
-        """Rows of an element; those of a text file are read at once.
+        """Rows of an element; those of a text file are all read at once.
 
         Raises InvalidInput if rows are missing, or have list properties.
         """
@@ -152,14 +152,14 @@ class Ply:
 
 
 def _plain_numbers(body: bytes) -> bytes:
-    """The rows of a text file, with infinity and NaN as C++ compilers of Microsoft spell them."""
+    """The rows of a text file, with Microsoft's spellings of infinity and NaN replaced."""
     if b"(" not in body and b"#" not in body:
         return body
     return _INFINITY.sub(b"inf", _NOT_A_NUMBER.sub(b"nan", body))
 
 
 def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
-    """Convert numbers read from text to rows of the types that the header states."""
+    """Convert numbers parsed from text to the row types in the header."""
     rows = np.empty(len(table), element.dtype("<"))
     for column, name in zip(table.T, element.types, strict=True):
         with np.errstate(all="ignore"):
@@ -170,7 +170,7 @@ def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
 
 
 def ply_of(path: str | Path, data: FileBytes) -> Ply:
-    """Read the header of a PLY file from its bytes; raises as `read_header` does."""
+    """Read the header of a PLY file from its bytes; raises like `read_header`."""
     with located(path):
         header = read_header(data)
         if "vertex" in header.elements:

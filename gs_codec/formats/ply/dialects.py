@@ -1,4 +1,4 @@
-"""PLY files of other programs: property names, filters, flat Gaussians, and files without any.
+"""PLY files of other programs: property names, filters, flat Gaussians, files without Gaussians.
 
 FORMATS.md lists the programs.
 """
@@ -25,18 +25,18 @@ from gs_codec.scene import Scene, is_extra_name
 
 log = logging.getLogger(__name__)
 
-#: Property of Mip-Splatting: the standard deviation of the filter that is still to be applied.
+#: Property of Mip-Splatting: standard deviation of the filter that is yet to be applied.
 FILTER = "filter_3D"
 
-#: What CloudCompare writes before the names of scalar fields, and 3dgsconverter for it.
+#: Prefix of scalar fields written by CloudCompare, and by 3dgsconverter for it.
 _SCALAR = re.compile("(?:scalar_|scal_)+(.+)", re.DOTALL)
 
-#: Properties of scenes that move: of SpacetimeGaussians and 4DGS.
+#: Properties of dynamic scenes: of SpacetimeGaussians and 4DGS.
 _MOVING = re.compile(r"t|(?:motion|omega|f_t)_\d+|trbf_\w+|scale_t|(?:rot_r|rotr)_\d+", re.ASCII)
 
 
 def layout_names(types: Mapping[str, str]) -> dict[str, str]:
-    """Properties of a vertex under the names of the layout, as far as they stand for these."""
+    """Properties of a vertex, renamed to the layout's names if they correspond."""
     found = {name: _SCALAR.fullmatch(name) for name in types}
     bare = {name: match[1] for name, match in found.items() if match}
     known = {
@@ -50,7 +50,7 @@ def layout_names(types: Mapping[str, str]) -> dict[str, str]:
 
 
 def refuse_no_gaussians(elements: Mapping[str, Element]) -> None:
-    """Refuse a PLY that holds no Gaussians, and name what it holds."""
+    """Reject a PLY without Gaussians, and name its content."""
     names = elements["vertex"].types
     if any(name.startswith("f_anchor_feat_") for name in names):
         raise InvalidInput(
@@ -73,7 +73,7 @@ def moving(names: Collection[str]) -> list[str]:
 
 
 def say_dialect(where: str | Path, names: Collection[str]) -> None:
-    """Log how properties of other programs change the appearance of a scene."""
+    """Log how properties of other programs affect the appearance of a scene."""
     if FILTER in names:
         log.warning("%s: %s of Mip-Splatting fused into scales and opacity", where, FILTER)
     if is_flat(names):
@@ -96,11 +96,12 @@ def fuse_filter(
 ) -> None:
     """Apply the 3D smoothing filter of Mip-Splatting (arXiv 2311.16493), in place.
 
-    A Gaussian is convolved with one of the standard deviation ``(N,)``, and its opacity is
-    multiplied by the root of the ratio of the determinants, so that its mass stays.
+    Each Gaussian is convolved with a Gaussian of standard deviation ``deviations (N,)``. Its
+    opacity is multiplied by the square root of the ratio of the determinants, which preserves the
+    mass.
     """
     for some in spans(len(deviations)):
-        # Some may be infinite or NaN.
+        # Values may be infinite or NaN.
         with np.errstate(all="ignore"):
             before = log_scale[:, some].astype(np.float64)
             logit = opacity[0, some].astype(np.float64)
@@ -114,7 +115,7 @@ def fuse_filter(
 
 
 def with_filter(where: str | Path, scene: Scene) -> Scene:
-    """A scene that was stored with its filter apart, with the filter applied; see `fuse_filter`."""
+    """A scene with its separately stored filter applied; see `fuse_filter`."""
     if FILTER not in scene.extra:
         return scene
     say_dialect(where, scene.extra)

@@ -1,4 +1,4 @@
-"""PLY files of the INRIA layout, read with properties in any order."""
+"""Read PLY files of the INRIA layout, with properties in any order."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = No
     ----------
     path : str or Path
     extra : {"keep", "drop", "error"}
-        What to do with properties beyond the INRIA layout, with normals that are not all zero, and
-        with elements other than ``vertex``. Such elements are never kept. A log message names what
-        is left out.
+        Handling of properties beyond the INRIA layout, of normals that are not all zero, and of
+        elements other than ``vertex``. Such elements are never kept. A log message names what is
+        dropped.
     max_bytes : int, optional
         Largest size of floats and kept properties; default: see `most_bytes`.
     """
@@ -78,11 +78,11 @@ def scene_of(
     tell: bool = True,
     shift: Shift | None = None,
 ) -> Scene:
-    """The scene of an open PLY, or the Gaussians that `index` selects; see `read_ply`.
+    """The scene of an open PLY, or the Gaussians selected by `index`; see `read_ply`.
 
-    Centres in float64 are shifted before they are rounded; a comment has the offset.
+    Float64 centres are translated by `shift` before rounding; a comment states the offset.
 
-    Unless `tell`, nothing is logged of what the header shows to be left out.
+    Unless `tell`, nothing is logged about dropped properties.
     """
     path = ply.path
     with located(path):
@@ -137,7 +137,7 @@ def scene_of(
 
 
 def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | None) -> Scene:
-    """The scene of PlayCanvas' layout, of which nothing beyond it is kept."""
+    """The scene of PlayCanvas's layout; properties beyond it are never kept."""
     properties = beyond_packed(ply.header)
     if extra == "error":
         refuse_beyond(properties, elements)
@@ -146,12 +146,12 @@ def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | N
 
 
 def _lines(header: PlyHeader) -> dict[str, int]:
-    """How many lines of a header are not kept, by their kind."""
+    """Number of header lines that are not kept, by kind."""
     return {"obj_info": header.obj_info, "comments that are not ASCII": header.odd_comments}
 
 
 def _other_elements(ply: Ply, used: tuple[str, ...]) -> list[str]:
-    """Elements with rows beside those that are used; refuses a file without Gaussians."""
+    """Elements with rows other than the used ones; rejects a file without Gaussians."""
     if "vertex" not in ply.header.elements:
         names = list(ply.header.elements)
         found = ", ".join(f"'{name[:60]}'" for name in names[:4]) or "none"
@@ -177,7 +177,7 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
         groups["f_rest"] = kept
     if is_flat(names):
         groups["log_scale"].remove("scale_2")
-    # Trainers without SH (nerfstudio) write colours as bytes.
+    # nerfstudio without SH writes colours as bytes.
     colours = "f_dc_0" not in names and all(
         name in names and dtype[name] == np.uint8 for name in _COLOURS
     )
@@ -197,9 +197,9 @@ def _read_columns(
     rounding: Rounding,
     number: int,
 ) -> tuple[NDArray[np.float32], dict[str, NDArray], bool]:
-    """Rounded planes, `number` of them, columns to keep, and whether there are normals; one pass.
+    """Read `number` rounded planes, columns to keep, and whether there are normals, in one pass.
 
-    Normals are written back as +0, so a -0 that is to be kept is one.
+    Normals are written back as +0, so a -0 counts as a normal if it must be kept.
     """
     planes = empty((number, len(rows)), np.float32)
     columns = {name: empty((len(rows),), rows.dtype[name].newbyteorder("=")) for name in kept}

@@ -1,4 +1,4 @@
-"""Headers of PLY files: elements, their properties, and where the body begins."""
+"""Headers of PLY files: elements, their properties, and the start of the body."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.mapped import FileBytes
 
-#: Longest header. `.egs` files keep up to 2^20 bytes of comments; PLY adds a word to each line.
+#: Maximum bytes of a header. `.egs` files keep up to 2^20 bytes of comments; PLY adds a word to
+#: each line.
 _HEADER_BYTES = 1 << 24
 
 #: Bytes read first; a trainer's header has 1,500.
@@ -44,7 +45,7 @@ class Element:
     ----------
     name : str
     count : int
-        Rows, as the header says.
+        Number of rows, from the header.
     types : dict of str to str
         NumPy's code of each scalar property, without byte order.
     lists : dict of str to str
@@ -72,9 +73,9 @@ class PlyHeader:
     elements : dict of str to Element
         By name, in the order of the file.
     comments : tuple of str
-        Those of printable ASCII and tabs.
+        Comments of printable ASCII and tabs.
     odd_comments : int
-        Number of the others.
+        Number of other comments.
     obj_info : int
         Number of ``obj_info`` lines.
     size : int
@@ -90,7 +91,7 @@ class PlyHeader:
 
 
 def read_header(data: memoryview | FileBytes) -> PlyHeader:
-    """Read the header of a PLY file; the body is not touched.
+    """Read the header of a PLY file, without the body.
 
     Raises InvalidInput if it is not the header of a PLY file.
     """
@@ -126,12 +127,13 @@ def read_header(data: memoryview | FileBytes) -> PlyHeader:
 
 
 def _split_lines(data: memoryview | FileBytes) -> tuple[list[str], int]:
-    """The lines between ``ply`` and ``end_header``, and where the body begins."""
+    """The lines between ``ply`` and ``end_header``, and the start of the body."""
     head = data[:_FIRST_BYTES]
     start = re.match(rb"(?:%b)?ply[ \t]*(\r\n|\n|\r)" % BOM_UTF8, head)
     if not start:
         raise _error(1, f"{bytes(head[:20])!a}, expected 'ply'")
-    # Use one kind of line end: the first byte of the body may look like part of another kind.
+    # Only one kind of line end counts: the first byte of the body may look like part of another
+    # kind.
     newline = start[1]
     ending = re.compile(rb"(?<=[\r\n])end_header[ \t]*" + newline)
     end = ending.search(head, start.end())
@@ -141,7 +143,7 @@ def _split_lines(data: memoryview | FileBytes) -> tuple[list[str], int]:
     if not end:
         where = "beyond 16 MiB" if len(head) == _HEADER_BYTES else "early end-of-file"
         raise InvalidInput(f"not a readable PLY file (no end of the header: {where})")
-    # A header is ASCII by the specification, but comments and names of programs are not always.
+    # The specification says ASCII, but comments and program names may differ.
     raw = bytes(head[start.end() : end.start()])
     try:
         text = raw.decode()

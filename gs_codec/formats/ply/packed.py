@@ -1,4 +1,4 @@
-"""PlayCanvas' PLY of packed properties (`.compressed.ply`), in chunks of 256 Gaussians.
+"""PlayCanvas's PLY of packed properties (`.compressed.ply`), in chunks of 256 Gaussians.
 
 Centres and scales are stored relative to the bounds of their chunk, with 11, 10 and 11 bits for x,
 y and z. A quaternion is stored as three components of 10 bits and the index of the fourth, a
@@ -40,7 +40,7 @@ PACKED_ELEMENTS = ("chunk", "vertex", "sh")
 _CHUNK = 256
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
-#: Properties of a chunk. Files written before 2024 have none of colours, which are then 0 and 1.
+#: Properties of a chunk. Files from before 2024 have no colour bounds, which are then 0 and 1.
 _BOUNDS = [f"{end}_{of}{axis}" for of in ("", "scale_") for axis in "xyz" for end in ("min", "max")]
 _COLOUR_BOUNDS = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
 
@@ -102,7 +102,7 @@ def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
 
 
 def stated_size(header: PlyHeader) -> tuple[int, int]:
-    """Number of Gaussians and SH degree that the header of a packed PLY states."""
+    """Number of Gaussians and SH degree in the header of a packed PLY."""
     sh = header.elements.get("sh")
     coefficients = 0 if sh is None else len(sh.types) // 3
     degree = SH_COEFFICIENTS.index(coefficients) if coefficients in SH_COEFFICIENTS else 3
@@ -137,7 +137,7 @@ def _between(limits: NDArray, prefix: str, axes: str, shares: NDArray) -> NDArra
     """Interpolate shares (0-1) between the bounds of their chunks."""
     values = np.empty_like(shares)
     for value, share, axis in zip(values, shares, axes, strict=True):
-        with np.errstate(invalid="ignore"):  # a bound that is infinite or NaN
+        with np.errstate(invalid="ignore"):  # a bound may be infinite or NaN
             ends = [limits[f"{end}_{prefix}{axis}"].astype(np.float64) for end in ("min", "max")]
             low, high = (np.repeat(end, _CHUNK)[: len(share)] for end in ends)
             value[:] = low * (1 - share) + high * share
@@ -150,7 +150,7 @@ def _quaternions(packed: NDArray[np.uint32]) -> NDArray[np.float32]:
 
 
 def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
-    """SH-AC: a byte is the middle of one of 256 equal bins of -4 to 4; 0 and 255 are the ends."""
+    """SH-AC: a byte is the middle of one of 256 equal bins from -4 to 4; 0 and 255 are the ends."""
     kept = min(coefficients, SH_COEFFICIENTS[-1])
     planes = np.empty((3, kept, count), np.float32)
     if kept:
@@ -164,7 +164,7 @@ def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
 
 
 def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a packed PLY, and what it cannot hold, in words; Gaussians in Morton order.
+    """The bytes of a packed PLY, in Morton order; sentences on what it cannot represent.
 
     Ranges of chunks are from the lowest to the highest value: clipping some so that the others are
     finer gains nothing (measured on centres, scales and colours). Far Gaussians come last, drawn to
@@ -214,7 +214,7 @@ def _joined(columns: Sequence[NDArray[np.uint32]], bits: Sequence[int]) -> NDArr
 
 
 def _packed_shares(scene: Scene) -> tuple[list[NDArray[np.uint32]], NDArray[np.float32]]:
-    """Columns of centres, scales and colours, 9; and ranges ``(chunks, 18)`` as they are stored."""
+    """Nine columns of centres, scales and colours; and the ranges ``(chunks, 18)`` as stored."""
     planes = [*scene.positions, *scene.log_scale, *(SH_C0 * scene.f_dc.astype(np.float64) + 0.5)]
     chunks = -(-scene.count // _CHUNK)
     ranges = np.empty((chunks, 3, 2, 3), "<f4")
@@ -245,6 +245,6 @@ def _packed_sh(scene: Scene, clipped: Clipped) -> NDArray[np.uint8]:
     packed = np.empty((scene.count, len(scene.f_rest)), np.uint8)
     for some in spans(scene.count):
         bins = np.floor((scene.f_rest[:, some].astype(np.float64) / 8 + 0.5) * 256)
-        # The outermost bins stand for -4 and 4 themselves.
+        # The outermost bins represent -4 and 4 themselves.
         packed[some] = clipped.limited("SH", bins, 0, 255).T
     return packed

@@ -1,4 +1,4 @@
-"""Planes ``(C, N)`` that the codec works on, and rows ``(N, C)`` of a file."""
+"""Conversion between planes ``(C, N)`` of the codec and rows ``(N, C)`` of a file."""
 
 from __future__ import annotations
 

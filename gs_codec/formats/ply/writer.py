@@ -1,4 +1,4 @@
-"""PLY files in the trainer's layout, written."""
+"""Write PLY files in the trainer's layout."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.threads import work_behind
 from gs_codec.scene import GROUPS, NORMALS, Scene, property_names
 
-#: Rows written at once: 4 MB with SH of degree 3, memory that the C library keeps for the next.
+#: Rows written at once: 4 MB with SH of degree 3, memory that the C library reuses.
 _ROWS = 1 << 14
 
 
@@ -25,7 +25,7 @@ def write_ply(path: str | Path, scene: Scene) -> tuple[()]:
     Returns
     -------
     tuple
-        What it cannot hold: nothing.
+        Empty: there are no losses.
     """
     with atomic_writer(path) as file:
         write_vertices(file, scene.count, [scene])
@@ -35,7 +35,7 @@ def write_ply(path: str | Path, scene: Scene) -> tuple[()]:
 def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
     """Write a PLY of `count` Gaussians from slabs of the same layout, one after another.
 
-    If threads may be used, another one writes a slab while the next one is made.
+    With threads, a slab is written while the next one is made.
     """
 
     def write(number: int, slab: Scene) -> None:

@@ -1,4 +1,4 @@
-"""Files of a SOG scene, the pixels of its images, and its `meta.json`."""
+"""Files of a SOG scene: images and their pixels, and `meta.json`."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 _TABLE = 256
 _FLOAT32 = float(np.finfo(np.float32).max)
 
-#: Rows of the palette side by side in its image.
+#: Number of palette rows side by side in its image.
 PALETTE_COLUMNS = 64
 
 #: The last byte of a quaternion is this value plus the index of the omitted component.
 FIRST_TAG = 252
 
-#: Most bytes of a `meta.json`.
+#: Maximum bytes of a `meta.json`.
 _META_BYTES = 1 << 22
 
 #: First bytes of a PNG.
@@ -56,18 +56,18 @@ class Meta:
     model : str
         How to render the scene: ``default``, ``antialiased`` or other.
     antialiased : bool
-        Whether it asks for opacity compensation: by `model`, or as the specification says.
+        Whether it uses opacity compensation, stated by `model` or as in the specification.
     files : dict of str to list of str
-        Image names of each group present.
+        Image names of each group that is present.
     means : ndarray, shape (2, 3)
         Lower and upper bounds of the logarithms of centres.
     tables : dict of str to ndarray
-        Values that the bytes of ``scales``, ``sh0`` and ``shN`` stand for, shape (256, 3); in
-        version 1 ``sh0`` has a fourth column for opacities.
+        Values of the bytes of ``scales``, ``sh0`` and ``shN``, shape (256, 3); in version 1 ``sh0``
+        has a fourth column for opacities.
     bands : int or None
-        SH degree; version 1 does not say.
+        SH degree; unknown in version 1.
     palette : int
-        Rows of the palette of SH-AC.
+        Number of rows of the SH-AC palette.
     """
 
     version: int
@@ -82,7 +82,7 @@ class Meta:
 
     @property
     def stated_size(self) -> tuple[int, int]:
-        """Number of Gaussians, and SH degree; 3 if it is not stated."""
+        """Number of Gaussians and SH degree; degree 3 if it is not stated."""
         return self.count, 3 if self.bands is None else self.bands
 
 
@@ -177,7 +177,7 @@ def _list(group: dict[str, Any], name: str, key: str, length: int | None) -> lis
 def _names(group: dict[str, Any], name: str, number: int) -> list[str]:
     names = _list(group, name, "files", number)
     for item in names:
-        # Refuse paths to other folders, and alternate streams of a file on Windows.
+        # Reject paths to other folders, and alternate streams of a file on Windows.
         plain = isinstance(item, str) and item.isprintable() and not set(item) & set("/\\:")
         if not plain or item.strip(".") == "" or len(item) > 255:
             raise InvalidInput(f"meta.json: {name}.files has {item!a:.60}, expected a file's name")
@@ -185,7 +185,7 @@ def _names(group: dict[str, Any], name: str, number: int) -> list[str]:
 
 
 def _numbers(group: dict[str, Any], name: str, key: str, length: int) -> list[float]:
-    """A list of `length` numbers; if `length` is 1, a plain number is accepted too."""
+    """A list of `length` numbers; if `length` is 1, a plain number is also accepted."""
     where = f"{name}.{key}"
     if length == 1 and not isinstance(group.get(key), list):
         return [_number(group.get(key), where)]
@@ -212,7 +212,7 @@ class Files:
     Attributes
     ----------
     folder : Path
-        Within the zip, if there is one.
+        Folder; inside the zip, if there is one.
     archive : Archive, optional
     """
 
@@ -235,7 +235,7 @@ class Files:
             return path.read_bytes()
 
     def beside(self, name: str) -> Files:
-        """The files in the folder of a file, which may be below this one."""
+        """The files in the folder of a file, which may be a subfolder of this one."""
         return Files((self.folder / name).parent, self.archive)
 
     def stored_bytes(self, names: Iterable[str]) -> int:
@@ -246,12 +246,12 @@ class Files:
 
 @dataclass(frozen=True)
 class Unit:
-    """A SOG scene, of which nothing but `meta.json` is read yet.
+    """A SOG scene of which only `meta.json` has been read.
 
     Attributes
     ----------
     files : Files
-        Those beside its `meta.json`.
+        The files next to its `meta.json`.
     meta : Meta
     images : tuple of str
         Names of its images, among `files`.
@@ -267,7 +267,7 @@ class Unit:
 
 @contextmanager
 def opened_files(path: Path, data: memoryview) -> Iterator[tuple[Files, str]]:
-    """The files of the scene of a zip or JSON file of these bytes, and which of them states it.
+    """The files of the scene in a zip or JSON file, and the name of its `meta.json`.
 
     Raises InvalidInput if it is no valid zip, or one without a scene, or of several.
     """
@@ -295,7 +295,7 @@ def scene_in(archive: Archive) -> str:
 
 
 def unit_of(files: Files, name: str) -> Unit:
-    """The scene that a `meta.json` among these files states.
+    """The scene described by a `meta.json` among these files.
 
     Raises InvalidInput if it is missing or not valid.
     """
@@ -307,11 +307,11 @@ def unit_of(files: Files, name: str) -> Unit:
 
 @contextmanager
 def opened_unit(files: Files, name: str) -> Iterator[Unit]:
-    """The scene of a JSON file, or of a zip, among these files; raises as `unit_of` does."""
+    """The scene of a JSON file, or of a zip, among these files; raises like `unit_of`."""
     if name.lower().endswith(".json"):
         yield unit_of(files, name)
         return
-    # A zip hardly becomes smaller in another.
+    # A zip hardly shrinks inside another.
     most = 2 * files.archive.file_bytes if files.archive else DECODED_BYTES
     with opened_zip(io.BytesIO(files.read(name, most))) as archive:
         unit = unit_of(Files(PurePosixPath(), archive), scene_in(archive))

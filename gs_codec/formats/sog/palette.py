@@ -1,4 +1,4 @@
-"""The palette of SH-AC of a SOG scene: as many rows as pay, and the row of each Gaussian."""
+"""The SH-AC palette of a SOG scene: as many rows as pay off, and the row of each Gaussian."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from gs_codec.formats.codebook import (
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import sh_bands
 
-#: Most rows that labels of 16 bits tell apart.
+#: Maximum number of rows with 16-bit labels.
 _MOST = 1 << 16
 
-#: A Gaussian searches for its row in one of about this many groups of rows.
+#: A Gaussian searches its row in one of about this many groups of rows.
 _GROUPS = 64
 
 #: It also searches this many of the most used rows.
 _COMMON = 1 << 10
 
-#: Times that rows and labels follow each other.
+#: Number of times that rows and labels are updated alternately.
 _ROUNDS = 2
 
-#: Gaussians for one thread at a time.
+#: Number of Gaussians per task.
 _CHUNK = 1 << 13
 
 
 class Palette(NamedTuple):
-    """SH-AC as rows of values, which are levels of a table.
+    """SH-AC as rows of levels of a table.
 
     Attributes
     ----------
     table : ndarray, shape (at most 256,), float32
         Ascending; 0 is one of its values.
     levels : ndarray, shape (rows, 3 * K), uint8
-        The rows most used first; at least one.
+        The rows, most used first; at least one.
     labels : ndarray, shape (N,), int32
         The row of each Gaussian.
     """
@@ -53,13 +53,13 @@ class Palette(NamedTuple):
 
 
 def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Palette:
-    """Fit a palette: rows are vectors' means, levels and number of rows as fine as the steps.
+    """Fit a palette of mean vectors, with levels and number of rows as fine as the step sizes.
 
     Parameters
     ----------
     f_rest : ndarray, shape (3 * K, N), float32
     steps : ndarray, shape (3, N)
-        Step sizes wanted, of each band.
+        Wanted step sizes of each band.
     """
     depth, count = f_rest.shape
     ratios = _ratios(steps, depth // 3)
@@ -85,7 +85,7 @@ def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Pal
 
 
 def _ratios(steps: NDArray[np.floating], coefficients: int) -> NDArray[np.float32]:
-    """Of the step of each SH-AC of all channels, ``(3 * K,)``, to that of the first band."""
+    """Ratio of the step of each SH-AC of all channels, ``(3 * K,)``, to that of the first band."""
     finest = np.maximum(steps, np.finfo(np.float32).tiny)
     of_bands = np.median(finest / finest[0], axis=1) if steps.shape[1] else np.ones(3)
     by_band = [of_bands[band] for band, some in enumerate(sh_bands(coefficients)) for _ in some]
@@ -99,7 +99,7 @@ def _relabelled(
     rows: NDArray[np.float32],
     groups: NDArray[np.int64],
 ) -> NDArray[np.int32]:
-    """The best row of each vector among those of its row's group, and those most used."""
+    """The best row of each vector, among those of its row's group and the most used."""
     counts = np.bincount(labels, minlength=len(rows))
     bits = label_bits(counts)
     common = np.argsort(-counts, kind="stable")[:_COMMON]
@@ -123,7 +123,7 @@ def _relabelled(
 def _by_use(
     table: NDArray[np.float32], levels: NDArray[np.uint8], labels: NDArray[np.int32]
 ) -> Palette:
-    """The palette of the rows that are used, those most used first; one row if none is."""
+    """The palette of used rows, the most used first; one row if none is used."""
     counts = np.bincount(labels, minlength=len(levels))
     sequence = np.argsort(-counts, kind="stable")[: max(np.count_nonzero(counts), 1)]
     places = np.empty(len(levels), np.int32)

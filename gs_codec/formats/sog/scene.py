@@ -1,7 +1,7 @@
 """SOG scenes, versions 1 and 2: values are pixels of WebP or PNG images that `meta.json` describes.
 
-The files are in one zip (`.sog`), or beside `meta.json`. Centres are stored as 16-bit logarithms,
-SH-AC as rows of a palette. All other values are bytes: indices of a table in version 2, shares
+The files are in one zip (`.sog`), or next to `meta.json`. Centres are stored as 16-bit logarithms,
+SH-AC as rows of a palette. All other values are bytes: table indices in version 2, positions
 between two bounds in version 1.
 """
 
@@ -34,16 +34,18 @@ from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
 
-#: An image may have two pixels, and a palette a row, for each Gaussian, and so many beside them.
+#: Images may have this many pixels, and palettes this many rows, in addition to two pixels or one
+#: row per Gaussian.
 SPARE = 1 << 16
 
-#: Loads the pixels of an image, given its name, most rows without `SPARE`, and pixels of a row.
+#: Loads the pixels of an image, given its name, the maximum rows without `SPARE`, and pixels per
+#: row.
 _Load = Callable[..., NDArray[np.uint8]]
 
 
 @contextmanager
 def _opened(path: Path, data: memoryview) -> Iterator[tuple[Unit, int]]:
-    """The scene of a `.sog` or `meta.json` of these bytes, and the size of all its files."""
+    """Open the scene of a `.sog` or `meta.json`; yields it, and the size of all its files."""
     with located(path), opened_files(path, data) as (files, name):
         unit = unit_of(files, name)
         yield unit, unit.stored_bytes or len(data)
@@ -58,9 +60,9 @@ def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
 def scene_of_unit(
     where: str | Path, unit: Unit, file_bytes: int, max_bytes: int | None, spare: int = SPARE
 ) -> Scene:
-    """Read a scene of files of `file_bytes` in all; warnings begin with `where`.
+    """Read a scene from files with `file_bytes` in total; warnings begin with `where`.
 
-    `spare` is as `SPARE`, and less for one of many scenes.
+    `spare` replaces `SPARE`, with less for each of many scenes.
     """
     meta = unit.meta
     if meta.model == "2dgs":
@@ -97,7 +99,7 @@ def sog_bytes(path: Path, data: memoryview) -> int:
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
-    """Number of Gaussians and SH degree that `meta.json` states; degree 3 if it states none."""
+    """Number of Gaussians and SH degree stated in `meta.json`; degree 3 if unknown."""
     with _opened(path, data) as (unit, _):
         return unit.meta.stated_size
 
@@ -124,7 +126,7 @@ def _looked_up(table: NDArray[np.float32], values: NDArray[np.uint8]) -> NDArray
 
 
 def _defined(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The planes; refuses NaN, which tables have beyond the end of their codebook."""
+    """Reject NaN in planes: tables have NaN beyond the end of their codebook."""
     if np.isnan(planes).any():
         raise InvalidInput("a byte beyond its codebook")
     return planes
@@ -139,7 +141,7 @@ def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
         logarithm = ends[0] * (1 - share) + ends[1] * share
         return np.sign(logarithm) * np.expm1(np.abs(logarithm))
 
-    with np.errstate(over="ignore"):  # infinite centres, as in a PLY, are reported later
+    with np.errstate(over="ignore"):  # infinite centres are reported later, as in a PLY
         return planes_of(3, meta.count, unfold)
 
 

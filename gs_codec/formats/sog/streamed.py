@@ -1,8 +1,8 @@
-"""Streamed SOG: the tree of levels of detail of a `lod-meta.json`, and its finest level read.
+"""Streamed SOG: the tree of levels of detail in `lod-meta.json`; reading the finest level.
 
-Each leaf of the tree has a run of Gaussians at each level, in SOG scenes beside `lod-meta.json`. A
-viewer draws each leaf at one level, which it chooses by how far away the leaf's box is. A zip of
-all files is an `.ssog`.
+Each leaf of the tree has a run of Gaussians at each level, in SOG scenes next to `lod-meta.json`. A
+viewer draws each leaf at one level, chosen by the distance of the leaf's box. A zip of all files is
+an `.ssog`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ log = logging.getLogger(__name__)
 
 _VERSION = 1
 
-#: Most bytes of a `lod-meta.json`, unless the file itself or its zip is larger.
+#: Maximum bytes of a `lod-meta.json`, unless the file itself or its zip is larger.
 _LOD_META_BYTES = 1 << 22
 
-#: `SPARE` of all files together.
+#: `SPARE` of all files in total.
 _SPARE = 1 << 22
 
 #: Minimum of `SPARE` of each file.
@@ -42,7 +42,7 @@ _LEAST_SPARE = 1 << 10
 
 @dataclass(frozen=True)
 class Run:
-    """Where the Gaussians of a leaf at a level are: in which file, from which, how many."""
+    """Location of a leaf's Gaussians at a level: file, first index, and number."""
 
     file: int
     offset: int
@@ -58,7 +58,7 @@ class Leaf:
     low, high : sequence of float
         The corners of its box.
     runs : sequence of Run
-        Of each level, the finest first.
+        The run of each level, the finest first.
     """
 
     low: Sequence[float]
@@ -88,7 +88,7 @@ def _node(leaf: Leaf) -> dict[str, Any]:
 
 
 def _tree(nodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """The root above nodes: four become one, as blocks of the levels of an `.egs` do."""
+    """The root above nodes: four become one, as with blocks of levels in an `.egs`."""
     while len(nodes) > 1:
         groups = (nodes[i : i + FANOUT] for i in range(0, len(nodes), FANOUT))
         nodes = [{"bound": _around(group), "children": group} for group in groups]
@@ -104,7 +104,7 @@ def _around(nodes: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
 
 
 def is_streamed(path: Path, data: FileBytes) -> bool:
-    """Whether a file has the name of a `lod-meta.json`, or is a zip with one.
+    """Whether a file is named `lod-meta.json`, or is a zip with one.
 
     Raises InvalidInput if it is a zip that is not valid.
     """
@@ -116,9 +116,9 @@ def is_streamed(path: Path, data: FileBytes) -> bool:
 
 @contextmanager
 def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, list[str]]]:
-    """The files of a `lod-meta.json`, and the names of the SOG scenes of a level or of all."""
+    """The files of a `lod-meta.json`, and names of SOG scenes, of the finest level or all."""
     with located(path), opened_files(path, data) as (files, name):
-        # It takes far fewer bytes than the files that it describes.
+        # It is much smaller than the files that it describes.
         text = files.read(name, max(len(data), _LOD_META_BYTES))
         yield files.beside(name), _names(text, finest)
 
@@ -142,7 +142,7 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
 
 
 def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
-    """Read the files that hold coarser levels alone, too; raises as `read_streamed` does."""
+    """Also read the files that have only coarser levels; raises like `read_streamed`."""
     with _opened(path, data, finest=True) as (_, finest):
         pass
     with _opened(path, data, finest=False) as (files, names):
@@ -154,12 +154,12 @@ def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
 
 
 def _spare(names: Sequence[str]) -> int:
-    """`SPARE` of each of these files: images hardly larger than their zip could take minutes."""
+    """`SPARE` of each file: images hardly larger than their zip could take minutes."""
     return min(SPARE, max(_SPARE // len(names), _LEAST_SPARE))
 
 
 def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:
-    """Refuse images of an earlier unit: thousands could have the same."""
+    """Reject images of an earlier unit, because thousands of units could share them."""
     if unit.files.archive is files.archive:
         images = {str(unit.files.folder / image) for image in unit.images}
         if seen & images:
@@ -186,7 +186,7 @@ def _whole(stated: Sequence[tuple[int, int]]) -> tuple[int, int]:
 
 
 def _size(files: Files, name: str) -> tuple[tuple[int, int], int]:
-    """What a SOG scene states, and the size of its files; 0 in a zip."""
+    """Number of Gaussians and SH degree of a SOG scene, and the size of its files; 0 in a zip."""
     with located(name), opened_unit(files, name) as unit:
         return unit.meta.stated_size, unit.stored_bytes
 
@@ -217,7 +217,7 @@ def _finest_runs(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _checked(names: Iterable[Any]) -> Iterator[str]:
-    """Names with slashes; refuses files that do not lie below the folder of `lod-meta.json`."""
+    """Names with forward slashes; rejects files outside the folder of `lod-meta.json`."""
     for name in names:
         plain = isinstance(name, str) and name.isprintable() and ":" not in name
         parts = name.replace("\\", "/").split("/") if plain else [""]

@@ -1,4 +1,4 @@
-"""SOG version 2 written; see `sog` for the format."""
+"""Write SOG version 2; see `sog` for the format."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
-#: Most pixels along a side of an image.
+#: Maximum pixels along a side of an image.
 _LARGEST_SIDE = (1 << 14) - 4
 
-#: Far Gaussians are drawn to a box so many times as large as that of the others. Coordinates are
-#: logarithms, so that four times as large makes their steps a third to a half longer.
+#: Far Gaussians are moved onto a box this many times as large as that of the others. Coordinates
+#: are logarithmic, so a factor of four makes their steps only a third to a half longer.
 REACH = 4.0
 
-#: Largest magnitude of SH: distances to rows of a palette are in float32.
+#: Maximum magnitude of SH, because distances to palette rows are in float32.
 _LARGEST_SH = 2.0**12
 
 _BYTES = np.arange(256.0)
 
-#: What `meta.json` says of a group of attributes, and its images by name.
+#: The entry of a group of attributes in `meta.json`, and its images by name.
 _Group = tuple[dict[str, object], dict[str, NDArray[np.uint8]]]
 
 
 def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.sog` file, and what it cannot hold, in words; Gaussians in Morton order.
+    """The bytes of a `.sog` file, in Morton order; sentences on what it cannot represent.
 
     Raises InvalidInput if a value is not finite, or an image would have more pixels than WebP has.
 
@@ -81,7 +81,7 @@ def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes],
     meta: dict[str, object] = {"version": 2, "count": scene.count}
     meta["asset"] = {"generator": "gs_codec"}
     if scene.antialiased:
-        # By the specification, and as splat-transform reads it.
+        # As specified, and as splat-transform reads it.
         meta |= {"antialias": True, "model": "antialiased"}
     images: dict[str, NDArray[np.uint8]] = {}
     for name, pack in _GROUPS.items():
@@ -95,7 +95,7 @@ def sog_files_of(scene: Scene, steps: AttributeSteps) -> tuple[dict[str, bytes],
 
 
 def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:
-    """An image of a pixel for each Gaussian, of up to four bytes; bytes not given are 0, 0, 255."""
+    """An image with one pixel per Gaussian, of up to four bytes; missing bytes are 0, 0, 255."""
     count = len(channels[0])
     width = 4 * max(math.ceil(math.sqrt(count) / 4), 1)
     height = 4 * max(math.ceil(count / width / 4), 1)
@@ -115,7 +115,7 @@ def _centres(scene: Scene, steps: AttributeSteps) -> _Group:
         unit = (most - least) / 65535 or 1.0
         share = (logarithm - least) / unit
         high = np.rint(share).astype(np.int64) >> 8
-        # A step of the logarithm is longer far away.
+        # A step of the logarithm is longer far from the origin.
         wanted = steps.positions / (1 + np.abs(values)) / unit
         return least, most, choose_levels(share - (high << 8), wanted, _BYTES), high
 
@@ -135,7 +135,8 @@ def _rotations(scene: Scene, steps: AttributeSteps) -> _Group:
     by_unit = 255 * math.sqrt(0.5)
     exact = by_unit * three + 127.5
     levels = np.array(_levels(exact, [by_unit * steps.rot] * 3, _BYTES))
-    # Rounded coarsely, they may leave nothing for the largest: readers take the root of the rest.
+    # Coarse rounding may leave nothing for the largest component, which readers compute from the
+    # others.
     long = ((levels - 127.5) ** 2).sum(axis=0) > by_unit**2
     levels[:, long] = np.rint(exact[:, long])
     return {}, {"quats.webp": _image([*levels, FIRST_TAG + largest])}
@@ -171,7 +172,7 @@ def _levels(
 
 
 def numbers(table: NDArray[np.float32]) -> list[float]:
-    """The shortest numbers that are these when rounded to float32."""
+    """The shortest decimal numbers that round to these float32 values."""
     return [float(str(value)) for value in table]
 
 

@@ -1,7 +1,7 @@
 """Containers of `.spz` files: header, and the bytes of each attribute.
 
-Up to version 3 a file is one gzip stream, or what is in it; in version 4 each attribute is a zstd
-stream. Spark writes levels of detail into version 2, as a tree of Gaussians.
+Up to version 3 a file is one gzip stream, or its content without gzip; in version 4 each attribute
+is a zstd stream. Spark writes levels of detail into version 2, as a tree of Gaussians.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS
 
 log = logging.getLogger(__name__)
 
-#: Data of attributes; parts of a memoryview are not copies.
+#: Data of attributes; slices of a memoryview are not copies.
 Bytes = bytes | memoryview
 
 MAGIC = SPZ.signatures[0]
@@ -46,10 +46,10 @@ _EXTENSIONS = 2
 LEVELS = 0x80
 _FRACTION_BITS = 24
 
-#: Bytes of a Gaussian in a tree of levels of detail.
+#: Bytes per Gaussian in a tree of levels of detail.
 _NODE = 6
 
-#: Adobe's extension for other coordinate systems than the format's own; its values start at 1.
+#: Adobe's extension for coordinate systems other than the format's; its values start at 1.
 _SYSTEM_EXTENSION = 0xADBE0003
 SYSTEM = SPZ.system
 _SYSTEMS = (
@@ -58,11 +58,11 @@ _SYSTEMS = (
 )
 
 
-#: Compression level: ten seconds for a million Gaussians. The lowest takes one, for files larger by
-#: 2 %.
+#: Compression level: ten seconds per million Gaussians. The lowest takes one second; files are 2 %
+#: larger.
 _GZIP_LEVEL = 8
 
-#: The same, where the lowest makes files larger by 5 %.
+#: The same; with the lowest level, files are 5 % larger.
 _ZSTD_LEVEL = 17
 
 
@@ -76,10 +76,9 @@ class SpzHeader:
         1 to 4.
     count, sh_degree : int
     fraction_bits : int
-        Bits of a centre's fraction.
+        Fraction bits of a centre.
     flags : int
-        Whether the scene is antialiased, whether extensions follow, and whether there is a tree
-        of levels of detail.
+        Flags: antialiased, extensions follow, and tree of levels of detail.
     """
 
     version: int
@@ -90,17 +89,17 @@ class SpzHeader:
 
     @property
     def read_degree(self) -> int:
-        """SH degree of what is read."""
+        """SH degree of the scene that is read."""
         return min(self.sh_degree, len(SH_COEFFICIENTS) - 1)
 
     @property
     def unknown(self) -> int:
-        """Flags of which nothing is known."""
+        """Unknown flags."""
         return self.flags & ~(ANTIALIASED | _EXTENSIONS | (LEVELS if self.has_tree else 0))
 
     @property
     def has_tree(self) -> bool:
-        """Whether a tree of levels of detail follows, which version 4 does not have."""
+        """Whether a tree of levels of detail follows; never in version 4."""
         return bool(self.flags & LEVELS) and self.version < 4
 
     @property
@@ -114,7 +113,7 @@ class SpzHeader:
 def read_streams(
     path: Path, view: memoryview, max_bytes: int | None
 ) -> tuple[SpzHeader, list[Bytes], str]:
-    """Header, bytes of each attribute, and coordinate system of the bytes of a file.
+    """Header, bytes of each attribute, and coordinate system of a file.
 
     Raises InvalidInput if it is not a valid file, or decodes to more than `max_bytes`.
     """
@@ -173,7 +172,7 @@ def _check_header(
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
-    """Number of Gaussians and SH degree that the header states; raises as `read_spz` does."""
+    """Number of Gaussians and SH degree stated in the header; raises like `read_spz`."""
     with located(path):
         head, _ = _head_of(bytes(view[:1024]))
         _, version, *fields, _ = _HEADER.unpack(head)
@@ -182,7 +181,7 @@ def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
 
 
 def _head_of(data: bytes) -> tuple[bytes, zlib._Decompress | None]:
-    """The header as it is, or that in a gzip stream and what inflates the rest."""
+    """The plain header; or the one in a gzip stream, and the decompressor for the rest."""
     inflater = None if data.startswith(MAGIC) else zlib.decompressobj(wbits=31)
     with refusing("gzip stream"):
         head = inflater.decompress(data, _HEADER.size) if inflater else data[: _HEADER.size]
@@ -194,7 +193,7 @@ def _head_of(data: bytes) -> tuple[bytes, zlib._Decompress | None]:
 
 
 def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
-    """Header, attributes and what follows in versions 1 to 3, of a gzip stream or as it is."""
+    """Header, attributes and trailing data of versions 1 to 3, from a gzip stream or plain."""
     head, inflater = _head_of(data)
     _, version, *fields, _ = _HEADER.unpack(head)
     if not 1 <= version <= 3:
@@ -224,7 +223,7 @@ def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, lis
 def _leaves(
     path: Path, header: SpzHeader, streams: list[Bytes], tree: bytes
 ) -> tuple[SpzHeader, list[Bytes]]:
-    """The leaves of Spark's tree; other Gaussians are coarser ones of those below them.
+    """The leaves of Spark's tree; other nodes are coarser versions of their descendants.
 
     The tree has a number of children for each Gaussian, then the index of its first child.
     Opacities, up to 2 in the tree, are in units of 2/255.
@@ -275,7 +274,7 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Byt
             )
         streams.append(_decompress_stream(data[offset : offset + packed], name, size))
         offset += packed
-    offset += sum(packed for packed, _ in entries)  # what flags that are not known stand for
+    offset += sum(packed for packed, _ in entries)  # possible data of unknown flags
     if offset != len(data):
         raise InvalidInput(f"{counted(len(data) - offset, 'byte')} left over after the last stream")
     return header, streams, data[_ZSTD_HEADER.size : table]
@@ -285,7 +284,7 @@ _STREAMS = ("positions", "opacities", "colours", "scales", "rotations", "SH")
 
 
 def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
-    """Decompress one zstd frame; check the size that it may state before memory is allocated."""
+    """Decompress one zstd frame; check its stated size, if any, before allocating memory."""
     if not size:
         return b""
     import zstandard
@@ -304,7 +303,7 @@ def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
 
 
 def _read_extensions(path: Path, data: bytes) -> str:
-    """The coordinate system from the extensions; unknown extensions give a warning."""
+    """The coordinate system from the extensions; unknown extensions cause a warning."""
     system, offset = SYSTEM, 0
     while offset < len(data):
         if len(data) - offset < 8:

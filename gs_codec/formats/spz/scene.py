@@ -1,8 +1,8 @@
 """Niantic's `.spz` files: versions 1 to 4 read, 3 and 4 written.
 
-Centres are 24-bit fixed point (version 1: float16). Opacities, colours, log-scales and SH are a
-byte per value. Quaternions xyzw are stored as their first three components, a byte each; from
-version 3, as the index of the largest component and the other three in 10 bits each.
+Centres are 24-bit fixed point (version 1: float16). Opacities, colours, log-scales and SH are one
+byte per value. Quaternions xyzw are stored as their first three components, one byte each; from
+version 3, as the index of the largest component and 10 bits for each of the others.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, stated_comments
 
 _COLOUR_SCALE = 0.15
 
-#: Bits of fractions that are written, if the farthest centre leaves room for them.
+#: Fraction bits to write, if the farthest centre leaves room for them.
 _WRITTEN_BITS = 16
 
-#: Largest magnitude of a coordinate of a centre in fixed point.
+#: Maximum fixed-point magnitude of a centre's coordinate.
 _FARTHEST = (1 << 23) - 1
 
-#: Largest magnitude of a component of a quaternion.
+#: Maximum magnitude of a quaternion component.
 _LONGEST = 511
 
-#: Far centres are drawn to this magnitude, whose multiples of steps are not beyond the farthest.
+#: Far centres are moved to this magnitude, whose multiples of steps stay in range.
 _DRAWN = 15 << 19
 
-#: Most octaves by which rounding is coarser than the format's own.
+#: Maximum octaves by which rounding is coarser than the format's own.
 _COARSEST = 20.0
 
 
@@ -87,7 +87,7 @@ def _scene_of(path: Path, header: SpzHeader, streams: list[Bytes], system: str) 
 
 
 def _f_rest(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """SH-AC ``(3 * K, n)``, reordered: all coefficients of one colour channel after another."""
+    """Reorder SH-AC to ``(3 * K, n)``: all coefficients of one colour channel together."""
     by_colour = rows.reshape(len(rows) // 3, 3, rows.shape[1]).transpose(1, 0, 2)
     return (by_colour.reshape(rows.shape).astype(np.float32) - 128) / 128
 
@@ -116,7 +116,7 @@ def _smallest_three(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
 def pack_spz(
     scene: Scene, version: int = 3, steps: AttributeSteps | None = None
 ) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of an `.spz` file of version 3 or 4, and what it cannot hold, in words.
+    """The bytes of an `.spz` file of version 3 or 4; sentences on what it cannot represent.
 
     Gaussians are in Morton order, and in the format's own coordinates. Far ones, for which the
     others would have fewer bits of fractions, are drawn nearer. Raises InvalidInput if a value is
@@ -154,7 +154,7 @@ def pack_spz(
 
 
 def _fraction_bits(farthest: float) -> int:
-    """Bits of fractions that a coordinate of this magnitude leaves room for."""
+    """Number of fraction bits that fit with a coordinate of this magnitude."""
     room = math.floor(math.log2(_FARTHEST / farthest)) if farthest else _WRITTEN_BITS
     return min(max(room, 0), _WRITTEN_BITS)
 
@@ -183,7 +183,7 @@ def _bytes_of(
 def _multiples(
     levels: NDArray[np.floating], steps: NDArray[np.floating], rounded: np.ufunc = np.rint
 ) -> NDArray[np.float64]:
-    """Levels rounded to whole numbers, or to multiples of the power of two next below a step."""
+    """Levels rounded to integers, or to multiples of the largest power of two below a step."""
     factor = np.exp2(np.floor(np.log2(np.clip(steps, 1.0, 2.0**_COARSEST))))
     return rounded(levels.astype(np.float64) / factor) * factor
 
@@ -193,7 +193,8 @@ def _packed_rotations(rot: NDArray[np.float32], steps: NDArray[np.floating]) -> 
     three, largest = largest_omitted(rot[[1, 2, 3, 0]])
     by_unit = _LONGEST / np.sqrt(0.5)
     levels = _multiples(three * by_unit, steps * by_unit)
-    # Rounded coarsely, they may leave nothing for the largest: readers take the root of the rest.
+    # Coarse rounding may leave nothing for the largest component, which readers compute from the
+    # others.
     long = (levels * levels).sum(axis=0) > by_unit**2
     levels[:, long] = _multiples(three[:, long] * by_unit, steps[long] * by_unit, np.trunc)
     levels = np.clip(levels, -_LONGEST, _LONGEST).astype(np.int32)
@@ -203,7 +204,7 @@ def _packed_rotations(rot: NDArray[np.float32], steps: NDArray[np.floating]) -> 
 
 
 def _packed_sh(scene: Scene, steps: AttributeSteps, clipped: Clipped) -> NDArray:
-    """SH-AC ``(3 * K, n)``: the colours of a coefficient together; see `_f_rest`."""
+    """SH-AC ``(3 * K, n)``, with the colours of a coefficient together; see `_f_rest`."""
     rest = scene.f_rest.reshape(3, -1, scene.count).astype(np.float64)
     packed = np.empty((rest.shape[1], 3, scene.count))
     for band, coefficients in enumerate(sh_bands(rest.shape[1])):

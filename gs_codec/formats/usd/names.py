@@ -1,9 +1,9 @@
-"""What the reader of USD and its process share, which starts faster without the rest."""
+"""Names shared by the USD reader and its process, which starts faster without the rest."""
 
 from __future__ import annotations
 
 #: Suffixes of layers.
 LAYERS = (".usd", ".usda", ".usdc")
 
-#: Why a usd-core before 26.3 does not do.
+#: Message for a usd-core before 26.3.
 WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians: "

@@ -1,7 +1,8 @@
-"""Gaussians in OpenUSD: `.usd`, `.usda`, `.usdc`, `.usdz`, by ParticleField3DGaussianSplat.
+"""Gaussians in OpenUSD: `.usd`, `.usda`, `.usdc`, `.usdz`, as ParticleField3DGaussianSplat.
 
-Centres, unit quaternions, linear scales, opacities 0-1, and SH that follow one another for each
-Gaussian, SH-DC first, in the trainer's order and signs; halves are read too. Needs usd-core.
+Values are centres, unit quaternions, linear scales, opacities 0-1, and SH, which are consecutive
+for each Gaussian, SH-DC first, with the trainer's order and signs. Half floats are also read. Needs
+usd-core.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
 _SYSTEM = USD.system
 _SYSTEM_Z_UP = "RFU"
 
-#: Files in a `.usdz` begin at multiples of so many bytes.
+#: Files in a `.usdz` begin at multiples of this offset.
 _MULTIPLE = 64
 
-#: Standard deviations that a Gaussian reaches in the extent of the scene.
+#: Size of a Gaussian, in standard deviations, in the extent of the scene.
 _REACH = 3.0
 
-#: What the process that reads runs; its first argument is where gs_codec lies. OpenUSD leaves
-#: reports of crashes in `TMPDIR`, here the process's own folder.
+#: Code of the reading process; its first argument is the folder of gs_codec. OpenUSD leaves crash
+#: reports in `TMPDIR`, which is the process's own folder.
 _READ = """
 import os, sys
 os.environ |= {"TMPDIR": os.getcwd(), "PXR_WORK_THREAD_LIMIT": "1"}  # others wait busily
@@ -55,19 +56,19 @@ from gs_codec.formats.usd.stage import main
 main()
 """
 
-#: Maximum address space of that process without a scene, bytes.
+#: Maximum address space of that process without a scene, in bytes.
 _SPACE = 4 << 30
 
-#: Further address space for each byte of the scene's floats.
+#: Additional address space per byte of the scene's floats.
 _TIMES_FLOATS = 4
 
-#: Further address space for each byte of the file.
+#: Additional address space per byte of the file.
 _TIMES_FILE = 64
 
 #: Maximum time of that process without a scene, seconds.
 _SECONDS = 20
 
-#: One more second for this many bytes of the file.
+#: Bytes of the file per additional second.
 _BYTES_A_SECOND = 1 << 20
 
 
@@ -78,7 +79,7 @@ def require_usd_core() -> None:
 
 
 def is_usd(path: Path, data: FileBytes) -> bool:
-    """Whether a file is no zip, or its first entry is a layer of USD."""
+    """Whether a file is not a zip, or its first entry is a USD layer."""
     if data[: len(ZIP)] != ZIP:
         return True
     name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
@@ -97,13 +98,13 @@ def read_usd(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
-    """Number of Gaussians and SH degree that the stage has; raises as `read_usd` does."""
+    """Number of Gaussians and SH degree of the stage; raises like `read_usd`."""
     with located(path):
         return _total(_read_apart(view, -1))
 
 
 def _read_apart(view: memoryview, most: int) -> dict[str, NDArray]:
-    """What `usd_stage.main` finds; sizes alone if the floats take more than `most` bytes."""
+    """The result of `usd_stage.main`; only sizes if the floats take more than `most` bytes."""
     require_usd_core()
     suffix = dict(zip(USD.signatures, (".usda", ".usdc", ".usdz"), strict=True))
     name = "scene" + next((s for begin, s in suffix.items() if view[: len(begin)] == begin), ".usd")
@@ -112,7 +113,7 @@ def _read_apart(view: memoryview, most: int) -> dict[str, NDArray]:
     floats, size = max(most, 0), len(view)
     seconds = _SECONDS + size // _BYTES_A_SECOND
     space = _SPACE + _TIMES_FLOATS * min(floats, EXPANSION * size) + _TIMES_FILE * size
-    # Beside floats, a matrix for each prim, whose text takes no less.
+    # Besides floats, there is a matrix for each prim, whose text takes at least as much.
     limits = Limits(10.0 * seconds, seconds, space)
     try:
         packed = run_on_files(command, {name: view}, "found.npz", limits, floats + size + (1 << 20))
@@ -134,7 +135,7 @@ def _total(found: dict[str, NDArray]) -> tuple[int, int]:
 
 
 def _scenes(found: dict[str, NDArray]) -> list[Scene]:
-    """The scene of each prim, where the stage puts it."""
+    """The scene of each prim, transformed to the stage."""
     comments = stated_comments(_SYSTEM_Z_UP if found["z_up"] else _SYSTEM, False)
     count, degree = _total(found)
     sh = (
@@ -159,7 +160,7 @@ def _scenes(found: dict[str, NDArray]) -> list[Scene]:
 
 
 def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a file with a suffix that is written, and what it cannot hold, in words.
+    """The bytes of a file with this suffix, and sentences on what it cannot represent.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""What reads the stage of a USD file, in a process of its own: native code that may crash.
+"""Read the stage of a USD file in a separate process, because the native code may crash.
 
-Run by `usd.py`; takes the file, the file to write, and the most bytes of floats. Writes arrays of
-NumPy by name, with all Gaussians one after another; or why it refused, as ``refused``.
+Run by `usd.py`; arguments are the file, the output file, and the maximum bytes of floats. It writes
+NumPy arrays by name, with all Gaussians concatenated; or, as ``refused``, the reason for rejecting
+the file.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _QUOTES = "'\" "
 _COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 _DEGREE = "radiance:sphericalHarmonicsDegree"
 
-#: Attributes that a stage may leave out, and what Gaussians then have; grey, of SH.
+#: Optional attributes of a stage, and their default values; grey, for SH.
 _MISSING = {
     "orientations": (0, 0, 0, 1),
     "scales": (1, 1, 1),
@@ -35,15 +36,15 @@ _MISSING = {
     _COEFFICIENTS: (0, 0, 0),
 }
 
-#: Where an attribute that changes in time is read.
+#: The time at which animated attributes are read.
 _TIME = Usd.TimeCode.EarliestTime()
 
-#: What a file may be refused with; errors of OpenUSD are RuntimeErrors.
+#: Exceptions for which a file is rejected; errors of OpenUSD are RuntimeErrors.
 _REFUSALS: tuple[type[Exception], ...] = (GsCodecError, zipfile.BadZipFile, *FAILURES)
 
 
 def main() -> None:
-    """Read the file that the arguments name."""
+    """Read the file named in the arguments."""
     source, target, most = sys.argv[1:]
     try:
         arrays: dict[str, Any] = _arrays(source, int(most))
@@ -53,18 +54,18 @@ def main() -> None:
 
 
 def _why(error: Exception) -> str:
-    """Why a file was refused; of OpenUSD's errors, which name places in its source, the reason."""
+    """The reason for rejecting a file; for OpenUSD's errors, without its source locations."""
     if isinstance(error, GsCodecError):
         return str(error)
     try:
         reason = one_line(error).replace(f"{os.getcwd()}/", "").rpartition(" : ")[2]
         return f"damaged: {reason.strip(_QUOTES)[:100]}"
-    except UnicodeDecodeError:  # it quotes the file
+    except UnicodeDecodeError:  # the message quotes the file
         return "damaged: text that is not UTF-8"
 
 
 def _arrays(source: str, most: int) -> dict[str, NDArray]:
-    """What `main` writes; sizes alone if the floats take more than `most` bytes."""
+    """The arrays that `main` writes; only sizes if the floats take more than `most` bytes."""
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
         raise InvalidInput(WITHOUT_GAUSSIANS + pip_install("usd"))
     _check_alone(source)
@@ -98,7 +99,7 @@ def _arrays(source: str, most: int) -> dict[str, NDArray]:
 
 
 def _check_alone(source: str) -> None:
-    """Refuse a file that refers to others; layers in a `.usdz` may refer to one another."""
+    """Reject a file that references others; layers in a `.usdz` may reference one another."""
     inside: list[str] = []
     if source.endswith(".usdz"):
         with zipfile.ZipFile(source) as archive:
@@ -113,14 +114,14 @@ def _check_alone(source: str) -> None:
 
 
 def _is_layer(name: str) -> bool:
-    """Whether an entry of a zip is a layer of USD, at a place inside."""
+    """Whether an entry of a zip is a USD layer inside it."""
     plain = posixpath.normpath(name) == name and not name.startswith(("/", ".."))
     return plain and "\\" not in name and name.endswith(LAYERS)
 
 
 def _named(layer: Any) -> Iterator[str]:
-    """The files that a layer is composed of."""
-    yield from filter(None, layer.GetCompositionAssetDependencies())  # empty: this layer itself
+    """The files from which a layer is composed."""
+    yield from filter(None, layer.GetCompositionAssetDependencies())  # empty for this layer itself
     paths: list[Any] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
     prims = [
@@ -145,11 +146,11 @@ def _is_splats(prim: Any) -> bool:
 
 
 def _rows(prim: Any, name: str, width: int) -> NDArray[np.float32] | None:
-    """Rows of an attribute, in halves if there are no floats; None if it is absent."""
+    """Rows of an attribute, from half floats if there are no floats; None if absent."""
     for each in (name, f"{name}h"):
         value = prim.GetAttribute(each).Get(_TIME)
         if value is not None:
-            with np.errstate(over="ignore"):  # reported later, as of a PLY
+            with np.errstate(over="ignore"):  # reported later, as in a PLY
                 return np.asarray(value, np.float32).reshape(-1, width)
     return None
 
@@ -157,9 +158,9 @@ def _rows(prim: Any, name: str, width: int) -> NDArray[np.float32] | None:
 def _first_rows(
     prim: Any, name: str, missing: Sequence[float], count: int, degree: int
 ) -> NDArray[np.float32]:
-    """The first rows of an attribute for so many Gaussians, or of what is there without it.
+    """The first rows of an attribute for `count` Gaussians, or its default values.
 
-    Those of a Gaussian are up to SH degree 3, of an attribute of `degree`.
+    SH rows are limited to degree 3, from an attribute of `degree`.
     """
     each = (degree + 1) ** 2
     rows = _rows(prim, name, len(missing))
@@ -180,5 +181,5 @@ def _degree(prim: Any) -> int:
 
 
 def _placed(prim: Any) -> NDArray[np.float64]:
-    """Matrix ``(4, 4)`` that takes columns of the prim to the stage's."""
+    """Matrix ``(4, 4)`` that transforms columns from the prim to the stage."""
     return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(_TIME)).T

@@ -20,9 +20,8 @@ import numpy as np
 from gs_codec.bench.peers import AbsentPeer, find_program, spz_peer
 from gs_codec.errors import MissingTool
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.activated import logits_of
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
-from gs_codec.formats.packed_values import sigmoid, unit_quaternions
+from gs_codec.formats.packed_values import logits_of, sigmoid, unit_quaternions
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.table import SPZ, format_of
 from gs_codec.formats.tensors import NAMES, scene_of_tensors

@@ -24,7 +24,7 @@ from gs_codec.distributed.survey import Job, choose_lattice, look
 from gs_codec.distributed.tasks import Crew
 from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.index import errors_section, level_header
-from gs_codec.formats.ply.planes import to_rows
+from gs_codec.formats.ply.writer import to_rows
 from gs_codec.levels.adding import config_of_levels
 from gs_codec.levels.building import Level, coarser
 from gs_codec.report import StageTimes

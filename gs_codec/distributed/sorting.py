@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.lattice import PositionGrid, grid_codes
 from gs_codec.coding.morton import canonical_order
 from gs_codec.distributed.folder import Folder
-from gs_codec.formats.ply.planes import to_planes, to_rows
+from gs_codec.formats.ply.writer import to_planes, to_rows
 from gs_codec.scene import GROUPS, Scene, group_rows
 
 

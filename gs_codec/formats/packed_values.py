@@ -1,6 +1,6 @@
-"""Values shared by several formats: 8-bit opacities and colours, packed quaternions.
+"""Values that several formats share: of a byte, packed quaternions, and after activation.
 
-Also shared by their writers: processing part by part, and sentences on what is lost.
+And what their writers share: a part of the scene at a time, and sentences on what is lost.
 """
 
 from __future__ import annotations
@@ -132,3 +132,36 @@ def check_finite(scene: Scene, suffix: str) -> None:
     """Reject values that are not finite."""
     if not all(np.isfinite(getattr(scene, group)).all() for group in GROUPS):
         raise InvalidInput(f"values that are not finite, which {suffix} cannot hold")
+
+
+#: Maximum log-scale whose scale is a finite float32.
+_LARGEST = 88.0
+
+#: Minimum log-scale whose scale is above 0 in float32.
+_SMALLEST = -103.28
+
+
+def logits_of(share: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logits of opacities: infinite at 0 and 1, and beyond."""
+    inside = np.clip(share.astype(np.float64), 0, 1)
+    with np.errstate(divide="ignore"):
+        return np.log(inside / (1 - inside)).astype(np.float32)
+
+
+def log_scales_of(scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithms of scales: -infinity for a scale of 0, NaN for negative ones."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(scales.astype(np.float64)).astype(np.float32)
+
+
+def linear_scales(
+    log_scale: NDArray[np.floating], name: str, clipped: Clipped
+) -> NDArray[np.floating]:
+    """Scales of log-scales; `InvalidInput`, with the `name` of a format, if one is too large.
+
+    Scales that round to 0 in float32 are clipped to the smallest above 0.
+    """
+    largest = log_scale.max(initial=0)
+    if largest > _LARGEST:
+        raise InvalidInput(f"log-scale {largest}, {name} holds up to {_LARGEST}")
+    return np.exp(clipped.limited("scales", log_scale, _SMALLEST, _LARGEST))

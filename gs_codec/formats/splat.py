@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.activated import linear_scales, log_scales_of
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
+    linear_scales,
+    log_scales_of,
     opacities_of,
     sh_of_colours,
     sigmoid,

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.gltf.file import GltfFile, numbers, open_gltf, pack_document, whole
@@ -22,6 +21,9 @@ from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
+    linear_scales,
+    log_scales_of,
+    logits_of,
     sigmoid,
     unit_quaternions,
 )

@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
-from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
+    linear_scales,
+    log_scales_of,
+    logits_of,
     sigmoid,
     unit_quaternions,
 )

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from gs_codec.rendering.project import FACTOR_YY, TILE
+from gs_codec.rendering.project import TILE
 from gs_codec.rendering.tiles_float32 import (
     BEHIND,
     LEAST_LEFT,
     MOST_ALPHA,
     PIXELS,
-    alpha_at,
     draw_tile,
     open_tile,
     put_tile,
-    row_of,
-    rows_of,
-    splat_of,
     total_of,
     turn_back,
     uncover,
+    walk_back,
 )
 from gs_codec.rendering.tiles_float64 import tile_bounds
 from gs_codec.runtime.kernels import inlined, kernel
@@ -45,45 +42,38 @@ def sum_moments(fields, splats, starts, columns, background, colour, sums):
         reached = draw_tile(fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, ends)
         put_tile(light, x0, x1, y0, y1, background, colour)
         turn_back(background, light)
-        _add_tile(fields, splats, start, reached, x0, y0, height, light, ends, by_column, sums)
+        walk_back(
+            _take_moments, _total_moments, fields, splats, start, reached, x0, y0, height, light,
+            ends, by_column, sums,
+        )  # fmt: skip
 
 
-@kernel
-def _add_tile(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
-    """Add the splats of a tile, back to front; `light` is the light behind them."""
-    for pair in range(end - 1, start - 1, -1):
-        field, number = fields[splats[pair]], np.int32(pair - start)
-        slope, reach, opacity, red, green, blue = splat_of(field)
-        top, bottom, u, v = rows_of(field, x0, y0, height)
-        columns[:] = _ZERO
-        for y in range(top, bottom):
-            offset, across = row_of(field, u, v, y)
-            f, ff = np.float32(field[FACTOR_YY] * (y - v)), across
-            row = light[y * TILE : y * TILE + BEHIND]
-            done = ends[y * TILE : y * TILE + TILE]
-            for x in range(TILE):
-                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                alpha = alpha if drawn & (done[x] > number) else _ZERO
-                weight, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
-                g = by_red * by_red + by_green * by_green + by_blue * by_blue
-                # An alpha at its limit does not change.
-                g = g if alpha < MOST_ALPHA else _ZERO
-                e = slope * np.float32(x) + offset
-                ge, gf = g * e, g * f
-                gee, gef, gff = ge * e, ge * f, gf * f
-                columns[x] += g
-                columns[x + G_EE * TILE] += gee
-                columns[x + G_EF * TILE] += gef
-                columns[x + G_FF * TILE] += gff
-                columns[x + G_EEEE * TILE] += gee * e * e
-                columns[x + G_EEEF * TILE] += gee * e * f
-                columns[x + G_EEFF * TILE] += gee * ff
-                columns[x + G_EFFF * TILE] += gef * ff
-                columns[x + G_FFFF * TILE] += gff * ff
-                columns[x + SQUARED_WEIGHT * TILE] += weight * weight
-        total = sums[splats[pair]]
-        for k in range(SQUARED_WEIGHT + 1):
-            total[k] += total_of(columns, k)
+@inlined
+def _take_moments(row, x, alpha, red, green, blue, place, columns):
+    e, f, ff, _ = place
+    weight, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
+    g = by_red * by_red + by_green * by_green + by_blue * by_blue
+    # An alpha at its limit does not change.
+    g = g if alpha < MOST_ALPHA else _ZERO
+    ge, gf = g * e, g * f
+    gee, gef, gff = ge * e, ge * f, gf * f
+    columns[x] += g
+    columns[x + G_EE * TILE] += gee
+    columns[x + G_EF * TILE] += gef
+    columns[x + G_FF * TILE] += gff
+    columns[x + G_EEEE * TILE] += gee * e * e
+    columns[x + G_EEEF * TILE] += gee * e * f
+    columns[x + G_EEFF * TILE] += gee * ff
+    columns[x + G_EFFF * TILE] += gef * ff
+    columns[x + G_FFFF * TILE] += gff * ff
+    columns[x + SQUARED_WEIGHT * TILE] += weight * weight
+
+
+@inlined
+def _total_moments(pair, splat, u, columns, sums):
+    total = sums[splat]
+    for k in range(SQUARED_WEIGHT + 1):
+        total[k] += total_of(columns, k)
 
 
 @inlined

@@ -177,53 +177,70 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
     return end
 
 
-@kernel
-def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
-    """Accumulate the sums of the pairs of a tile, back to front."""
+@inlined
+def walk_back(take, total, fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
+    """Go over the splats of a tile, back to front.
+
+    In each pixel, ``take(row, x, alpha, red, green, blue, place, columns)`` takes a splat off and
+    adds to the sums by column; `alpha` is 0 where it is not drawn. `place` is the offset from its
+    centre: along the row and across it in axes where q is the sum of their squares, the latter's
+    square, and in rows. ``total(pair, splat, u, columns, sums)`` adds the columns up.
+    """
     for pair in range(end - 1, start - 1, -1):
-        field, number = fields[splats[pair]], np.int32(pair - start)
+        splat, number = splats[pair], np.int32(pair - start)
+        field = fields[splat]
         slope, reach, opacity, red, green, blue = splat_of(field)
         top, bottom, u, v = rows_of(field, x0, y0, height)
         columns[:] = _ZERO
         for y in range(top, bottom):
             offset, across = row_of(field, u, v, y)
-            dy = np.float32(y - v)
+            down, dy = np.float32(field[FACTOR_YY] * (y - v)), np.float32(y - v)
             row = light[y * TILE : y * TILE + BEHIND + TILE]
             done = ends[y * TILE : y * TILE + TILE]
             for x in range(TILE):
                 alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
                 alpha = alpha if drawn & (done[x] > number) else _ZERO
-                weight, uncovered = lift(row, x, alpha)
-                own = weight * (
-                    row[x + RED_PLANE] * red
-                    + row[x + GREEN_PLANE] * green
-                    + row[x + BLUE_PLANE] * blue
-                )
-                behind = row[x + BEHIND]
-                change = own - behind * uncovered
-                # An alpha at its limit does not change.
-                change = change if alpha < MOST_ALPHA else _ZERO
-                row[x + BEHIND] = behind + own
-                columns[x] += weight * row[x + RED_PLANE]
-                columns[x + TILE] += weight * row[x + GREEN_PLANE]
-                columns[x + 2 * TILE] += weight * row[x + BLUE_PLANE]
-                columns[x + 3 * TILE] += change
-                columns[x + 4 * TILE] += change * dy
-                columns[x + 5 * TILE] += change * dy * dy
-        total = sums[pair]
-        total[:] = 0.0
-        for x in range(TILE):
-            dx = x - u
-            total[BY_RED] += columns[x]
-            total[BY_GREEN] += columns[x + TILE]
-            total[BY_BLUE] += columns[x + 2 * TILE]
-            moment, moment_y = np.float64(columns[x + 3 * TILE]), np.float64(columns[x + 4 * TILE])
-            total[MOMENT] += moment
-            total[MOMENT_X] += moment * dx
-            total[MOMENT_Y] += moment_y
-            total[MOMENT_XX] += moment * dx * dx
-            total[MOMENT_XY] += moment_y * dx
-            total[MOMENT_YY] += columns[x + 5 * TILE]
+                place = slope * np.float32(x) + offset, down, across, dy
+                take(row, x, alpha, red, green, blue, place, columns)
+        total(pair, splat, u, columns, sums)
+
+
+@inlined
+def _take_gradient(row, x, alpha, red, green, blue, place, columns):
+    _, _, _, dy = place
+    weight, uncovered = lift(row, x, alpha)
+    own = weight * (
+        row[x + RED_PLANE] * red + row[x + GREEN_PLANE] * green + row[x + BLUE_PLANE] * blue
+    )
+    behind = row[x + BEHIND]
+    change = own - behind * uncovered
+    # An alpha at its limit does not change.
+    change = change if alpha < MOST_ALPHA else _ZERO
+    row[x + BEHIND] = behind + own
+    columns[x] += weight * row[x + RED_PLANE]
+    columns[x + TILE] += weight * row[x + GREEN_PLANE]
+    columns[x + 2 * TILE] += weight * row[x + BLUE_PLANE]
+    columns[x + 3 * TILE] += change
+    columns[x + 4 * TILE] += change * dy
+    columns[x + 5 * TILE] += change * dy * dy
+
+
+@inlined
+def _total_gradient(pair, splat, u, columns, sums):
+    total = sums[pair]
+    total[:] = 0.0
+    for x in range(TILE):
+        dx = x - u
+        total[BY_RED] += columns[x]
+        total[BY_GREEN] += columns[x + TILE]
+        total[BY_BLUE] += columns[x + 2 * TILE]
+        moment, moment_y = np.float64(columns[x + 3 * TILE]), np.float64(columns[x + 4 * TILE])
+        total[MOMENT] += moment
+        total[MOMENT_X] += moment * dx
+        total[MOMENT_Y] += moment_y
+        total[MOMENT_XX] += moment * dx * dx
+        total[MOMENT_XY] += moment_y * dx
+        total[MOMENT_YY] += columns[x + 5 * TILE]
 
 
 @inlined
@@ -308,7 +325,10 @@ def take_back_rows(
                 light[pixel + BEHIND] = left[tile, pixel] * behind
         start, stop = starts[tile], reached[tile]
         sums[stop : starts[tile + 1]] = 0.0
-        _take_back(fields, splats, start, stop, x0, y0, height, light, ends[tile], by_column, sums)
+        walk_back(
+            _take_gradient, _total_gradient, fields, splats, start, stop, x0, y0, height, light,
+            ends[tile], by_column, sums,
+        )  # fmt: skip
 
 
 @kernel
@@ -323,7 +343,10 @@ def leave_out_rows(fields, splats, starts, first, end, columns, width, height, b
         reached = draw_tile(fields, splats, start, stop, x0, y0, height, _LEAST_HIDDEN, light, ends)
         turn_back(background, light)
         errors[reached:stop] = 0.0
-        _leave_out(fields, splats, start, reached, x0, y0, height, light, ends, by_column, errors)
+        walk_back(
+            _take_error, _total_error, fields, splats, start, reached, x0, y0, height, light, ends,
+            by_column, errors,
+        )  # fmt: skip
 
 
 @inlined
@@ -336,21 +359,12 @@ def turn_back(background, light):
             light[pixel + (channel + 1) * PIXELS] = behind
 
 
-@kernel
-def _leave_out(fields, splats, start, end, x0, y0, height, light, ends, columns, errors):
-    """Leave-one-out errors of the pairs of a tile, back to front."""
-    for pair in range(end - 1, start - 1, -1):
-        field, number = fields[splats[pair]], np.int32(pair - start)
-        slope, reach, opacity, red, green, blue = splat_of(field)
-        top, bottom, u, v = rows_of(field, x0, y0, height)
-        columns[:] = _ZERO
-        for y in range(top, bottom):
-            offset, across = row_of(field, u, v, y)
-            row = light[y * TILE : y * TILE + BEHIND]
-            done = ends[y * TILE : y * TILE + TILE]
-            for x in range(TILE):
-                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                alpha = alpha if drawn & (done[x] > number) else _ZERO
-                _, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
-                columns[x] += by_red * by_red + by_green * by_green + by_blue * by_blue
-        errors[pair, 0] = total_of(columns, 0)
+@inlined
+def _take_error(row, x, alpha, red, green, blue, place, columns):
+    _, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
+    columns[x] += by_red * by_red + by_green * by_green + by_blue * by_blue
+
+
+@inlined
+def _total_error(pair, splat, u, columns, errors):
+    errors[pair, 0] = total_of(columns, 0)

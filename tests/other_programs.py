@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gs_codec.bench.peers import AbsentPeer, find_program, spz_peer
+from gs_codec.bench.peers import AbsentPeer, find_splat_transform, spz_peer
 from gs_codec.errors import MissingTool
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
@@ -92,7 +92,7 @@ def read_by_spz(paths: Sequence[Path]) -> list[Scene]:
 
 
 def read_by_splat_transform(paths: Sequence[Path]) -> list[Scene]:
-    program = find_program()[0]
+    program = find_splat_transform()[0]
 
     def scene(path: Path) -> Scene:
         target = path.with_name(f"{path.name}.read.ply")

@@ -13,7 +13,6 @@ import tracemalloc
 import zipfile
 from collections import OrderedDict
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -29,12 +28,13 @@ from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_pickle
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
+from gs_codec.runtime.optional import is_available
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 #: Digests of a scene as .pt and as .ckpt, the same on every machine.
 DIGESTS = ["534b0f52cb6333d9", "102bbd423f1d8983"]
 
-needs_torch = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
+needs_torch = pytest.mark.skipif(not is_available("torch"), reason="torch is not installed")
 
 
 def assert_same(first: Scene, second: Scene) -> None:
@@ -493,5 +493,5 @@ def test_libraries_of_tensors_are_numpy_and_torch(monkeypatch):
     with pytest.raises(InvalidInput, match="library 'jax': expected one of numpy, torch"):
         gs_codec.to_tensors(cloud, "jax")
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(gs_codec.MissingTool, match="torch: not installed"):
+    with pytest.raises(gs_codec.MissingTool, match="to_tensors: needs torch; pip install torch"):
         gs_codec.to_tensors(cloud, "torch")

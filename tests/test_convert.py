@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,7 +170,7 @@ def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
 
 @pytest.mark.parametrize("command", ["convert", "encode", "prepare --gaussians 9", "batch", "read"])
 def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, run_codec):
-    monkeypatch.setattr("gs_codec.formats.usd.scene.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pxr", None)
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     first, *options = command.split()
     typed = [first, str(ply), str(tmp_path / "b.usdz"), *options]
@@ -179,7 +180,7 @@ def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, run_codec):
         typed = ["verify", str(tmp_path / "a.usda")]
     status, _, err = run_codec(*typed)
     assert status == 2
-    assert "usd-core is not installed: pip install 'gs-codec[usd]'" in err
+    assert "USD: needs usd-core; pip install 'gs-codec[usd]'" in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.usda", "scene.ply"]
 
 

@@ -237,7 +237,7 @@ def test_without_the_program_one_line_says_what_it_is(stand_in, tmp_path, monkey
 
 @pytest.mark.parametrize(
     ("failure", "message"),
-    [("help:silent", "not tmc3, its help begins ''"), ("help:other", "begins 'usage: other'")],
+    [("help:silent", "not tmc3, --help prints ''"), ("help:other", "prints 'usage: other'")],
 )
 def test_another_program_is_none(failure, message, stand_in, monkeypatch):
     monkeypatch.setenv("TMC3_STAND_IN", failure)

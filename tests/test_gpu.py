@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +25,10 @@ from gs_codec.coding.frequency_table import normalise
 from gs_codec.config import Config
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.runtime.optional import is_available
 from gs_codec.scene import Scene
 
-pytestmark = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
+pytestmark = pytest.mark.skipif(not is_available("torch"), reason="torch is not installed")
 
 HERE = Path(__file__).parent
 GOLDEN = [f"v1-{name}" for name in ("l", "s", "guided", "carried-m", "empty-m", "paper-m")]
@@ -153,11 +153,11 @@ def test_devices_that_are_not_there_are_refused(monkeypatch):
     with pytest.raises(MissingTool, match="device 'cuda:1': torch sees 0 CUDA devices"):
         gs_codec.decode_tensors(data, "cuda:1")
     monkeypatch.setattr("torch.cuda.device_count", lambda: 1)
-    monkeypatch.setattr("gs_codec.api.splats.find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "numba_cuda", None)
     with pytest.raises(MissingTool, match=r"device 'cuda': needs numba-cuda .* 'gs-codec\[cuda\]'"):
         gs_codec.decode_tensors(data)
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingTool, match="torch: not installed"):
+    with pytest.raises(MissingTool, match="device 'cpu': needs torch; pip install torch"):
         gs_codec.decode_tensors(data, "cpu")
 
 

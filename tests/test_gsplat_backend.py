@@ -57,7 +57,7 @@ def stand_in(monkeypatch):
     module = ModuleType("gsplat")
     module.rasterization = rasterization
     monkeypatch.setitem(sys.modules, "gsplat", module)
-    monkeypatch.setattr(gsplat_backend, "is_available", lambda: True)
+    monkeypatch.setattr(gsplat_backend, "sees_device", lambda: True)
     monkeypatch.setattr(gsplat_backend, "_DEVICE", "cpu")
     yield
     torch.set_num_threads(threads)
@@ -94,7 +94,7 @@ def test_sums_come_from_the_cpu(stand_in):
 
 
 def test_cuda_is_refused_where_it_is_not():
-    if gsplat_backend.is_available():
+    if gsplat_backend.sees_device():
         pytest.skip("gsplat and CUDA are here")
     scene = random_scene(1)
     with pytest.raises(MissingTool, match="device 'cuda': needs gsplat"):
@@ -105,7 +105,7 @@ def test_cuda_is_refused_where_it_is_not():
 
 
 def test_gsplat_agrees_with_the_cpu_within_40_db():
-    if not gsplat_backend.is_available():
+    if not gsplat_backend.sees_device():
         pytest.skip("needs gsplat and a CUDA device")
     scene = random_scene(2000, 3, seed=100)
     images = [render(scene, view(), device=device).colour.clip(0, 1) for device in ("cpu", "cuda")]

@@ -6,7 +6,6 @@ import gzip
 import json
 import struct
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +38,12 @@ from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.runtime.optional import is_available
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 
 #: test_usd reports if usd-core is not installed.
-USD = ("usdz",) if find_spec("pxr") else ()
+USD = ("usdz",) if is_available("pxr") else ()
 ALL = ("spz", "sog", "compressed.ply", "splat", "glb", "gltf", *USD)
 ROUNDING = ("spz", "sog", "compressed.ply", "splat")
 SORTED = ("spz", "sog", "compressed.ply")

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import zipfile
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import foreign
@@ -27,6 +26,7 @@ from gs_codec.batch.scenes import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
+from gs_codec.runtime.optional import is_available
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 from viewer.scenes.view_request import Request
 
@@ -123,7 +123,7 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
 def one_of_each(target: Path) -> list[Path]:
     """A scene in each format, with more than 1000 bytes of floats."""
     scene = random_scene(40, 0)
-    usd = ("a.usdc",) if find_spec("pxr") else ()
+    usd = ("a.usdc",) if is_available("pxr") else ()
     for name in ("a.ply", "a.egs", "a.splat", "a.pt", "a.ckpt", *usd):
         write_scene(target / name, scene, Config())
     (target / "packed.ply").write_bytes(foreign.ply_file(list(foreign.packed_rows(40, 0).items())))

@@ -154,7 +154,7 @@ def test_package_that_cannot_be_imported_is_named(folder, monkeypatch, code, why
     monkeypatch.delitem(sys.modules, "lpips", raising=False)
     result = compare("--lpips", "weights.pth", "--images", "out")
     assert isinstance(result.exception, MissingTool)
-    assert str(result.exception).endswith(f"{why}): pip install 'gs-codec[lpips]'")
+    assert str(result.exception).endswith(f"{why}); pip install 'gs-codec[lpips]'")
     assert not (folder / "out").exists()
 
 

@@ -20,7 +20,7 @@ from gs_codec.bench.peers import (
     AbsentPeer,
     columns_peer,
     find_peers,
-    find_program,
+    find_splat_transform,
     splat_transform_peers,
     spz_peer,
     zstd_peer,
@@ -128,23 +128,26 @@ def test_splat_transform_is_found(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "prefix"))
     [absent] = splat_transform_peers()
-    assert absent.absent.startswith("splat-transform: not installed ('make peers', or npm install")
+    assert absent.absent.startswith("splat-transform: not found; 'make peers', or npm install")
     for folder in ("prefix/peers/node_modules/.bin", "path", "variable"):
         expected = stand_in(tmp_path / folder)
         if folder == "path":
             monkeypatch.setenv("PATH", str(tmp_path / "path"))
         if folder == "variable":
             monkeypatch.setenv(PROGRAM_VARIABLE, expected)
-        assert find_program()[0] == expected
+        assert find_splat_transform()[0] == expected
         assert len(splat_transform_peers()) == 3
 
 
 @pytest.mark.parametrize(
     ("failure", "message"),
     [
-        ("other", "splat-transform: not splat-transform, it says 'another 1.0' ('make peers'"),
-        ("nowhere", "/nowhere: no such program ('make peers'"),
-        ("broken", "broken: not splat-transform, it says "),
+        (
+            "other",
+            "splat-transform: not splat-transform, --version prints 'another 1.0'; 'make peers'",
+        ),
+        ("nowhere", "/nowhere: no such program; 'make peers'"),
+        ("broken", "broken: not splat-transform, --version prints "),
     ],
 )
 def test_another_program_is_absent(failure, message, tmp_path, monkeypatch):

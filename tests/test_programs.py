@@ -14,7 +14,7 @@ from orbits import cameras
 from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
 
-from gs_codec.bench.peers import find_program
+from gs_codec.bench.peers import find_splat_transform
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
 from gs_codec.errors import MissingTool
@@ -132,7 +132,7 @@ SAME_JOBS = {
 @pytest.fixture(scope="module")
 def splat_transform() -> str:
     try:
-        return find_program()[0]
+        return find_splat_transform()[0]
     except MissingTool as error:
         pytest.skip(f"splat-transform: not installed ('make peers'), {error}")
 

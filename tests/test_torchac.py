@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import struct
@@ -28,8 +27,9 @@ from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedStream
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.runtime.optional import is_available
 
-HERE = all(importlib.util.find_spec(name) for name in ("torch", "torchac"))
+HERE = is_available("torch", "torchac")
 EDGES = edge_scenes()
 
 
@@ -162,10 +162,7 @@ def test_other_profiles_have_neither(option, profile):
 @pytest.fixture
 def absent(monkeypatch):
     """torchac is not installed."""
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "torchac" else found(name)
-    )
+    monkeypatch.setitem(sys.modules, "torchac", None)
     torchac_coder._load.cache_clear()
     yield
     torchac_coder._load.cache_clear()
@@ -177,7 +174,9 @@ def test_without_it_encoding_is_one_clear_error(absent, tmp_path):
     options = ["encode", str(source), str(target), "-p", "paper-m", "--coder", "torchac"]
     result = CliRunner().invoke(app, options)
     assert isinstance(result.exception, MissingTool)
-    assert "a.ply: torchac is not installed: pip install 'gs-codec[paper]'" in str(result.exception)
+    assert "a.ply: coder 'torchac': needs torchac; pip install 'gs-codec[paper]'" in str(
+        result.exception
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
 
@@ -186,7 +185,7 @@ def test_without_it_a_file_can_be_inspected_but_not_decoded(request):
     data = encode_scene(random_scene(20, 0, seed=79), config())[0]
     request.getfixturevalue("absent")
     assert inspect_bytes(data).coder.startswith("torchac")
-    with pytest.raises(MissingTool, match="torchac is not installed"):
+    with pytest.raises(MissingTool, match="needs torchac; pip install"):
         decode_scene(data)
 
 

@@ -134,7 +134,7 @@ def test_what_usd_cannot_hold_is_said_or_refused():
 
 def test_an_openusd_without_gaussians_is_said(monkeypatch):
     monkeypatch.delattr("pxr.UsdVol.ParticleField3DGaussianSplat")
-    with pytest.raises(MissingTool, match=r"without Gaussians: pip install 'gs-codec\[usd\]'"):
+    with pytest.raises(MissingTool, match=r"without Gaussians\); pip install 'gs-codec\[usd\]'"):
         pack_usd(random_scene(2, 0), ".usd")
 
 

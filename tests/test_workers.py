@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 
 from gs_codec.errors import InvalidInput
-from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers, workers_at
+from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers
 from gs_codec.workers.pool import Pool
 from gs_codec.workers.serial import Serial
 
@@ -60,8 +60,9 @@ def pool(folder: str, ears: Ears) -> Pool:
 
 
 def cluster(folder: str, ears: Ears):
-    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    return workers_at("local", 1, folder, ears)
+    reason = "the extra 'cluster' is not installed"
+    dask = pytest.importorskip("gs_codec.workers.dask", reason=reason, exc_type=ImportError)
+    return dask.dask_workers("local", 1, folder, ears)
 
 
 EACH = [serial, pool, pytest.param(cluster, marks=pytest.mark.thorough)]

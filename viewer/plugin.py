@@ -14,7 +14,7 @@ from gs_codec.cameras.image_files import find_image, seek_images
 from gs_codec.errors import printable
 from gs_codec.formats.cloud import check_cloud
 from gs_codec.runtime.arguments import checked
-from gs_codec.runtime.lazy import check_installed
+from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.wording import counted
 from gs_codec.views.photographs import read_photograph
 from viewer.pictures.centres import centres, pruned_centres

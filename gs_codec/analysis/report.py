@@ -19,7 +19,7 @@ from gs_codec.pages.html import heading, listing, page, paragraph, picture
 from gs_codec.pages.tables import Table, number
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_writable, write_files
-from gs_codec.runtime.lazy import check_installed
+from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.wording import counted
 
 #: Units of errors in column titles.

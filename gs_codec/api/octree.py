@@ -10,7 +10,7 @@ from gs_codec.coding.extent import DEPTHS, EXPANSION, Cube
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.runtime.arguments import checked
-from gs_codec.runtime.lazy import needed
+from gs_codec.runtime.optional import needed
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0
 

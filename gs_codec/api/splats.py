@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +18,8 @@ from gs_codec.encoding.order import encode_camera_free
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
 from gs_codec.runtime.arguments import checked
-from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import located
+from gs_codec.runtime.optional import is_available, missing_package, needed
 from gs_codec.scene import SH_COEFFICIENTS
 
 if TYPE_CHECKING:
@@ -166,18 +165,13 @@ def require_device(device: str) -> None:
     kind, _, number = device.partition(":")
     if kind not in ("cpu", "cuda") or (number and not (kind == "cuda" and number.isdecimal())):
         raise InvalidInput(f"device '{device}': expected cpu, cuda, cuda:1...")
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingTool(f"torch: not installed, {pip_install('cuda')}") from error
+    torch = needed("torch", f"device '{device}'")
     if kind == "cpu" or config.ENABLE_CUDASIM:
         return
     if int(number or 0) >= torch.cuda.device_count():
         raise MissingTool(f"device '{device}': torch sees {torch.cuda.device_count()} CUDA devices")
-    if find_spec("numba_cuda") is None or not _is_complete():
-        raise MissingTool(
-            f"device '{device}': needs numba-cuda and its CUDA toolkit, {pip_install('cuda')}"
-        )
+    if not (is_available("numba_cuda") and _is_complete()):
+        raise missing_package("numba_cuda", f"device '{device}'")
 
 
 def _is_complete() -> bool:

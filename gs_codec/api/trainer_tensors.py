@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Option
-from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 from gs_codec.runtime.arguments import checked
+from gs_codec.runtime.optional import needed
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -108,10 +109,7 @@ def to_tensors(
     tensors = tensors_of(from_cloud(cloud, "drop"))
     if library == "numpy":
         return tensors
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingTool("torch: not installed, `pip install torch`") from error
+    torch = needed("torch", "to_tensors")
     return {name: torch.from_numpy(array) for name, array in tensors.items()}
 
 

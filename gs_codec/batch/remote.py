@@ -25,7 +25,7 @@ from gs_codec.batch.local import (
 )
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.runtime.atomic import leftovers, temporary_name
-from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.optional import needed, pip_install
 from gs_codec.runtime.redaction import redacted, without_secrets
 from gs_codec.runtime.wording import counted
 
@@ -80,10 +80,7 @@ class RemoteStorage:
         self._prefix = shown.removesuffix(root) if shown.endswith(root) else ""
 
     def _open(self) -> tuple[Any, str]:
-        try:
-            import fsspec
-        except ImportError as error:
-            raise MissingTool(f"{self._name}: needs fsspec; {pip_install('cluster')}") from error
+        fsspec = needed("fsspec", self._name)
         # Each protocol of a chain has its own options.
         options = {name: dict(_SSH) for name in ("ssh", "sftp") if name in self._protocols}
         try:

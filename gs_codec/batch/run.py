@@ -25,10 +25,11 @@ from gs_codec.batch.work import encode_one, versions
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.table import format_of
 from gs_codec.runtime.memory import available_bytes
+from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.redaction import redacted, without_secrets
 from gs_codec.runtime.threads import available_threads
 from gs_codec.runtime.wording import as_typed
-from gs_codec.workers.interface import Done, Listener, Workers, workers_at
+from gs_codec.workers.interface import Done, Listener, Workers
 from gs_codec.workers.pool import Pool
 
 _REPORT = "report.jsonl"
@@ -212,7 +213,10 @@ def _open_workers(
     jobs = min(jobs, max(count, 1))
     if batch.dask is None:
         return Pool(jobs, available_bytes(), scratch, watcher)
-    return workers_at(batch.dask, jobs, scratch, watcher)
+    check_installed("distributed", "dask")
+    from gs_codec.workers.dask import dask_workers
+
+    return dask_workers(batch.dask, jobs, scratch, watcher)
 
 
 def batch_mark(report: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import struct
 import sys
 import tempfile
@@ -20,10 +19,11 @@ from numpy.typing import NDArray
 
 from gs_codec.bench.host import version_of
 from gs_codec.config import Extra
-from gs_codec.errors import InvalidInput, MissingTool, ToolFailed, one_line
+from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows
-from gs_codec.runtime.programs import Limits, first_line, run_on_files
+from gs_codec.runtime.optional import is_available
+from gs_codec.runtime.programs import Limits, find_program, run_on_files
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import GROUPS, Scene, channel_count, group_rows
 
@@ -133,10 +133,9 @@ def zstd_peer(extra: Extra, threads: int | None = None) -> Peer:
 def spz_peer(extra: Extra, module: str = "spz") -> Peer | AbsentPeer:
     """Niantic's spz with its defaults."""
     how = "'make peers', or pip install git+https://github.com/nianticlabs/spz"
-    try:
-        spz = import_module(module)
-    except ImportError:
+    if not is_available(module):
         return AbsentPeer("spz", f"spz: not installed ({how})")
+    spz = import_module(module)
     if not hasattr(spz, "save_spz_to_buffer"):
         return AbsentPeer("spz", f"spz: module '{module}' is not Niantic's ({how})")
     pack, unpack = spz.PackOptions(), spz.UnpackOptions()
@@ -227,32 +226,20 @@ SECONDS = 120.0
 _MOST_BYTES = 1 << 36
 
 
-def find_program() -> tuple[str, str]:
+def find_splat_transform() -> tuple[str, str]:
     """Path and version of the program: from the environment variable, PATH, or this environment.
 
     Raises MissingTool if there is no such program, or it is a different one.
     """
-    given = os.environ.get(PROGRAM_VARIABLE)
-    found = shutil.which(given or _SPLAT_TRANSFORM)
-    if found is None and not given:
-        found = shutil.which(_SPLAT_TRANSFORM, path=os.path.join(sys.prefix, _PROGRAM_FOLDER))
-    if found is None:
-        which = f"{_SPLAT_TRANSFORM}: not installed" if not given else f"{given}: no such program"
-        raise MissingTool(f"{which} ({_INSTALL})")
-    found = os.path.abspath(found)
-    try:
-        line = first_line([found, "--version"], _limits())
-    except (OSError, ToolFailed) as error:
-        raise MissingTool(f"{found}: cannot be run, {one_line(error)} ({_INSTALL})") from error
-    if not line.startswith(_SPLAT_TRANSFORM):
-        raise MissingTool(f"{found}: not {_SPLAT_TRANSFORM}, it says '{line[:80]}' ({_INSTALL})")
-    return found, line.removeprefix(_SPLAT_TRANSFORM).strip()
+    given, folder = os.environ.get(PROGRAM_VARIABLE), os.path.join(sys.prefix, _PROGRAM_FOLDER)
+    path, line = find_program(_SPLAT_TRANSFORM, given, "--version", _INSTALL, _limits(), folder)
+    return path, line.removeprefix(_SPLAT_TRANSFORM).strip()
 
 
 def splat_transform_peers(threads: int | None = None) -> list[Peer | AbsentPeer]:
     """A peer for each format that the program writes, or the reason why there is none."""
     try:
-        path, version = find_program()
+        path, version = find_splat_transform()
     except MissingTool as error:
         return [AbsentPeer(_SPLAT_TRANSFORM, str(error))]
     command = [path, "--quiet", "--gpu", "cpu"]

@@ -23,7 +23,7 @@ from gs_codec.pages.tables import Table
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder, write_files
-from gs_codec.runtime.lazy import check_installed
+from gs_codec.runtime.optional import check_installed
 
 
 def print_codecs(lines: list[dict[str, Any]]) -> None:

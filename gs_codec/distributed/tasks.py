@@ -11,10 +11,11 @@ from typing import NamedTuple
 from gs_codec.distributed.folder import Folder
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.report import Progress
+from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.threads import available_threads, using_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
-from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers, workers_at
+from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers
 
 #: Approximate number of Gaussians per task; fewer with a memory limit.
 _GAUSSIANS = 1 << 19
@@ -102,11 +103,14 @@ def crew_at(address: str, progress: Progress | None) -> Iterator[Crew]:
     Raises
     ------
     InvalidInput, MissingTool
-        As in `workers_at`; or if there are no workers.
+        As in `dask_workers`; or if Dask is not installed, or if there are no workers.
     """
+    check_installed("distributed", "dask")
+    from gs_codec.workers.dask import dask_workers
+
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch,
-        workers_at(address, available_threads(), scratch, Listener()) as workers,
+        dask_workers(address, available_threads(), scratch, Listener()) as workers,
     ):
         if not workers.at_once:
             raise InvalidInput(f"{workers.name}: no workers")

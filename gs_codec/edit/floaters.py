@@ -25,7 +25,7 @@ from gs_codec.rendering.project import NEAR, camera_arguments, rotated
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
-from gs_codec.runtime.lazy import check_installed
+from gs_codec.runtime.optional import check_installed
 from gs_codec.scene import Scene
 from gs_codec.views.find import find_cameras
 

@@ -12,7 +12,7 @@ from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.formats.extra_properties import listed, say_left_out
-from gs_codec.runtime.lazy import needed
+from gs_codec.runtime.optional import needed
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput, MissingTool, one_line
+from gs_codec.errors import InvalidInput
 from gs_codec.rendering.image_loss import mean_ssim
 from gs_codec.runtime.arguments import checked
-from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.optional import needed
 
 #: Environment variable with the path of the weights, for `compare`.
 LPIPS_VARIABLE = "GS_CODEC_LPIPS"
@@ -57,12 +57,7 @@ def load_lpips(path: str | Path) -> Lpips:
     """
     with opened(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about lpips' calls of torchvision
-        try:
-            import lpips
-            import torch
-        except (ImportError, RuntimeError) as error:  # or mismatched builds
-            why = f"lpips cannot be imported ({one_line(error)})"
-            raise MissingTool(f"{why}: {pip_install('lpips')}") from error
+        lpips, torch = needed("lpips", "LPIPS"), needed("torch", "LPIPS")
         try:
             state = torch.load(path, map_location="cpu", weights_only=True)
             net = next(net for net, (_, own) in _BACKBONES.items() if own in state)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.runtime.lazy import needed
+from gs_codec.runtime.optional import needed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,16 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.errors import MissingTool
 from gs_codec.rendering.image_loss import differentiate_loss_tensor
 from gs_codec.rendering.project import LOW_PASS, NEAR
+from gs_codec.runtime.optional import is_available, missing_package
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
 if TYPE_CHECKING:
@@ -31,9 +30,9 @@ _DEVICE = "cuda"
 
 
 @cache
-def is_available() -> bool:
+def sees_device() -> bool:
     """Whether gsplat is installed and torch sees a CUDA device; torch is loaded only if needed."""
-    if find_spec("gsplat") is None or find_spec("torch") is None:
+    if not is_available("gsplat", "torch"):
         return False
     import torch
 
@@ -48,9 +47,9 @@ def is_chosen(device: Literal["auto", "cpu", "cuda"]) -> bool:
     MissingTool
         If `device` is ``cuda`` and gsplat is not available.
     """
-    if device == "cuda" and not is_available():
-        raise MissingTool("device 'cuda': needs gsplat, and a CUDA device that torch sees")
-    return device != "cpu" and is_available()
+    if device == "cuda" and not sees_device():
+        raise missing_package("gsplat", "device 'cuda'")
+    return device != "cpu" and sees_device()
 
 
 def to_device(array: NDArray) -> torch.Tensor:

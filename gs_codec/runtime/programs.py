@@ -7,6 +7,7 @@ every failure is a `ToolFailed`.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -14,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gs_codec.errors import ToolFailed, one_line
+from gs_codec.errors import MissingTool, ToolFailed, one_line
 from gs_codec.runtime.wording import counted
 
 # A shell sets the limits: setting them between fork and exec is unsafe with threads.
@@ -44,7 +45,46 @@ class Limits:
     memory_bytes: int | None = 4 << 30
 
 
-def first_line(command: Sequence[str], limits: Limits) -> str:
+def find_program(
+    name: str, given: str | None, argument: str, how: str, limits: Limits, folder: str = ""
+) -> tuple[str, str]:
+    """Path of a program, and the first line that it prints, in which its name has to be.
+
+    Parameters
+    ----------
+    name : str
+    given : str, optional
+        Its path, or its name in PATH; by default `name`.
+    argument : str
+        Makes it print that line.
+    how : str
+        How to get it, for errors.
+    limits : Limits
+    folder : str
+        Where else to look for `name`.
+
+    Raises
+    ------
+    MissingTool
+        If there is none, or it is another program.
+    """
+    found = shutil.which(given or name)
+    if found is None and not given and folder:
+        found = shutil.which(name, path=folder)
+    if found is None:
+        which = f"{given}: no such program" if given else f"{name}: not found"
+        raise MissingTool(f"{which}; {how}")
+    found = os.path.abspath(found)
+    try:
+        line = _first_line([found, argument], limits)
+    except (OSError, ToolFailed) as error:
+        raise MissingTool(f"{found}: cannot be run ({one_line(error)}); {how}") from error
+    if name not in line.lower():
+        raise MissingTool(f"{found}: not {name}, {argument} prints '{line[:80]}'; {how}")
+    return found, line
+
+
+def _first_line(command: Sequence[str], limits: Limits) -> str:
     """First line that a program prints, as printable ASCII; it may run for a minute at most.
 
     Raises ToolFailed or OSError if it does not end in time, or cannot be run.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.image_files import read_image
 from gs_codec.cameras.lens import Lens
-from gs_codec.errors import InvalidInput, MissingTool, one_line
-from gs_codec.runtime.lazy import pip_install
+from gs_codec.errors import InvalidInput
+from gs_codec.runtime.optional import needed
 
 
 def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.float32]]:
@@ -74,13 +74,7 @@ def _undistorted(
     path: Path, image: NDArray[np.float32], lens: Lens, camera: Camera
 ) -> NDArray[np.float32]:
     """Resample a photograph of the lens to the camera's view."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingTool(
-            f"{path}: is distorted, and OpenCV cannot be imported ({one_line(error)}): "
-            f"{pip_install('undistort')}"
-        ) from error
+    cv2 = needed("cv2", f"{path}: a distorted photograph")
     scale = image.shape[1] / lens.width, image.shape[0] / lens.height
     maps = _distorted_pixels(lens, camera, scale) if lens.r8 else _maps(cv2, lens, camera, scale)
     return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

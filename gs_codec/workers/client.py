@@ -15,7 +15,7 @@ from distributed.system import MEMORY_LIMIT
 
 from gs_codec import __version__
 from gs_codec.errors import InvalidInput, MissingTool, one_line
-from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.optional import pip_install
 from gs_codec.runtime.redaction import redacted
 
 _HOST = "127.0.0.1"

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from gs_codec.errors import GsCodecError
 from gs_codec.report import Progress
-from gs_codec.runtime.lazy import from_extra
 
 #: Minimum seconds between progress reports of a stage.
 _EVERY = 0.1
@@ -114,20 +112,6 @@ class Workers(Protocol):
 
     def stop(self) -> None:
         """Start no more tasks."""
-
-
-def workers_at(
-    address: str, jobs: int, folder: str, listener: Listener
-) -> AbstractContextManager[Workers]:
-    """The workers of a Dask scheduler, or of one started here; see `dask_workers`.
-
-    Raises
-    ------
-    MissingTool
-        If Dask is not installed.
-    """
-    module = from_extra("gs_codec.workers.dask", "cluster", "dask")
-    return module.dask_workers(address, jobs, folder, listener)
 
 
 def throttled(progress: Progress) -> Progress:

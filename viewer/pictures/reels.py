@@ -19,7 +19,7 @@ from PIL import Image
 import gs_codec
 from gs_codec.errors import one_line
 from gs_codec.runtime.atomic import check_folder, check_writable, temporary_name
-from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.optional import missing_package, needed
 from gs_codec.runtime.programs import how_ended, plain_text
 
 #: Adds a frame; all are of one size.
@@ -79,15 +79,11 @@ def check_reel(path: Path, size: tuple[int, int], overwrite: bool) -> None:
 def _ffmpeg(path: Path) -> str:
     """The program that encodes films."""
     try:
-        import imageio_ffmpeg
-
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError) as error:
-        missing = isinstance(error, ImportError)
-        why = "imageio-ffmpeg is not installed" if missing else one_line(error)
-        raise gs_codec.MissingTool(
-            f"{path}: {why}: {pip_install('video')}, or give a folder for PNG frames"
-        ) from error
+        return needed("imageio_ffmpeg", str(path)).get_ffmpeg_exe()
+    except (gs_codec.MissingTool, RuntimeError) as error:
+        why = "" if isinstance(error, gs_codec.MissingTool) else one_line(error)
+        text = missing_package("imageio_ffmpeg", str(path), why)
+        raise gs_codec.MissingTool(f"{text}, or give a folder for PNG frames") from error
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.cameras.inria import as_camera
-from gs_codec.runtime.lazy import needed
+from gs_codec.runtime.optional import needed
 from viewer.scenes.pose import Pose, of_camera
 
 

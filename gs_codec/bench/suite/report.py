@@ -13,7 +13,7 @@ from gs_codec.bench.suite.results import Results
 from gs_codec.pages.figures import png_of
 from gs_codec.pages.tables import escaped
 from gs_codec.runtime.atomic import write_files
-from gs_codec.runtime.lazy import check_installed
+from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:

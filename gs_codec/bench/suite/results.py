@@ -11,7 +11,7 @@ import numpy as np
 
 from gs_codec.bench.side_by_side import is_ours
 from gs_codec.config import LOSSLESS, PROFILES
-from gs_codec.runtime.lazy import needed
+from gs_codec.runtime.optional import needed
 
 Line = dict[str, Any]
 

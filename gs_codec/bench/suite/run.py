@@ -21,7 +21,7 @@ from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, o
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
-from gs_codec.runtime.lazy import check_installed
+from gs_codec.runtime.optional import check_installed
 
 Lines = Iterator[dict[str, Any]]
 

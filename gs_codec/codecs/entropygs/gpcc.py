@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,13 +25,13 @@ from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.ply.header import read_header
-from gs_codec.runtime.programs import Limits, first_line, run_on_files
+from gs_codec.runtime.programs import Limits, find_program, run_on_files
 from gs_codec.runtime.wording import counted
 
 #: Environment variable with the path of the program.
 VARIABLE = "GS_CODEC_TMC3"
 
-_MISSING = (
+_HOW = (
     "tmc3 is MPEG's reference software for G-PCC, https://github.com/MPEGGroup/mpeg-pcc-tmc13, "
     f"found by tmc3, {VARIABLE} or PATH; geometry 'octree' needs no program"
 )
@@ -53,17 +52,7 @@ class Tmc3:
         Raises MissingTool if there is none, or it is a different program.
         """
         given = str(path) if path is not None else os.environ.get(VARIABLE)
-        found = shutil.which(given or "tmc3")
-        if found is None:
-            which = f"{given}: no such program" if given else "tmc3: not found"
-            raise MissingTool(f"{which}; {_MISSING}")
-        found = os.path.abspath(found)
-        try:
-            line = first_line([found, "--help"], Limits())
-        except (OSError, ToolFailed) as error:
-            raise MissingTool(f"{found}: cannot be run ({error}); {_MISSING}") from error
-        if "tmc3" not in line.lower():
-            raise MissingTool(f"{found}: not tmc3, its help begins '{line[:80]}'; {_MISSING}")
+        found, line = find_program("tmc3", given, "--help", _HOW, Limits())
         return cls(found, line[:200])
 
     def run(

@@ -29,7 +29,7 @@ from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, MissingTool, one_line
 from gs_codec.runtime.atomic import alone
-from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.optional import check_installed, needed
 
 #: Symbols coded together, times the alphabet: torchac needs a CDF row for each symbol.
 _VALUES = 1 << 22
@@ -46,10 +46,8 @@ def require_torchac() -> None:
 @cache
 def _load():
     """Import torch and torchac."""
-    if not all(importlib.util.find_spec(name) for name in ("torch", "torchac")):
-        raise MissingTool(f"torchac is not installed: {pip_install('paper')}")
-    import torch
-
+    check_installed("torchac", "coder 'torchac'")
+    torch = needed("torch", "coder 'torchac'")
     try:
         with _without_output(), _compiling(torch.__version__), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about a docstring, when first compiled

@@ -6,4 +6,4 @@ from __future__ import annotations
 LAYERS = (".usd", ".usda", ".usdc")
 
 #: Message for a usd-core before 26.3.
-WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians: "
+WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians"

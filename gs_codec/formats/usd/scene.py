@@ -10,14 +10,13 @@ from __future__ import annotations
 import io
 import sys
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
+from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
@@ -34,8 +33,8 @@ from gs_codec.formats.similarity import move_scene
 from gs_codec.formats.table import USD, ZIP
 from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.formats.zip_file import write_zip
-from gs_codec.runtime.lazy import pip_install
 from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.optional import check_installed, missing_package
 from gs_codec.runtime.programs import Limits, run_on_files
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
 
@@ -76,8 +75,7 @@ _BYTES_A_SECOND = 1 << 20
 
 def require_usd_core() -> None:
     """Raise `MissingTool` if usd-core is not installed."""
-    if find_spec("pxr") is None:
-        raise MissingTool(f"usd-core is not installed: {pip_install('usd')}")
+    check_installed("pxr", "USD")
 
 
 def is_usd(path: Path, data: FileBytes) -> bool:
@@ -192,7 +190,7 @@ def _stage(scene: Scene, clipped: Clipped) -> Any:
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
-        raise MissingTool(WITHOUT_GAUSSIANS + pip_install("usd"))
+        raise missing_package("pxr", "USD", WITHOUT_GAUSSIANS)
 
     def rows(planes: NDArray) -> NDArray[np.float32]:
         with np.errstate(under="ignore"):

@@ -21,7 +21,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.limits import FAILURES
 from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
-from gs_codec.runtime.lazy import pip_install
+from gs_codec.runtime.optional import missing_package
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 
 _QUOTES = "'\" "
@@ -67,7 +67,7 @@ def _why(error: Exception) -> str:
 def _arrays(source: str, most: int) -> dict[str, NDArray]:
     """The arrays that `main` writes; only sizes if the floats take more than `most` bytes."""
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
-        raise InvalidInput(WITHOUT_GAUSSIANS + pip_install("usd"))
+        raise missing_package("pxr", "USD", WITHOUT_GAUSSIANS)
     _check_alone(source)
     stage = Usd.Stage.Open(source)
     every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())

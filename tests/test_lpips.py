@@ -73,7 +73,7 @@ def folder(tmp_path, monkeypatch):
         write_png(tmp_path / f"v{i}.png", np.full((32, 40, 3), 0.5))
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(LPIPS_VARIABLE, raising=False)
-    load_lpips.cache_clear()  # of files of the same name in another folder
+    load_lpips.cache_clear()  # of files with the same name in another folder
     return tmp_path
 
 
@@ -95,7 +95,7 @@ def test_values_are_those_of_the_package_with_the_same_weights(tmp_path, monkeyp
     features = {key: value for key, value in state.items() if key.startswith("features.")}
     torch.save(features, tmp_path / "weights.pth")
     monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", lambda *_, **__: state)
-    network = lpips.LPIPS(net=net, verbose=False)  # which loads what it thinks it has downloaded
+    network = lpips.LPIPS(net=net, verbose=False)  # loads the weights as if downloaded
     a, b = np.random.default_rng(8).random((2, 40, LPIPS_SIZE, 3))
     tensors = [torch.tensor(x.transpose(2, 0, 1)[None], dtype=torch.float32) for x in (a, b)]
     expected = network(*tensors, normalize=True).item()

@@ -1,4 +1,4 @@
-"""``gs-viewer``: show one scene, or two beside each other, in a window or as a picture."""
+"""``gs-viewer``: show one scene, or two side by side, in a window or as a picture."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _SHOWN = "What to show"
 _OUTPUT = "Pictures and films; no display is needed"
 _BROWSER = "In a browser, in place of a window"
 
-#: What may be asked for with ``--web``.
+#: Options allowed with ``--web``.
 _OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes", "up"}
 
 
@@ -256,7 +256,7 @@ def command(
             print_status(f"gs-viewer: without a photograph: {missing}")
         return
     for source in filter(None, (a, b)):
-        source.stat()  # a scene that is not there is told rather than a display
+        source.stat()  # report a missing scene before looking for a display
     from viewer.window.display import find_device
 
     device = find_device()
@@ -275,7 +275,7 @@ def _serve(
     max_bytes: int | None,
     up: str | None,
 ) -> None:
-    """Show a page in a browser; options without effect on it are refused."""
+    """Show a page in a browser; reject options that have no effect on it."""
     for name in ctx.params:
         if name not in _OF_PAGES and is_given(ctx, name):
             raise gs_codec.GsCodecError(f"{typed_name(name)}: has no effect on --web")
@@ -289,7 +289,7 @@ def _serve(
 
 
 def _leave_out_plotly() -> None:
-    """Let Open3D not import Plotly and Dash, which takes longer than all else it imports."""
+    """Keep Open3D from importing Plotly and Dash, the slowest of its imports."""
     name, module = "open3d.visualization.draw_plotly", ModuleType("draw_plotly")
     for each in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
         setattr(module, each, None)
@@ -304,7 +304,7 @@ def _film(
     fps: int | None,
     overwrite: bool,
 ) -> Film | None:
-    """The film that was asked for, if one was; options without effect are refused."""
+    """The requested film, if any; rejects options that have no effect."""
     outputs = {"screenshot": screenshot, "turntable": turntable, "flythrough": flythrough}
     asked = [name for name, path in outputs.items() if path is not None]
     if len(asked) > 1:
@@ -332,7 +332,7 @@ def _write_film(request: Request, film: Film) -> None:
 
 
 def main() -> None:
-    """Run the command; errors of use and input exit with status 2."""
+    """Run the command; input and usage errors exit with status 2."""
     log_to_stderr("gs-viewer")
     try:
         status = app(standalone_mode=False)

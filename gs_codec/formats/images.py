@@ -25,8 +25,8 @@ def read_pixels(
 ) -> NDArray[np.uint8]:
     """Pixels ``(H, W, 4)``, RGBA, of an image, or of the first image of a file with several.
 
-    Raises InvalidInput if it cannot be opened, or is not a valid image of these formats; or if
-    `check_size` raises.
+    Raises InvalidInput if it cannot be opened, or is not a valid image of these formats. Errors of
+    `check_size` are passed on.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class _Storage:
 def parse_pickle(data: bytes) -> Any:
     """The value of a pickle.
 
-    Raises InvalidInput if it is damaged, or does what no file of PyTorch does.
+    Raises InvalidInput if it is damaged, or uses operations not found in PyTorch files.
     """
     machine = _Machine()
     with refusing("pickle"):
@@ -130,7 +130,7 @@ class _Machine:
             self.stack[-1].extend(items)
 
     def update(self, items: list[Any]) -> None:
-        """Set items of a dictionary; hashing a tuple might take for ever."""
+        """Set items of a dictionary; other keys, slow to hash, are ignored."""
         if isinstance(self.stack[-1], dict):
             pairs = zip(items[::2], items[1::2], strict=True)
             self.stack[-1].update({k: v for k, v in pairs if isinstance(k, str | int)})

@@ -44,7 +44,7 @@ def _by_our_names(tensors: Mapping[str, Any]) -> dict[str, Any]:
 def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
     """Number of Gaussians and SH degree, from the shapes of tensors with either trainer's names.
 
-    Raises InvalidInput if one is missing, there twice or not known, or shapes do not go together.
+    Raises InvalidInput if one is missing, duplicated or unknown, or their shapes do not match.
     """
     shapes: dict[str, tuple[int, ...]] = {n: t.shape for n, t in _by_our_names(tensors).items()}
     missing = [name for name in NAMES if name not in shapes and name != "shN"]

@@ -32,7 +32,7 @@ _SPACE = struct.Struct("<2sH")
 class Archive:
     """The files in a zip by name, with forward slashes, whatever the zip uses.
 
-    Raises InvalidInput if it has too many entries or bytes in them, or two of one name.
+    Raises InvalidInput if there are too many entries, too many bytes in them, or duplicate names.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class Archive:
         return entry.file_size
 
     def read_part(self, name: str, start: int, stop: int) -> bytes:
-        """Bytes `start` to `stop` of a file; the others are read in pieces, and checked.
+        """Bytes `start` to `stop` of a file; the rest is read in pieces, to check the whole file.
 
         Raises InvalidInput if it is missing, damaged or encrypted, or compressed and larger than
         the part.

@@ -1,1 +1,1 @@
-"""What the viewer shows, as points, cubes and pictures drawn in software."""
+"""Contents of the viewer, as points, cubes and pictures drawn in software."""

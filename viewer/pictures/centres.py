@@ -1,4 +1,4 @@
-"""Centres of Gaussians, coloured by a quantity on a scale that all scenes share."""
+"""Centres of Gaussians, coloured by a quantity on a scale shared by all scenes."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import SCALED
 from viewer.scenes.opened import Opened, Pruned, thinned
 
-#: Largest error of the linear scale, as that of `error_heat`.
+#: Maximum error of the linear scale; equal to that of `error_heat`.
 _LARGEST_ERROR = 64 / 255
 
-#: Which Gaussians are shown.
+#: Selection of the Gaussians to show.
 Some = slice | NDArray[np.int64]
 
 #: All Gaussians are drawn.
 _PLAIN = Look()
 
-#: Most kinds of a legend.
+#: Maximum number of classes in a legend.
 KINDS = 8
 
 
 @dataclass(frozen=True)
 class _Magnitude:
-    """A quantity of Gaussians that is not negative.
+    """A non-negative quantity of Gaussians.
 
-    `quantiles` get about the first and the last colour; without them, `least` and 1 do, on a linear
-    scale 0 and 1.
+    Values at the `quantiles` get about the first and last colour. Without them, `least` and 1 do on
+    a logarithmic scale, 0 and 1 on a linear one.
     """
 
     title: str
@@ -53,7 +53,7 @@ class _Magnitude:
     least: float = 0.0
 
     def range(self, scenes: Sequence[Opened], scale: str) -> tuple[float, float]:
-        """The values of about the first and the last colour, of all scenes together."""
+        """Values of about the first and last colour, over all scenes."""
         if self.quantiles is None:
             return (0.0 if scale == "linear" else self.least), 1.0
         known = [each for each in map(self.values, scenes) if each is not None]
@@ -81,20 +81,20 @@ def centres(
     scale: str | None = None,
     look: Look = _PLAIN,
 ) -> Points:
-    """Centres of the Gaussians of a scene that are drawn, at most `most`, and their colours.
+    """Centres of the drawn Gaussians of a scene, at most `most`, with colours.
 
     Parameters
     ----------
     scene : Opened
     colouring : str
-        Of `COLOURINGS`: SH-DC; opacity; the longest axis; the distance in colour from the nearest
-        centre of the other scene; bits; the sum of the squares of SH-AC; the class of shape; the
-        number of the block. Grey where `why_unknown` has a reason.
+        One of `COLOURINGS`: SH-DC; opacity; the longest axis; the colour difference from the
+        nearest centre of the other scene; bits; the sum of squares of SH-AC; the class of shape;
+        the block number. Grey if `why_unknown` returns a reason.
     scenes : sequence of Opened
-        All scenes shown, which have one range.
+        All scenes shown; they share one range.
     most : int, optional
     scale : {"linear", "log"}, optional
-        By default as `SCALED` says.
+        Default: see `SCALED`.
     look : Look
     """
     some = _some(scene, most or scene.count, look)
@@ -120,7 +120,7 @@ def centres(
 
 
 def _some(scene: Opened, most: int, look: Look) -> Some:
-    """Which centres are shown."""
+    """Indices of the centres to show."""
     mask = which_drawn(scene, look)
     if mask is None:
         return thinned(scene.count, most)
@@ -129,7 +129,7 @@ def _some(scene: Opened, most: int, look: Look) -> Some:
 
 
 def why_unknown(scene: Opened, colouring: str, scenes: Sequence[Opened]) -> str:
-    """Why centres of a scene cannot be coloured so; empty if they can."""
+    """Why centres of a scene cannot have this colouring; empty if they can."""
     if colouring == "error":
         return "" if len(scenes) > 1 else "there is no other scene"
     return scene.unknown(colouring)
@@ -156,7 +156,7 @@ def _by_error(errors: NDArray, scale: str) -> tuple[NDArray[np.float32], Legend]
 def _by_class(
     scene: Opened, known: Sequence[Opened], some: Some
 ) -> tuple[NDArray[np.float32], Legend]:
-    """By the class of shape, from 0 to a multiple of 4."""
+    """Colours by the class of shape, a multiple of 4 from 0."""
     classes = [each.classes[0] for each in known if each.classes is not None]
     most = max(4 * -(-int(own.max(initial=0)) // 4) for own in classes) or 4
     assert scene.classes is not None
@@ -189,7 +189,7 @@ def colour_errors(scene: Opened, reference: Opened, some: Some) -> NDArray[np.fl
 
 
 def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
-    """Pruned Gaussians, at most `most`, in the colours of the reasons."""
+    """Pruned Gaussians, at most `most`, coloured by reason."""
     labels = pruned.of(scene).labels
     gone = np.flatnonzero(labels)
     gone = gone[thinned(len(gone), most or len(gone))]
@@ -198,7 +198,7 @@ def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Po
 
 
 def selected_centres(scene: Opened, selected: NDArray[np.bool_], most: int) -> Points:
-    """Centres of the selected Gaussians ``(N,)``, at most `most`, in `SELECTED`."""
+    """Centres of the selected Gaussians ``(N,)``, at most `most`, in colour `SELECTED`."""
     rows = np.flatnonzero(selected)
     rows = rows[thinned(len(rows), most)]
     return Points(scene.positions[rows], np.full((len(rows), 3), SELECTED, np.float32))

@@ -1,4 +1,4 @@
-"""Charts below the panes: qualities of views, pictures of views, histograms of attributes."""
+"""Charts below the panes: quality per view, thumbnails of views, attribute histograms."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ _WHITE = (235, 235, 235)
 #: Colour of lines.
 _GREY = (120, 120, 125)
 
-#: Colour of a range.
+#: Colour of a selected range.
 _RANGE = (75, 75, 60)
 
 #: Maximum number of values below a histogram.
 _TICKS = 8
 
-#: Maximum number of values left of bars.
+#: Maximum number of values to the left of bars.
 _LINES = 4
 
-#: Height of the names of views below their pictures, pixels.
+#: Height of the view names below thumbnails, pixels.
 _LINE = 22
 
 
 class Chart(Protocol):
-    """A picture of any size."""
+    """A picture that can be drawn at any size."""
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """The picture ``(height, width, 3)``, 0-1; width and height in pixels."""
@@ -67,16 +67,16 @@ class Message:
 
 @dataclass(frozen=True)
 class QualityChart:
-    """Bars of the PSNR of views, the worst first.
+    """Bar chart of the PSNR of views, worst first.
 
     Attributes
     ----------
     names : sequence of str
-        Of all views.
+        Names of all views.
     decibels : mapping of int to float
-        PSNR of views that are measured, by their index; infinite if both scenes look the same.
+        PSNR of measured views by index; infinite if the renders are equal.
     here : int or None
-        The view that is shown.
+        Index of the view shown.
     """
 
     names: Sequence[str]
@@ -85,7 +85,7 @@ class QualityChart:
 
     @property
     def order(self) -> list[int]:
-        """Measured views, the worst first."""
+        """Measured views, worst first."""
         return sorted(self.decibels, key=lambda index: (self.decibels[index], index))
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
@@ -113,7 +113,7 @@ class QualityChart:
         return from_pillow(canvas)
 
     def _told(self) -> str:
-        """What the chart says in words."""
+        """Text of the chart."""
         done, count = len(self.decibels), len(self.names)
         if not done:
             return f"PSNR of {counted(count, 'view')}, B against A: measuring ..."
@@ -126,7 +126,7 @@ class QualityChart:
         return f"PSNR of{views}, B against A: {said}. Click a bar to go there."
 
     def view_at(self, x: float, width: int) -> int | None:
-        """The view whose bar is at a column."""
+        """The view whose bar covers a column."""
         left, _, right, _ = _box(width, 1)
         place = int((x - left) / (right - left) * len(self.order) // 1)
         return self.order[place] if left <= x < right and self.order else None
@@ -134,18 +134,18 @@ class QualityChart:
 
 @dataclass(frozen=True)
 class ContactSheet:
-    """Small pictures of views beside each other.
+    """Thumbnails of views, side by side.
 
     Attributes
     ----------
     names : sequence of str
-        Of the views, in the order they are shown.
+        Names of the views, in display order.
     pictures : mapping of int to ndarray, shape (h, w, 3), float32, 0-1
-        Those that are drawn, by the view's place.
+        Finished thumbnails, by position of the view.
     here : int or None
-        Place of the view that is shown.
+        Position of the view shown.
     first : float
-        Place of the view at the left edge, which scrolling changes.
+        Position of the view at the left edge; changed by scrolling.
     """
 
     names: Sequence[str]
@@ -176,17 +176,17 @@ class ContactSheet:
 
     @staticmethod
     def cell(height: int) -> tuple[int, int]:
-        """Width and height of what a view takes without its name, pixels."""
+        """Width and height of a view's cell, without its name, pixels."""
         high = max(height - _LINE, 8)
         return max(high * 3 // 2, 12), high
 
     def view_at(self, x: float, height: int) -> int | None:
-        """The place of the view at a column."""
+        """Position of the view at a column."""
         place = int(self.first + x / self.cell(height)[0])
         return place if 0 <= place < len(self.names) else None
 
     def scrolled(self, steps: float, width: int, height: int) -> float:
-        """Where `first` is after scrolling by steps."""
+        """`first` after scrolling by a number of steps."""
         last = len(self.names) - width / self.cell(height)[0]
         return float(np.clip(self.first + steps, 0, max(last, 0)))
 
@@ -198,9 +198,9 @@ class HistogramChart:
     Attributes
     ----------
     scenes : sequence of AttributeStatistics
-        Of one or two scenes, in `gs_codec.edit`'s sense.
+        Statistics from `gs_codec.edit` of one or two scenes.
     chosen : tuple of two float, or None
-        A range of values that is marked.
+        The marked range of values.
     """
 
     scenes: Sequence[AttributeStatistics]
@@ -212,12 +212,12 @@ class HistogramChart:
 
     @property
     def selects(self) -> bool:
-        """Whether each Gaussian has one value, so that a range selects Gaussians."""
+        """Whether each Gaussian has a single value, so that a range can select Gaussians."""
         return not self.scenes[0].name.startswith("SH band")
 
     @property
     def span(self) -> tuple[float, float]:
-        """Lowest and highest value of the axis; logarithms of scales."""
+        """Lowest and highest value on the axis; logarithms for scales."""
         ends = [self._on_axis(np.array([s.edges[0], s.edges[-1]])) for s in self.scenes if s.edges]
         if not ends:
             return 0.0, 1.0
@@ -237,7 +237,7 @@ class HistogramChart:
             pen.rectangle((columns[0], top, columns[1], bottom), fill=_RANGE)
         most = max((max(s.counts, default=0) for s in self.scenes), default=0) or 1
         for number, scene in enumerate(self.scenes):
-            thick = 2 if number else 5  # of two that are the same, both are seen
+            thick = 2 if number else 5  # keeps both visible if they coincide
             self._outline(pen, scene, (_SCENES[number], thick), most, width, height)
         for value in axis_ticks(*self.span, _TICKS, self._log):
             shown = 10.0**value if self._log else value
@@ -265,7 +265,7 @@ class HistogramChart:
         width: int,
         height: int,
     ) -> None:
-        """Draw the steps of one scene, in a colour and width."""
+        """Draw the histogram outline of one scene, in a colour and width."""
         colour, thick = pencil
         _, top, _, bottom = _box(width, height)
         points: list[tuple[int, int]] = []
@@ -282,7 +282,7 @@ class HistogramChart:
         return round(left + min(max(share, 0.0), 1.0) * (right - left))
 
     def value_at(self, x: float, width: int) -> float:
-        """The value at a column; beyond the axis that of its end."""
+        """The value at a column; clamped to the axis."""
         left, _, right, _ = _box(width, 1)
         share = min(max((x - left) / (right - left), 0.0), 1.0)
         low, high = self.span
@@ -312,14 +312,14 @@ def _box(width: int, height: int) -> tuple[int, int, int, int]:
 def _rule(
     pen: ImageDraw.ImageDraw, row: Callable[[float], int], values: NDArray, left: int, right: int
 ) -> None:
-    """Draw lines across at values of an axis, with the values left of them."""
+    """Draw horizontal lines at values of an axis, with labels at their left."""
     for value in values:
         pen.line((left, row(value), right, row(value)), _GREY)
         pen.text((left - 6, row(value)), f"{value:g}", _WHITE, _font(), "rm")
 
 
 def _fitted(text: str, width: int) -> str:
-    """The end of a text that fits a width, pixels."""
+    """The end of a text, cut to fit a width in pixels."""
     while text and _font().getlength(text) > width:
         text = text[1:]
     return text

@@ -11,20 +11,20 @@ from PIL import Image, ImageDraw
 from viewer.pictures.layers import Legend
 from viewer.scenes.pose import Pose
 
-#: Brightness of the faces across x, y and z, which tells them apart.
+#: Brightness of the faces perpendicular to x, y and z, to distinguish them.
 _SHADES = np.array([0.8, 1.0, 0.6], np.float32)
 
-#: The upper face across x of a unit cube, anticlockwise from outside; the lower one.
+#: The upper face perpendicular to x of a unit cube, anticlockwise seen from outside.
 _UPPER = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]) - 0.5
 _LOWER = (_UPPER * [-1, 1, 1])[::-1]
 
-#: Nothing with a corner nearer to the camera than this is drawn, scene units.
+#: Cubes with a corner nearer to the camera than this are not drawn, scene units.
 _NEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Cubes:
-    """Cubes along the axes.
+    """Axis-aligned cubes.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Cubes:
     colours : ndarray, shape (n, 3), float32, 0-1
     legend : Legend or None
     filled : bool
-        Whether faces are drawn, not only edges.
+        Whether faces are drawn as well as edges.
     """
 
     middles: NDArray[np.float32]
@@ -44,7 +44,7 @@ class Cubes:
 
     @property
     def boxes(self) -> NDArray[np.float32]:
-        """Lowest and highest corner of each ``(n, 2, 3)``."""
+        """Lowest and highest corner of each cube ``(n, 2, 3)``."""
         ends = np.array([-0.5, 0.5], np.float32)[:, None] * self.sides[:, None, None]
         return self.middles[:, None] + ends
 
@@ -57,11 +57,11 @@ class Cubes:
 
 
 def draw_cubes(canvas: Image.Image, cubes: Cubes, pose: Pose) -> None:
-    """Draw the faces of cubes that are turned to the camera, or all edges, nearest on top."""
+    """Draw the faces of cubes that face the camera, or all edges; nearest on top."""
     size = canvas.width, canvas.height
     ahead = pose.position - cubes.middles
     order = np.argsort(-np.linalg.norm(ahead, axis=1), kind="stable")
-    # Lower faces are turned to a camera below them, upper ones to a camera above.
+    # Lower faces face a camera below them, upper ones a camera above.
     beyond = np.stack([way * ahead[:, axis] for axis in range(3) for way in (-1, 1)])
     corners, colours = cubes.faces()
     drawn = beyond > cubes.sides / 2 if cubes.filled else np.ones_like(beyond, bool)

@@ -1,4 +1,4 @@
-"""Splats drawn by gs_codec's rasterisers: exact ones, of which numbers are taken, and drafts."""
+"""Splats drawn by gs_codec's rasterisers: exactly for measurements, or as fast drafts."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 
-#: The scene as it is.
+#: The unmodified scene.
 _PLAIN = Look()
 
-#: Pictures kept per scene: of a pane while a wipe moves over it, and of the frame.
+#: Pictures kept per scene: a pane needs two while a wipe moves over it, the frame one more.
 _KEPT = 4
 
-#: SSIM needs pictures of at least this size, pixels.
+#: Minimum side of pictures for SSIM, pixels.
 _LEAST_SIDE = 11
 
 
 class Drawer:
-    """Draws one scene; keeps what pictures are made of, and the last of them.
+    """Draws one scene; caches intermediate results and the last pictures.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Drawer:
     def exact(
         self, pose: Pose, width: int, height: int, look: Look = _PLAIN
     ) -> NDArray[np.float32]:
-        """The picture ``(H, W, 3)`` by the renderer that `gs_codec.compare` measures with."""
+        """The picture ``(H, W, 3)`` by the renderer that `gs_codec.compare` uses."""
 
         def draw() -> NDArray[np.float32]:
             return self.render(pose.camera(width, height), look).colour
@@ -56,9 +56,9 @@ class Drawer:
     def draft(
         self, pose: Pose, width: int, height: int, look: Look = _PLAIN, every: int = 1
     ) -> NDArray[np.float32]:
-        """The picture ``(H, W, 3)`` by the faster rasteriser that refinement uses, in float32.
+        """The picture ``(H, W, 3)``, float32, by the faster rasteriser that refinement uses.
 
-        It is of one Gaussian in `every`, the larger for it.
+        It draws one of `every` Gaussians, enlarged to compensate.
         """
 
         def draw() -> NDArray[np.float32]:
@@ -69,13 +69,13 @@ class Drawer:
         return self._known((pose, width, height, every), look, draw)
 
     def render(self, camera: dict[str, object], look: Look = _PLAIN) -> Rendering:
-        """What the exact renderer gives for an entry of ``cameras.json``; nothing of it is kept."""
-        # What is measured and what is shown may take turns.
+        """Render exactly for an entry of ``cameras.json``, without caching the picture."""
+        # Measured and shown looks may alternate.
         scene = self._scene.gaussians if look.is_same(_PLAIN) else self._drawn(look)
         return render(scene, as_camera(camera), look.appearance.background)
 
     def _drawn(self, look: Look, every: int = 1) -> Scene:
-        """The Gaussians that a look draws, or one in `every`."""
+        """The Gaussians that a look draws, or one of `every`."""
         known, scene = self._all
         if not known.is_same(look):
             scene = gaussians_drawn(self._scene, look)
@@ -85,7 +85,7 @@ class Drawer:
         known, number, some = self._some
         if number != every or not known.is_same(look):
             some = scene.take(np.arange(0, scene.count, every))
-            # Each covers the area of all that it stands for.
+            # Each covers the area of all those it replaces.
             larger = some.log_scale + np.float32(math.log(every) / 2)
             some = replace(some, log_scale=larger)
             self._some = look, every, some
@@ -94,7 +94,7 @@ class Drawer:
     def _known(
         self, key: tuple, look: Look, draw: Callable[[], NDArray[np.float32]]
     ) -> NDArray[np.float32]:
-        """A picture, drawn unless it is one of the last."""
+        """A picture, from the cache if it is one of the last."""
         for known, of, picture in list(self._pictures):
             if known == key and of.drawn is look.drawn and of.appearance == look.appearance:
                 return picture
@@ -104,7 +104,7 @@ class Drawer:
 
 
 def drawer_of(views: dict[Opened, Drawer], scene: Opened) -> Drawer:
-    """What draws a scene, made once."""
+    """The drawer of a scene, made once."""
     if scene not in views:
         views[scene] = Drawer(scene)
     return views[scene]
@@ -113,7 +113,7 @@ def drawer_of(views: dict[Opened, Drawer], scene: Opened) -> Drawer:
 def splats(
     views: dict[Opened, Drawer], scene: Opened, pose: Pose, width: int, height: int
 ) -> NDArray[np.float32]:
-    """A scene as it is ``(H, W, 3)``, whatever appearance is chosen: what is measured."""
+    """The unmodified scene ``(H, W, 3)``, whatever the appearance: used for measurements."""
     return drawer_of(views, scene).exact(pose, width, height)
 
 
@@ -125,7 +125,7 @@ def depth_at(
     size: tuple[int, int],
     look: Look,
 ) -> float:
-    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
+    """Depth at a pixel of a picture of this size; 0 where nothing is drawn."""
     _, _, cx, cy = pose.lens(*size)
     camera = pose.camera(*size) | {
         "width": 1,

@@ -1,4 +1,4 @@
-"""Films of what the window would show, without a window."""
+"""Films of the window's contents, without a window."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from viewer.scenes.viewpoints import COUNT, find_viewpoints
 #: Default number of frames of a film.
 FRAMES = 180
 
-#: Default number of frames a second.
+#: Default frames per second.
 FPS = 24
 
 #: Range of the number of frames.
 _FRAMES = range(2, 100_000)
 
-#: Range of the number of frames a second.
+#: Range of frames per second.
 _FPS = range(1, 121)
 
 
@@ -39,13 +39,13 @@ class Film:
     Attributes
     ----------
     kind : {"turntable", "flythrough"}
-        Once around the scene, or from each of the given cameras to the next.
+        Once around the scene, or through the given cameras in order.
     path : Path
         An .mp4 file, or a folder for PNG frames.
     frames : int
         2-99,999.
     fps : int or None
-        Frames a second, 1-120; 24 if None. A folder has none.
+        Frames per second, 1-120; 24 if None. Must be None for a folder.
     overwrite : bool
         Whether to replace an existing film.
     """
@@ -57,7 +57,7 @@ class Film:
     overwrite: bool = False
 
     def check(self, request: Request) -> None:
-        """Check everything that does not need opening a scene.
+        """Run all checks that do not need the scene opened.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Film:
 
 
 def write_film(request: Request, film: Film, progress: Progress | None = None) -> str:
-    """Draw and write a film; return a text that says how the camera goes.
+    """Draw and write a film; return a description of the camera path.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
 
 
 def _find_path(request: Request, film: Film, scene: Opened) -> tuple[list[Pose], str]:
-    """The pose of each frame, and how the camera goes."""
+    """Pose of each frame, and a description of the camera path."""
     views = find_views(request, scene, COUNT)
     up = request.up or views.ups[0]
     points = find_viewpoints(scene, views, up)

@@ -1,4 +1,4 @@
-"""What layers are made of: points, legends, colours of values and kinds, boxes, errors."""
+"""Building blocks of layers: points, legends, colour maps, boxes, errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _VIRIDIS = np.array(
     ]
 ) / 255.0  # fmt: skip
 
-#: Okabe and Ito's colours without black, which most colour-blind people tell apart.
+#: Okabe and Ito's palette without black; distinct to most colour-blind people.
 _KINDS = np.array(
     [
         (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178),
@@ -23,13 +23,13 @@ _KINDS = np.array(
     ]
 ) / 255.0  # fmt: skip
 
-#: Brightness of these colours in successive rounds through them.
+#: Brightness of these colours in successive passes through the palette.
 _ROUNDS = (1.0, 0.7, 0.45)
 
-#: Colour of what is not known.
+#: Colour for unknown values.
 UNKNOWN = (0.45, 0.45, 0.45)
 
-#: Colour of what is selected: on no colour map, and seen on dark, light and grey by everybody.
+#: Colour of the selection: on no colour map, and visible on dark, light and grey.
 SELECTED = (1.0, 0.25, 0.95)
 
 #: Edges of a box.
@@ -38,20 +38,20 @@ EDGES = 12
 #: Start of the scale of errors: a quarter of a level of 255.
 _LEAST_ERROR = 0.25 / 255
 
-#: Its length, in doublings: to 64 levels.
+#: Length of that scale in doublings: up to 64 levels.
 _DOUBLINGS = 8
 
 
 @dataclass(frozen=True)
 class Legend:
-    """What colours mean.
+    """Legend of a colour scale or palette.
 
     Attributes
     ----------
     title : str
     marks : tuple of str
-        Of a heat map: five evenly spaced values, from the first colour to the last. Else one for
-        each of `kinds`.
+        For a heat map, five evenly spaced values, from the first colour to the last; otherwise one
+        per colour in `kinds`.
     kinds : tuple of RGB colours, 0-1
         Empty for a heat map.
     """
@@ -62,7 +62,7 @@ class Legend:
 
     @property
     def places(self) -> NDArray[np.float64]:
-        """Where the marks are along the bar, 0-1."""
+        """Positions of the marks along the bar, 0-1."""
         count = len(self.marks)
         return (np.arange(count) + 0.5) / count if self.kinds else np.linspace(0, 1, count)
 
@@ -84,7 +84,7 @@ class Points:
 
 
 def heat(values: NDArray, low: float, high: float) -> NDArray[np.float32]:
-    """Colours ``(..., 3)`` of values, from dark to bright."""
+    """Heat-map colours ``(..., 3)`` of values, from dark to bright."""
     scaled = np.clip((np.asarray(values) - low) / ((high - low) or 1.0), 0, 1)
     scaled = np.nan_to_num(scaled) * (len(_VIRIDIS) - 1)
     known = np.arange(len(_VIRIDIS))
@@ -105,7 +105,7 @@ def error_legend(title: str) -> Legend:
 
 
 def legend_of(title: str, values: NDArray) -> Legend:
-    """A legend of values with three digits, or all digits of larger ones."""
+    """A legend of values with three significant digits, or all digits of larger ones."""
     return Legend(title, tuple(f"{v:.3g}" if v < 1000 else f"{v:,.0f}" for v in values))
 
 
@@ -116,7 +116,7 @@ def reason_colour(index: int) -> tuple[float, float, float]:
 
 
 def block_colour(index: int) -> tuple[float, float, float]:
-    """The colour of a block, by its index; the first 21 differ."""
+    """The colour of a block, by its index; the first 21 are distinct."""
     brightness = _ROUNDS[index // len(_KINDS) % len(_ROUNDS)]
     red, green, blue = (brightness * _KINDS[index % len(_KINDS)]).tolist()
     return red, green, blue

@@ -17,10 +17,10 @@ _LEAST = 7.0
 #: Radius of the mark of the centre, pixels.
 _CENTRE = 3.0
 
-#: Widths of the dark line and of the light one on it, pixels, and their RGB, 0-1.
+#: Widths of the dark line and the light one over it, pixels, and their RGB, 0-1.
 LINES = ((5.0, (0.0, 0.0, 0.0)), (2.0, (1.0, 1.0, 1.0)))
 
-#: Nothing nearer to the camera than this is marked, scene units.
+#: Parts nearer to the camera than this are not marked, scene units.
 _NEAR = 1e-3
 
 _ANGLES = 2 * np.pi * np.arange(24) / 24
@@ -32,8 +32,8 @@ def marker(
 ) -> list[NDArray[np.float64]]:
     """Closed lines ``(n, 2)`` that mark a Gaussian in a picture of this size, pixels.
 
-    The outline of its splat, at three standard deviations, and a ring in its centre; nothing if it
-    is behind the camera.
+    They are the outline of its splat at three standard deviations and a ring at its centre; none if
+    it is behind the camera.
     """
     places, depth = pose.project(scene.positions[row][None], width, height)
     if not depth[0] > _NEAR or not np.isfinite(places).all():
@@ -45,7 +45,7 @@ def marker(
 
 
 def _widened(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An ellipse about 0 ``(n, 2)``, moved outwards until it is nowhere too near to its centre."""
+    """An ellipse around 0 ``(n, 2)``, pushed outwards to a minimum distance from its centre."""
     margin = max(_LEAST - float(np.linalg.norm(around, axis=1).min()), 0.0)
     along = np.roll(around, -1, axis=0) - np.roll(around, 1, axis=0)
     across = np.stack([along[:, 1], -along[:, 0]], axis=1)
@@ -55,7 +55,7 @@ def _widened(around: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def draw_marker(canvas: Image.Image, lines: list[NDArray[np.float64]]) -> None:
-    """Draw closed lines, light on dark, so that they are seen on any background."""
+    """Draw closed lines, light on dark, visible on any background."""
     pen = ImageDraw.Draw(canvas)
     for thickness, colour in LINES:
         fill = tuple(round(255 * c) for c in colour)

@@ -1,4 +1,4 @@
-"""A picture of notes on what is shown: what it is, its legend, a photograph."""
+"""A picture of notes: a caption, legends, reasons for pruning, a photograph."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ def draw_notes(
     photograph: NDArray[np.float32] | None = None,
     most: int = 300,
 ) -> Image.Image:
-    """Notes as wide as their caption needs.
+    """Draw notes, as wide as the caption needs.
 
     Parameters
     ----------
     caption : str
-        A line.
+        One line.
     legends : sequence of Legend
     pruned : Pruned, optional
         Its reasons are listed.
     photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
     most : int
-        Largest height that it is shown with, pixels.
+        Maximum height of the photograph, pixels.
     """
     reasons = len(reasons_text(pruned)) if pruned is not None else 0
     high = _CAPTION + _REASON * reasons + _LEGEND * len(legends)

@@ -1,4 +1,4 @@
-"""The octree layer: the cells that hold centres, coloured by how many, or by their bits."""
+"""The octree layer: occupied cells, coloured by number of Gaussians or by bits."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from viewer.pictures.ticks import scale_marks
 from viewer.scenes.choice import DEPTHS, OctreeChoice
 from viewer.scenes.opened import Opened, thinned
 
-#: Most cells that are drawn as cubes; more are drawn as points in their middles.
+#: Maximum number of cells drawn as cubes; if there are more, their centres are drawn as points.
 MOST_CUBES = 100_000
 
-#: Side of the cube of the emptiest cell, relative to the cell: a few Gaussians that float in front
-#: of the scene hide little of it.
+#: Side of the cube of the emptiest cell, relative to the cell; small, so that floaters in front of
+#: the scene hide little of it.
 _LEAST = 0.3
 
-#: Side of the cube of the fullest cell.
+#: Side of the cube of the fullest cell, relative to the cell.
 _MOST = 0.94
 
-#: Quantiles of the Gaussians' bits that get the first and the last colour.
+#: Quantiles of the Gaussians' bits that map to about the first and last colour.
 _BITS = (0.02, 0.98)
 
 _DEEPEST = DEPTHS[-1]
 
-#: Cells reach this many times as far as near centres do.
+#: Far centres are moved onto a box this many times as large as that of near centres.
 _AROUND = 8.0
 
 
 @dataclass(frozen=True)
 class _Sorted:
-    """Morton codes ``(N,)`` at the deepest cells, ascending, and the Gaussians in this order."""
+    """Morton codes ``(N,)`` at the deepest level, ascending, and the Gaussians in this order."""
 
     codes: NDArray[np.int64]
     order: NDArray[np.int64]
@@ -58,8 +58,7 @@ class _Sorted:
 class Octree:
     """The cells of one or two scenes at any depth, in one cube around both.
 
-    The cells of a single scene are those of `gs_codec.to_octree`. Centres that are not finite are
-    left out.
+    The cells of a single scene are those of `gs_codec.to_octree`. Non-finite centres are skipped.
 
     Parameters
     ----------
@@ -70,7 +69,8 @@ class Octree:
         kept = {scene: np.isfinite(scene.positions).all(axis=1) for scene in scenes}
         places = {scene: scene.positions[mask].T for scene, mask in kept.items()}
         both = np.concatenate(list(places.values()), axis=1)
-        # Very far centres are in the outermost cells: around them, all others would be in one.
+        # Very far centres go to the outermost cells; a cube around them would put all others in one
+        # cell.
         lengths = np.concatenate([scene.lengths[mask] for scene, mask in kept.items()])
         with np.errstate(divide="ignore"):
             sizes = np.log(lengths)
@@ -93,7 +93,7 @@ class Octree:
     ) -> Cubes | Points:
         """The occupied cells of a scene: cubes, or points if any scene has more than `cubes` cells.
 
-        At most `points` of them. Sizes and colours are on scales that are the same for all scenes.
+        Returns at most `points` of them. All scenes share the scales of sizes and colours.
         """
         cells, depth = self._sorted[scene], choice.depth
         codes, first = cells.at(depth)
@@ -113,14 +113,14 @@ class Octree:
         return self._cube.side / 2**depth
 
     def _fullest(self, depth: int) -> int:
-        """Most Gaussians in a cell of any scene."""
+        """Maximum number of Gaussians per cell, over all scenes."""
         every = [each.counts(each.at(depth)[1]) for each in self._sorted.values()]
         return max((int(each.max(initial=1)) for each in every), default=1)
 
     def _by_occupancy(
         self, scene: Opened, first: NDArray[np.int64], depth: int
     ) -> tuple[NDArray[np.float32], Legend | None]:
-        """Colours ``(cells, 3)``, and what they mean."""
+        """Colours ``(cells, 3)`` and their legend."""
         most = self._fullest(depth)
         title = f"Gaussians in a cell {self._side(depth):.2g} wide"
         counts = self._sorted[scene].counts(first)
@@ -130,7 +130,7 @@ class Octree:
     def _by_bits(
         self, scene: Opened, first: NDArray[np.int64], depth: int
     ) -> tuple[NDArray[np.float32], Legend | None]:
-        """As `_by_occupancy`; grey where bits are unknown."""
+        """Like `_by_occupancy`; grey where bits are unknown."""
         if scene.bits is None:
             return np.full((len(first), 3), UNKNOWN, np.float32), None
         marks = scale_marks(*self._bits, "linear")
@@ -142,7 +142,7 @@ class Octree:
 
     @cached_property
     def _bits(self) -> tuple[float, float]:
-        """The bits that get about the first and the last colour, at all depths."""
+        """Bits that map to about the first and last colour, at all depths."""
         known = [scene.bits for scene in self._sorted if scene.bits is not None]
         low, high = np.quantile(np.concatenate(known), _BITS).tolist()
         return low, high

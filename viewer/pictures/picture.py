@@ -30,14 +30,14 @@ from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
 
-#: Side of a centre, pixels.
+#: Side of the square drawn for a centre, pixels.
 POINT_SIZE = 2
 PRUNED_SIZE = CELL_SIZE = SELECTED_SIZE = 3
 
-#: Nothing nearer to the camera than this is drawn, scene units.
+#: Parts nearer to the camera than this are not drawn, scene units.
 _NEAR = 1e-3
 
-#: Width of the line of a wipe, pixels; RGB of this line and of the outlines of frames.
+#: Width of the wipe line, pixels; RGB of this line and of frame outlines.
 WIPE_LINE = 8
 LINE_COLOUR = (0.85, 0.85, 0.85)
 
@@ -47,13 +47,13 @@ BACKGROUND = (0.07, 0.07, 0.08)
 #: Height of text, pixels.
 TEXT = 13
 
-#: Length of the bar of a legend, pixels.
+#: Length of a legend's bar, pixels.
 _BAR = 200
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What to draw of one or two scenes.
+    """Settings for drawing one or two scenes.
 
     Attributes
     ----------
@@ -62,18 +62,18 @@ class Shown:
     colouring : str
         One of `COLOURINGS`.
     scenes : tuple of Opened
-        One or two; errors are those of the second against the first.
+        One or two; errors are of the second relative to the first.
     pruned : Pruned or None
         Gaussians that were removed from the first.
     octree : OctreeChoice
     appearance : Appearance
     drawn : mapping of Opened to ndarray, shape (N,), bool
-        Which Gaussians are drawn; a scene that is not in it has none hidden. Drawings are kept as
-        long as the arrays are the same ones.
+        Masks of drawn Gaussians; scenes without a mask have none hidden. Cached drawings stay valid
+        while the array objects are the same.
     scale : str or None
-        One of `SCALES`, for the colours of centres; None is that of the quantity.
+        One of `SCALES`, for the colours of centres; None is the quantity's default.
     marked : tuple of Opened and int, or None
-        A Gaussian that is marked in all pictures: its scene, and its number in it.
+        A Gaussian to mark in all pictures: its scene and its row.
     """
 
     layers: Collection[str]
@@ -87,7 +87,7 @@ class Shown:
     marked: tuple[Opened, int] | None = None
 
     def look(self, scene: Opened) -> Look:
-        """How a scene is drawn."""
+        """Look of a scene."""
         return Look(self.appearance, self.drawn.get(scene))
 
     @cached_property
@@ -168,18 +168,18 @@ def picture(
     shown: Shown,
     draft: int = 0,
 ) -> NDArray[np.float32]:
-    """A scene's splats ``(H, W, 3)``, 0-1, or the heat map of their errors if that is chosen.
+    """A scene's splats ``(H, W, 3)``, 0-1, or a heat map of the errors if chosen.
 
     Parameters
     ----------
     views : dict
-        What draws each scene.
+        Drawer of each scene.
     scene : Opened
     pose : Pose
     width, height : int
     shown : Shown
     draft : int
-        From 1 on, splats are drawn as drafts, of one Gaussian in so many.
+        If not 0, splats are drawn as drafts, of one in every `draft` Gaussians.
     """
 
     def draw(each: Opened) -> NDArray[np.float32]:
@@ -211,7 +211,7 @@ def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
 
 
 def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32]:
-    """The image with the edges of boxes ``(n, 2, 3)``."""
+    """Draw the edges of boxes ``(n, 2, 3)`` into an image."""
     height, width = image.shape[:2]
     corners, lines = box_lines(boxes)
     canvas = to_pillow(image)
@@ -248,7 +248,7 @@ def side_by_side(images: Sequence[NDArray]) -> NDArray[np.float32]:
 
 
 def wiped(first: NDArray, second: NDArray, wipe: float) -> NDArray[np.float32]:
-    """The first image left of `wipe` (0-1), the second right of it, and a line between."""
+    """The first image to the left of `wipe` (0-1), the second to the right, and a line between."""
     start, stop = wipe_line(wipe, first.shape[1])
     image = np.concatenate([first[:, :start], second[:, start:]], axis=1)
     image[:, start:stop] = LINE_COLOUR
@@ -256,14 +256,14 @@ def wiped(first: NDArray, second: NDArray, wipe: float) -> NDArray[np.float32]:
 
 
 def wipe_line(wipe: float, width: int) -> tuple[int, int]:
-    """First and end column of the line of a wipe at `wipe` (0-1) in a picture of this width."""
+    """First and end column of the wipe line at `wipe` (0-1) in a picture of this width."""
     line = min(WIPE_LINE, width - 2)
     start = min(max(round(wipe * width) - line // 2, 1), width - line - 1)
     return start, start + line
 
 
 def outlined(image: NDArray, pose: Pose) -> NDArray[np.float32]:
-    """The image with a line around the camera's frame."""
+    """The image with an outline of the camera's frame."""
     canvas = to_pillow(image)
     left, top, right, bottom = map(round, pose.framed(canvas.width, canvas.height))
     ImageDraw.Draw(canvas).rectangle(
@@ -275,7 +275,7 @@ def outlined(image: NDArray, pose: Pose) -> NDArray[np.float32]:
 def labelled(
     image: NDArray, captions: Sequence[tuple[int, str]], legends: Sequence[Legend]
 ) -> Image.Image:
-    """The image with captions at its top, each with its column, and legends at its bottom."""
+    """The image with captions at the top, each at its column, and legends at the bottom."""
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
     font = ImageFont.load_default(TEXT)
@@ -293,7 +293,7 @@ def labelled(
 
 
 def caption_lines(caption: str, width: int) -> list[str]:
-    """The lines of a caption that is wrapped to a width, pixels."""
+    """Lines of a caption, wrapped to a width in pixels."""
     font = ImageFont.load_default(TEXT)
     lines: list[str] = []
     for line in caption.splitlines():
@@ -343,7 +343,7 @@ def _bytes(colour: tuple[float, float, float]) -> tuple[int, ...]:
 
 
 def to_pillow(image: NDArray) -> Image.Image:
-    """Convert an image ``(H, W, 3)``, 0-1, to Pillow's."""
+    """Convert an image ``(H, W, 3)``, 0-1, to a Pillow image."""
     return Image.fromarray(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8))
 
 

@@ -1,4 +1,4 @@
-"""Write frames to an .mp4 file or to a folder of pictures, whole or not at all."""
+"""Write frames to an .mp4 file or a folder of pictures, atomically."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from gs_codec.runtime.atomic import check_folder, check_writable, temporary_name
 from gs_codec.runtime.optional import missing_package, needed
 from gs_codec.runtime.programs import how_ended, plain_text
 
-#: Adds a frame; all are of one size.
+#: Adds a frame; all frames have the same size.
 AddFrame = Callable[[Image.Image], None]
 
-#: Names of the frames in a folder.
+#: File names of frames in a folder.
 _FRAME = re.compile(r"\d{5,}\.png")
 
-#: x264's constant rate factor: hardly a difference can be seen.
+#: x264's constant rate factor: visually lossless.
 _QUALITY = 17
 
-#: Colours of BT.709, which players take for granted.
+#: BT.709 colours, which players assume.
 _COLOURS = (
     "scale=out_color_matrix=bt709:out_range=tv,"
     "setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709:range=tv"
@@ -39,7 +39,7 @@ _COLOURS = (
 
 
 def is_folder(path: Path) -> bool:
-    """Whether frames go to a folder: one that exists, or a name without a suffix."""
+    """Whether frames go to a folder: an existing one, or a name without a suffix."""
     return path.is_dir() or not path.suffix
 
 
@@ -49,10 +49,10 @@ def check_reel(path: Path, size: tuple[int, int], overwrite: bool) -> None:
     Raises
     ------
     gs_codec.InvalidInput
-        If the path is neither an .mp4 file nor a folder, exists, unless it may be overwritten, or
-        cannot be written; or if a side is odd for .mp4.
+        If the path is neither an .mp4 file nor a folder, exists without `overwrite`, or cannot be
+        written; or if a side is odd for .mp4.
     gs_codec.MissingTool
-        If .mp4 is asked for, and imageio-ffmpeg is not installed.
+        For .mp4, if imageio-ffmpeg is not installed.
     """
     if is_folder(path):
         check_folder(path, overwrite)
@@ -77,7 +77,7 @@ def check_reel(path: Path, size: tuple[int, int], overwrite: bool) -> None:
 
 
 def _ffmpeg(path: Path) -> str:
-    """The program that encodes films."""
+    """Path of the program that encodes films."""
     try:
         return needed("imageio_ffmpeg", str(path)).get_ffmpeg_exe()
     except (gs_codec.MissingTool, RuntimeError) as error:
@@ -88,12 +88,12 @@ def _ffmpeg(path: Path) -> str:
 
 @contextmanager
 def open_reel(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
-    """A function that adds a frame of a size, pixels; `path` is complete after the block.
+    """A function that adds a frame of this size, pixels; `path` is complete after the block.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If frames cannot be written; then `path` is as before.
+        If frames cannot be written; `path` is then unchanged.
     """
     with _folder(path) if is_folder(path) else _film(path, size, fps) as add:
         yield add
@@ -101,7 +101,7 @@ def open_reel(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]
 
 @contextmanager
 def _folder(path: Path) -> Iterator[AddFrame]:
-    """Frames 00000.png and so on, which replace those in the folder."""
+    """Write frames 00000.png and so on, replacing those in the folder."""
     there = path.is_dir()
     staged = (path if there else path.parent) / temporary_name(path.name or "frames")
     count = 0
@@ -125,7 +125,7 @@ def _folder(path: Path) -> Iterator[AddFrame]:
 
 
 def _replace_frames(staged: Path, folder: Path) -> None:
-    """Move frames into a folder, and remove the other frames in it."""
+    """Move frames into a folder, and remove its old frames."""
     new = set(os.listdir(staged))
     for name in os.listdir(folder):
         if _FRAME.fullmatch(name) and name not in new:
@@ -136,7 +136,7 @@ def _replace_frames(staged: Path, folder: Path) -> None:
 
 @contextmanager
 def _film(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
-    """An H.264 film that players and browsers show."""
+    """Write an H.264 film that players and browsers can play."""
     staged = path.with_name(temporary_name(path.name))
     command = [
         _ffmpeg(path), "-y", "-loglevel", "error",
@@ -146,7 +146,8 @@ def _film(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
     ]  # fmt: skip
     try:
         with tempfile.TemporaryFile() as log:
-            # Apart from this process's group: it would end by Ctrl-C as if the film were complete.
+            # In a process group of its own; otherwise Ctrl-C would end it as if the film were
+            # complete.
             program = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True
             )
@@ -172,7 +173,7 @@ def _feed(program: subprocess.Popen, frame: Image.Image) -> None:
 
 @contextmanager
 def _reported(path: Path, program: subprocess.Popen, log: IO[bytes]) -> Iterator[None]:
-    """Make a pipe that the program closed an error with the reason that it gave."""
+    """Report a closed pipe as an error, with the reason that the program gave."""
     try:
         yield
     except BrokenPipeError as error:

@@ -1,4 +1,4 @@
-"""Write the picture that the window would show, without a window."""
+"""Write a picture of the window's contents, without a window."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write_screenshot(request: Request, path: Path, overwrite: bool) -> str:
     request : Request
     path : Path
     overwrite : bool
-        Whether an existing picture is replaced.
+        Whether to replace an existing picture.
 
     Raises
     ------
@@ -58,13 +58,13 @@ def write_screenshot(request: Request, path: Path, overwrite: bool) -> str:
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture as a PNG, complete or not at all."""
+    """Write a picture as a PNG, atomically."""
     with atomic_writer(path) as file:
         picture.save(file, "PNG")
 
 
 def shown_of(request: Request, scenes: Sequence[Opened]) -> Shown:
-    """What a request shows of its scenes, which are open."""
+    """Drawing settings of a request whose scenes are open."""
     pruned, scale = find_pruned(request, scenes[0]), request.scale
     return Shown(
         request.layers, request.colouring, tuple(scenes), pruned, request.octree, scale=scale
@@ -99,7 +99,7 @@ def compose(
     front: int = 1,
     views: dict[Opened, Drawer] | None = None,
 ) -> Image.Image:
-    """One or two scenes, labelled, with the photograph beside them.
+    """Draw one or two labelled scenes, with the photograph next to them.
 
     Parameters
     ----------
@@ -107,14 +107,14 @@ def compose(
     shown : Shown
     mode : {"side", "wipe", "flip"}
     wipe : float, 0-1
-        Position of the line of a wipe.
+        Position of the wipe line.
     size : tuple of two int
         Width and height of the whole picture, pixels.
     photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
     front : {0, 1}
-        Which of two scenes ``flip`` shows.
+        Index of the scene that ``flip`` shows.
     views : dict, optional
-        Renderers of the scenes, kept from picture to picture.
+        Drawers of the scenes, reused for further pictures.
     """
     width, height = size
     scenes = shown.scenes
@@ -161,7 +161,7 @@ def _arrange(
 
 
 def _fitted(image: NDArray, width: int, height: int) -> NDArray[np.float32]:
-    """An image scaled to fit a picture of this size, and centred in it."""
+    """An image scaled to fit this size, and centred."""
     scale = min(width / image.shape[1], height / image.shape[0])
     size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
     resized = to_pillow(image).resize(size, Image.Resampling.LANCZOS)

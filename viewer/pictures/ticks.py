@@ -1,33 +1,33 @@
-"""Round values for the marks of scales and axes."""
+"""Round values for marks on scales and axes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: Steps and first marks of scales, and the factors between marks of a logarithmic one, times powers
-#: of ten.
+#: Steps and first marks of linear scales, and factors between marks of logarithmic ones, times
+#: powers of ten.
 _STEPS = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
 _FACTORS = (1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 20, 50, 100, 1000, 10.0**75)
 
-#: Digits of a logarithmic axis, from many to few.
+#: Digits on a logarithmic axis, from many to few.
 _DIGITS = ((1, 2, 5), (1, 3), (1,))
 
 #: Number of marks on a scale.
 MARKS = 5
 
-#: Minimum number on a logarithmic scale.
+#: Minimum number of marks on a logarithmic scale.
 LEAST = 3
 
-#: Share of a logarithmic scale that the range should fill.
+#: Minimum share of a logarithmic scale that the range should fill.
 _FILLED = 0.7
 
 
 def scale_marks(low: float, high: float, scale: str) -> NDArray[np.float64]:
-    """Round values, evenly spaced on a linear or logarithmic scale, around a range.
+    """Round values, evenly spaced on a linear or logarithmic scale, that enclose a range.
 
-    There are `MARKS`; on a logarithmic scale that would be much wider than the range, fewer, but at
-    least `LEAST`.
+    There are `MARKS` values; fewer, but at least `LEAST`, on a logarithmic scale that would
+    otherwise be much wider than the range.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def _is_round(marks: NDArray[np.float64]) -> bool:
 
 
 def axis_ticks(low: float, high: float, most: int, log: bool = False) -> NDArray[np.float64]:
-    """At most so many round values within a range; logarithms of round values if `log`."""
+    """At most `most` round values within a range; logarithms of round values if `log`."""
     if log:
         powers = np.arange(np.floor(low), np.ceil(high) + 1)
         for digits in _DIGITS:
@@ -80,8 +80,8 @@ def axis_ticks(low: float, high: float, most: int, log: bool = False) -> NDArray
     return np.array([low, high])
 
 
-#: Factor for rounding errors of values.
+#: Tolerance factor for rounding errors of values.
 _MORE = 1 + 1e-9
 
-#: Rounding errors of numbers of steps.
+#: Tolerance for rounding errors of step counts.
 _LESS = 1e-9

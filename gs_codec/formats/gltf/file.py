@@ -201,10 +201,10 @@ def numbers(value: Any, length: int, where: str) -> list[float]:
 
 
 def pack_document(document: dict[str, Any], arrays: dict[str, NDArray], as_text: bool) -> bytes:
-    """The bytes of a file with one mesh of points with these attributes ``(N, components)``.
+    """Serialise one mesh of points with these attributes ``(N, components)``.
 
-    Float32 arrays are stored unchanged, uint8 arrays as normalised integers. `document` has the
-    other members than buffers, views and accessors; `as_text` embeds the buffer in the JSON
+    Float32 arrays are stored unchanged, uint8 arrays as normalised integers. `document` provides
+    all members except buffers, views and accessors; `as_text` embeds the buffer in the JSON
     (`.gltf`).
     """
     views, accessors, offset = [], [], 0

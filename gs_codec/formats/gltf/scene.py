@@ -215,11 +215,10 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
 
 
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.glb` or, `as_text`, a `.gltf`; sentences on what it cannot represent.
+    """Bytes of a `.glb`, or of a `.gltf` if `as_text`; sentences on what it cannot represent.
 
-    Colours without view dependence are there too, for programs that show points. Raises
-    InvalidInput if there are no Gaussians, a value is not finite, or a scale too large for a
-    float32.
+    View-independent colours are included for programs that show points. Raises InvalidInput if
+    there are no Gaussians, a value is not finite, or a scale is too large for a float32.
     """
     check_finite(scene, "glTF")
     if not scene.count:

@@ -139,18 +139,18 @@ def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = No
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
     The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
-    Raises InvalidInput if the file is not a PLY, is truncated, lacks properties, or has some that
-    `extra` refuses.
+    Raises InvalidInput if the file is not a PLY, is truncated, lacks properties, or has properties
+    that `extra` rejects.
 
     Parameters
     ----------
     path : str or Path
     extra : {"keep", "drop", "error"}
         Handling of properties beyond the INRIA layout, of normals that are not all zero, and of
-        elements other than ``vertex``. Such elements are never kept. A log message names what is
-        dropped.
+        elements other than ``vertex``. Such elements are never kept. Dropped properties and
+        elements are logged.
     max_bytes : int, optional
-        Largest size of floats and kept properties; default: see `most_bytes`.
+        Maximum bytes of floats and kept properties; default: see `most_bytes`.
     """
     with opened(path) as data:
         return scene_of(ply_of(path, data), extra, max_bytes)
@@ -168,7 +168,7 @@ def scene_of(
 
     Float64 centres are translated by `shift` before rounding; a comment states the offset.
 
-    Unless `tell`, nothing is logged about dropped properties.
+    Dropped properties are logged if `tell`.
     """
     path = ply.path
     with located(path):

@@ -164,12 +164,11 @@ def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
 
 
 def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a packed PLY, in Morton order; sentences on what it cannot represent.
+    """Bytes of a packed PLY, in Morton order; sentences on what it cannot represent.
 
-    Ranges of chunks are from the lowest to the highest value: clipping some so that the others are
-    finer gains nothing (measured on centres, scales and colours). Far Gaussians come last, drawn to
-    the box of the others: one of their chunks also has near ones. Raises InvalidInput if a value is
-    not finite.
+    The range of a chunk covers all its values: clipping outliers gains nothing (measured on
+    centres, scales and colours). Far Gaussians come last and are moved onto the box of the others,
+    because one chunk has both near and far ones. Raises InvalidInput if a value is not finite.
     """
     check_finite(scene, ".compressed.ply")
     nearer, moved = bring_nearer(scene)

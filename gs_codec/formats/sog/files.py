@@ -246,7 +246,7 @@ class Files:
 
 @dataclass(frozen=True)
 class Unit:
-    """A SOG scene of which only `meta.json` has been read.
+    """A SOG scene with only its `meta.json` read.
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class Unit:
 def opened_files(path: Path, data: memoryview) -> Iterator[tuple[Files, str]]:
     """The files of the scene in a zip or JSON file, and the name of its `meta.json`.
 
-    Raises InvalidInput if it is no valid zip, or one without a scene, or of several.
+    Raises InvalidInput if the zip is not valid, or does not contain exactly one scene.
     """
     if data[: len(ZIP)] != ZIP:
         yield Files(path.parent), path.name
@@ -311,7 +311,7 @@ def opened_unit(files: Files, name: str) -> Iterator[Unit]:
     if name.lower().endswith(".json"):
         yield unit_of(files, name)
         return
-    # A zip hardly shrinks inside another.
+    # Compressing a zip again hardly shrinks it.
     most = 2 * files.archive.file_bytes if files.archive else DECODED_BYTES
     with opened_zip(io.BytesIO(files.read(name, most))) as archive:
         unit = unit_of(Files(PurePosixPath(), archive), scene_in(archive))

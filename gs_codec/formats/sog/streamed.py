@@ -88,7 +88,7 @@ def _node(leaf: Leaf) -> dict[str, Any]:
 
 
 def _tree(nodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """The root above nodes: four become one, as with blocks of levels in an `.egs`."""
+    """The root above nodes, with four children per node like blocks of levels in an `.egs`."""
     while len(nodes) > 1:
         groups = (nodes[i : i + FANOUT] for i in range(0, len(nodes), FANOUT))
         nodes = [{"bound": _around(group), "children": group} for group in groups]
@@ -116,7 +116,7 @@ def is_streamed(path: Path, data: FileBytes) -> bool:
 
 @contextmanager
 def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, list[str]]]:
-    """The files of a `lod-meta.json`, and names of SOG scenes, of the finest level or all."""
+    """The files of a `lod-meta.json`, and the names of SOG scenes: finest level only, or all."""
     with located(path), opened_files(path, data) as (files, name):
         # It is much smaller than the files that it describes.
         text = files.read(name, max(len(data), _LOD_META_BYTES))
@@ -154,7 +154,7 @@ def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
 
 
 def _spare(names: Sequence[str]) -> int:
-    """`SPARE` of each file: images hardly larger than their zip could take minutes."""
+    """`SPARE` of each file; bounds the time to decode small files with many large images."""
     return min(SPARE, max(_SPARE // len(names), _LEAST_SPARE))
 
 

@@ -50,15 +50,16 @@ _Group = tuple[dict[str, object], dict[str, NDArray[np.uint8]]]
 
 
 def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.sog` file, in Morton order; sentences on what it cannot represent.
+    """Bytes of a `.sog` file, in Morton order; sentences on what it cannot represent.
 
-    Raises InvalidInput if a value is not finite, or an image would have more pixels than WebP has.
+    Raises InvalidInput if a value is not finite, or an image would have more pixels than WebP
+    allows.
 
     Parameters
     ----------
     scene : Scene
     steps : AttributeSteps, optional
-        Values are as near as these ask, at few bits. By default as near as the format holds.
+        Required accuracy; values are then stored in few bits. Default: full accuracy of the format.
     """
     check_finite(scene, ".sog")
     order = spatial_order(scene.positions, scene.log_scale)
@@ -115,7 +116,7 @@ def _centres(scene: Scene, steps: AttributeSteps) -> _Group:
         unit = (most - least) / 65535 or 1.0
         share = (logarithm - least) / unit
         high = np.rint(share).astype(np.int64) >> 8
-        # A step of the logarithm is longer far from the origin.
+        # A step of the logarithm spans more far from the origin.
         wanted = steps.positions / (1 + np.abs(values)) / unit
         return least, most, choose_levels(share - (high << 8), wanted, _BYTES), high
 

@@ -51,7 +51,8 @@ _FARTHEST = (1 << 23) - 1
 #: Maximum magnitude of a quaternion component.
 _LONGEST = 511
 
-#: Far centres are moved to this magnitude, whose multiples of steps stay in range.
+#: Minimum half width, in fixed-point units, of the box onto which far centres are moved: rounding
+#: to coarse steps then stays in range.
 _DRAWN = 15 << 19
 
 #: Maximum octaves by which rounding is coarser than the format's own.
@@ -116,19 +117,19 @@ def _smallest_three(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
 def pack_spz(
     scene: Scene, version: int = 3, steps: AttributeSteps | None = None
 ) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of an `.spz` file of version 3 or 4; sentences on what it cannot represent.
+    """Bytes of an `.spz` file of version 3 or 4; sentences on what it cannot represent.
 
-    Gaussians are in Morton order, and in the format's own coordinates. Far ones, for which the
-    others would have fewer bits of fractions, are drawn nearer. Raises InvalidInput if a value is
-    not finite.
+    Gaussians are in Morton order, and in the format's own coordinates. Far Gaussians are moved
+    nearer if they would cost the others fraction bits. Raises InvalidInput if a value is not
+    finite.
 
     Parameters
     ----------
     scene : Scene
     version : {3, 4}
     steps : AttributeSteps, optional
-        Values are rounded to multiples of the format's step, up to about these; the file is then
-        smaller. By default they have all that the format holds.
+        Values are rounded to multiples of the format's step, up to about these steps, for a smaller
+        file. Default: full accuracy of the format.
     """
     check_finite(scene, ".spz")
     order = spatial_order(scene.positions, scene.log_scale)

@@ -24,6 +24,7 @@ from samples.generate import generate
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+RESULTS = (ROOT / "gs_codec" / "bench" / "RESULTS.md").read_text()
 COMMANDS = (ROOT / "gs_codec" / "cli" / "COMMANDS.md").read_text()
 FOLDERS = ("gs_codec", "samples", "tests", "viewer")
 DOCUMENTS = sorted(
@@ -69,24 +70,28 @@ def measured() -> Results:
     return Results([json.loads(line) for line in lines])
 
 
-def test_the_table_is_that_of_the_committed_run():
-    assert headline(measured().lines).markdown() in README
+def test_the_tables_are_those_of_the_committed_run():
+    table = headline(measured().lines).markdown()
+    assert table in RESULTS
+    shown = [line for line in README.partition("## Install")[0].splitlines() if line[:1] == "|"]
+    assert shown == [line for line in table.splitlines() if line in shown]
+    assert len(shown) == 7
 
 
 def test_the_other_figures_are_those_of_the_committed_run():
     results, first_screen = measured(), " ".join(README.partition("## Install")[0].split())
     lines = results.of("beside")
 
-    def span(numbers):
-        low, high = f"{min(numbers):.0f}", f"{max(numbers):.0f}"
+    def span(numbers, unit=""):
+        low, high = f"{min(numbers):.0f}{unit}", f"{max(numbers):.0f}{unit}"
         return low if low == high else f"{low} to {high}"
 
-    for codec, how in (("m", " smaller in a second"), ("m, camera-guided", " in half a minute")):
+    for codec, how in (("m", "in a second"), ("m, camera-guided", "in half a minute")):
         ratios = [line["ratio"] for line in lines if line["codec"] == codec]
-        assert f"{span(ratios)} times{how}" in first_screen
+        assert f"{span(ratios, 'x')} {how}" in first_screen
     # The targets in the table.
     targets = {int(x["codec"][3:].split("x")[0]) for x in lines if "x refined" in x["codec"]} - {35}
-    assert f"{span(targets)} times in minutes of refinement" in first_screen
+    assert f"{span(targets, 'x')} in minutes of refinement" in first_screen
     (before,) = {f"{x['truth']['psnr']:.2f}" for x in lines if x.get("truth")}
     assert f"({before} dB before coding)" in first_screen
     for curve, text in (

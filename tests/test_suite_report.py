@@ -150,7 +150,7 @@ def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
         "| bonsai | Open3D's Octree | 10 | 2.00 | 4.00 |  |  |",
         "EPYC",
         "- installed, gs-codec-core: 16 packages, 353.80 MB",
-        "- left out with --skip: curves",
+        "- skipped with --skip: curves",
         "SOG: no &lt;node>",
     ],
 )
@@ -240,7 +240,7 @@ def test_bits_at_equal_quality_end_with_the_curve() -> None:
     assert results.bits_at_quality(beside("bonsai", True, exactly), "camera-free") == "113.5"
 
 
-def test_headline_is_the_table_of_the_readme() -> None:
+def test_headline_is_the_table_of_results() -> None:
     found = headline([*lines_of_all(), beside("sample", False, ("zstd, PLY", 9.0, None, 0, 1, 1))])
     assert found.markdown().splitlines() == [
         "| codec | bonsai (1,000, 3) | sample (1,000, 3) | encode | decode |",

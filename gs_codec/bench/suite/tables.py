@@ -1,4 +1,4 @@
-"""Markdown tables of the suite's results, for the report and the README."""
+"""Markdown tables of the suite's results, for its report and for RESULTS.md."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gs_codec.runtime.wording import counted
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
-#: Our codecs shown in the README, by effort, and those of others that are omitted.
+#: Our codecs in the headline, by effort, and those of others that are omitted.
 _SHOWN = (
     "m",
     f"m{ESTIMATED}",
@@ -28,7 +28,7 @@ _LEFT_OUT = {"splat-transform, spz", "zstd, PLY"}
 
 
 def headline(lines: Sequence[Line]) -> Table:
-    """The README's table: codecs by effort, with compression ratio and quality for each scene.
+    """Codecs by effort, with ratio and quality for each scene; the README has some of its rows.
 
     Quality is delta-PSNR, or PSNR against the scene's own views; times are from the first scene
     with that codec.
@@ -57,7 +57,7 @@ def codec_table(results: Results, scene: str) -> Table:
     Columns are size, quality, times, memory, and our bits at that PSNR.
     """
     peaks = {line["profile"]: line for line in results.of("memory", scene)}
-    columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view", "delta-PSNR"]
+    columns = ["codec", "ratio", "bits / Gaussian", "PSNR dB", "worst view", "delta-PSNR"]
     columns += ["encode", "decode", "encode MB", "decode MB"]
     rows = []
     for line in in_order(results, scene):
@@ -88,7 +88,7 @@ def geometry_table(results: Results) -> Table:
 
 def device_table(results: Results) -> Table:
     """Results of a CUDA device, and whether they equal the CPU's."""
-    columns = ["device", "Gaussians", "block", "decode", "CPU", "as the CPU", "iterations / s"]
+    columns = ["device", "Gaussians", "block", "decode", "CPU", "equal to CPU", "iterations / s"]
     rows = []
     for line in results.of("device"):
         cells = [escaped(line["device"]), f"{line['gaussians']:,}", str(line.get("block_size", ""))]

@@ -16,19 +16,19 @@ demo: $(VENV)/installed
 	@mkdir -p demo
 	@echo; echo "1. A scene of 50,000 Gaussians, and 24 cameras around it"
 	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json
-	@echo; echo "2. Encode it; the first run compiles kernels for some seconds"
+	@echo; echo "2. Encode it; the first run compiles kernels, which takes some seconds"
 	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs --overwrite
 	$(BIN)/gs-codec inspect demo/still_life.egs
-	@echo; echo "3. Decode it, to a PLY that any viewer opens"
+	@echo; echo "3. Decode it to a PLY that any viewer opens"
 	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply --overwrite
-	@echo; echo "4. What was lost: by attribute, of which most is never seen"
+	@echo; echo "4. The loss by attribute; most of it is invisible"
 	$(BIN)/gs-codec compare demo/still_life.ply demo/decoded.ply
-	@echo; echo "5. What is seen of it; at 48 dB the mean error is one level of 255"
+	@echo; echo "5. The visible loss; at 48 dB the mean error is one level of 255"
 	$(BIN)/gs-codec compare demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --images demo/views --overwrite
 	$(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --view 2 --layers error \
 	    --width 1000 --height 400 --screenshot demo/picture.png --overwrite
 	@echo; echo "Done. demo/picture.png: the scene, and the error of each pixel; demo/views: every view before and after,"
-	@echo "and the difference ten times as strong; demo/decoded.ply: the decoded scene. In a window, side by side:"
+	@echo "and the difference amplified ten times; demo/decoded.ply: the decoded scene. To show both in a window:"
 	@echo "    $(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json"
 	@echo "Next: samples/TUTORIAL.md, five minutes; or $(BIN)/gs-codec encode YOUR.ply YOUR.egs"
 
@@ -80,7 +80,7 @@ web: $(WEB)/node_modules/.package-lock.json
 # esbuild for the page; for tests playwright-core, PlayCanvas, three.js and Spark.
 %/node_modules/.package-lock.json: %/package-lock.json
 	@command -v npm >/dev/null || { echo "$*: needs Node 18 and npm" >&2; exit 1; }
-	@echo "Fetching what $*/package.json names"
+	@echo "Installing the packages of $*/package.json"
 	@npm --prefix $* ci --silent --no-audit --no-fund
 
 # Time and memory of a sample tiled to up to 3 million Gaussians, and a plot: build/scaling/report. A few minutes.
@@ -107,7 +107,7 @@ fuzz: $(VENV)/installed-test
 	$(BIN)/python tests/fuzz/fuzz.py $(TARGET) --minutes $(MINUTES) --corpus fuzz
 
 # Other programs: codecs for `gs-codec bench peers` and `bench suite`, and viewers, and tests that they
-# read what we write. Says which could not be installed. spz brings its own zstd: Debian's library
+# read what we write. Prints which could not be installed. spz brings its own zstd: Debian's library
 # cannot be linked into a module. SPZ=FOLDER: from a checkout.
 SPZ ?= git+https://github.com/nianticlabs/spz
 PEERS_LOG := $(VENV)/peers.log
@@ -115,10 +115,10 @@ NODE_PACKAGES := @playcanvas/splat-transform@3 playcanvas@2 @sparkjsdev/spark@2 
 peers: $(VENV)/installed-test
 	@.ci/system-packages peers || true
 	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >$(PEERS_LOG) 2>&1 \
-	    || echo "spz: not installed, it needs git, a C++ compiler and GitHub; $(PEERS_LOG) says why"
-	@$(PIP) install 'gsply[sogs]' >>$(PEERS_LOG) 2>&1 || echo "gsply: not installed; $(PEERS_LOG) says why"
+	    || echo "spz: not installed (needs git, a C++ compiler and GitHub); see $(PEERS_LOG)"
+	@$(PIP) install 'gsply[sogs]' >>$(PEERS_LOG) 2>&1 || echo "gsply: not installed; see $(PEERS_LOG)"
 	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund $(NODE_PACKAGES) \
-	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform, PlayCanvas, Spark, gltf-validator: not installed, they need Node 18 and npm; $(PEERS_LOG) says why"
+	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform, PlayCanvas, Spark, gltf-validator: not installed (need Node 18 and npm); see $(PEERS_LOG)"
 	$(PYTEST) tests/test_peers.py tests/test_programs.py
 
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
@@ -149,14 +149,14 @@ release: dist
 
 # Modules are compiled when they are imported: all of them would take half of the time to install.
 $(VENV)/installed: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec into $(VENV): a gigabyte, the most of it Open3D, scipy and numba; minutes the first time"
+	@echo "Installing gs-codec into $(VENV): 1 GB, mostly Open3D, scipy and numba; this takes minutes the first time"
 	.ci/dots .ci/system-packages
 	$(NEW_VENV)
 	$(PIP) install --no-compile -e .
 	@touch $@
 
 $(VENV)/installed-test: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
+	@echo "Installing gs-codec and the tools for tests and lint into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
 	.ci/system-packages
 	$(NEW_VENV)
 	$(PIP) install --no-compile -e '.[test]'
@@ -164,8 +164,8 @@ $(VENV)/installed-test: pyproject.toml .ci/system-packages
 
 # torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
 $(VENV)/installed-all: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec and all that tests need into $(VENV), two gigabytes: torch, torchac and g++ for the paper's"
-	@echo "coder; Dask and sshfs for clusters and places elsewhere; OpenCV for photographs; usd-core; openssh-server to put files on; Xvfb and xdotool for windows; Node, npm and Chromium"
+	@echo "Installing gs-codec and everything that tests need into $(VENV), 2 GB: torch, torchac and g++ for the paper's"
+	@echo "coder; Dask and sshfs for clusters and remote storage; OpenCV for photographs; usd-core; openssh-server as a remote storage; Xvfb and xdotool for windows; Node, npm and Chromium"
 	.ci/system-packages all
 	$(NEW_VENV)
 	$(PIP) install --no-compile torch==2.13.0 -e '.[cluster,paper,test,undistort,usd]'

@@ -58,7 +58,7 @@ def main(distribution: str) -> None:
             run(program, *(word.format(root=ROOT) for word in arguments))
         if IN_PAGE not in (folder / "page.html").read_text(encoding="utf-8"):
             raise SystemExit("page.html: the second scene is missing")
-        print(f"{distribution}: installs, and its commands run")
+        print(f"{distribution}: installed, and its commands work")
 
 
 if __name__ == "__main__":

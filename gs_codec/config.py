@@ -239,24 +239,24 @@ class RateTarget:
 
     size: int | None = option(
         None,
-        "Largest file: 5MB, 800kB, 3MiB.",
+        "Maximum file size (5MB, 800kB, 3MiB).",
         kind=int, name="target_size", metavar="SIZE", unit="bytes",
     )  # fmt: skip
     ratio: float | None = option(
         None,
-        "Smallest compression ratio; counts from the PLY, or from the floats of a compressed file.",
+        "Minimum compression ratio, relative to the PLY (of a compressed input: to its floats).",
         kind=float, name="target_ratio", metavar="R",
     )  # fmt: skip
     bits: float | None = option(
-        None, "Most bits per Gaussian.", kind=float, name="target_bpg", metavar="BITS"
+        None, "Maximum bits per Gaussian.", kind=float, name="target_bpg", metavar="BITS"
     )
     psnr_drop: float | None = option(
         None,
-        "Smallest file whose views lose at most this PSNR (dB).",
+        "Maximum PSNR loss of views, dB; finds the smallest such file.",
         kind=float, name="max_psnr_drop", metavar="DB",
     )  # fmt: skip
     allow_prune: bool = option(
-        False, "Prune Gaussians to meet a target, where views hardly need them.", kind=bool
+        False, "Allow a target to prune Gaussians that hardly affect views.", kind=bool
     )
 
     def __post_init__(self) -> None:
@@ -392,20 +392,23 @@ class Config:
     """
 
     profile: str = option(
-        "m", f"One of {PROFILES_SHOWN}.", metavar="NAME", values=(*PROFILE_CHOICES, *PROFILE_WORDS)
+        "m",
+        f"Profile: {PROFILES_SHOWN}.",
+        metavar="NAME",
+        values=(*PROFILE_CHOICES, *PROFILE_WORDS),
     )
     depths: Mapping[str, int] = option(
         dict,
-        f"Bits of a group: {', '.join((*DEPTH_GROUPS, 'sh-ac'))}. May be repeated.",
+        f"Bits of a group ({', '.join((*DEPTH_GROUPS, 'sh-ac'))}); may be repeated.",
         kind=int, name="depth", metavar="GROUP=BITS", keys=(*DEPTH_GROUPS, "sh-ac"),
     )  # fmt: skip
     nonfinite: Literal["error", "drop"] = option(
-        "error", "What to do with Gaussians that hold NaN or infinity.", values=("error", "drop")
+        "error", "Refuse or drop Gaussians with NaN or infinity.", values=("error", "drop")
     )
     extra: Literal["auto"] | Extra = option(
         "auto",
-        "Properties beyond the 3DGS layout, named in one line if left out; auto keeps them with "
-        "profile lossless and drops them otherwise.",
+        "Properties beyond the 3DGS layout: keep, drop with a warning, or refuse; auto keeps them "
+        "with profile lossless and drops them otherwise.",
         values=("auto", *get_args(Extra)),
     )
     threads: int | None = option(
@@ -421,49 +424,49 @@ class Config:
     )
     coarseness: float = option(
         1.0,
-        "With profiles l, m, s: multiplies all step sizes that they choose, 1/64-64.",
+        "With profiles l, m, s: factor on all step sizes, 1/64-64.",
         kind=float, low=1 / 64, high=64, expected="1/64 to 64",
     )  # fmt: skip
     geometry: Literal["octree", "gpcc", "auto"] = option(
         "octree",
-        "With paper-*: what codes geometry and SH-DC; gpcc is MPEG's tmc3, auto takes it if found.",
+        "With paper-*: coder of geometry and SH-DC; gpcc is MPEG's tmc3, auto uses it if found.",
         values=("octree", "gpcc", "auto"),
     )
     tmc3: str | None = option(
-        None, "The G-PCC program.", metavar="PATH", shown="GS_CODEC_TMC3, or tmc3 in PATH"
+        None, "Path of the G-PCC program.", metavar="PATH", shown="GS_CODEC_TMC3, or tmc3 in PATH"
     )
-    verify: bool = option(True, "Do not check what tmc3 has coded by decoding it.", kind=bool)
+    verify: bool = option(True, "Do not check the output of tmc3 by decoding it.", kind=bool)
     models: Models = option(
         "parametric",
-        "With paper-*: Laplace and mixtures, as published, tables, or the cheapest of all (best).",
+        "With paper-*: models as published (Laplace and mixtures), tables, or the cheapest (best).",
         values=get_args(Models),
     )
     laplace_scales: float | None = option(
         None,
-        "With paper-*: Laplace scales that SH-AC keep on either side of their median.",
+        "With paper-*: range of SH-AC on either side of their median, in Laplace scales.",
         kind=float, metavar="N", low=0.1, high=1000, expected="0.1 to 1000",
-        shown="3 for each bit",
+        shown="3 per bit",
     )  # fmt: skip
     coder: Coder = option(
         "rans",
-        "With paper-*: the entropy coder; torchac, the paper's, is needed to decode, too.",
+        "With paper-*: entropy coder; torchac is the paper's, and also needed for decoding.",
         values=get_args(Coder),
     )
     format: str = option(
         EGS,
-        "Format of files in a batch, or of stdout; other files have that of their suffix.",
+        "Format of stdout or of the files of a batch; otherwise, OUT's suffix sets it.",
         metavar="NAME", values=CODED_FORMATS,
     )  # fmt: skip
     lod: bool = option(
-        False, "With profiles l, m, s: add coarser levels of detail, a third more bytes.", kind=bool
+        False, "With profiles l, m, s: add coarser levels of detail; a third more bytes.", kind=bool
     )
     strict: bool = option(
         False,
-        "Fail if rendered views lose more than twice the loss that the profile aims at.",
+        "Fail if rendered views lose more than twice the profile's aim.",
         kind=bool,
     )
     spz_version: Literal[3, 4] = option(
-        3, "With format spz: 4 is smaller, 3 is read by more programs.", kind=int, low=3, high=4
+        3, "With format spz: version; 4 is smaller, more programs read 3.", kind=int, low=3, high=4
     )
 
     def __post_init__(self) -> None:
@@ -521,7 +524,7 @@ class Config:
     def _check_geometry(self) -> None:
         if self.geometry == "octree" and (self.tmc3 is not None or not self.verify):
             what = "verify" if self.tmc3 is None else "tmc3"
-            raise InvalidInput(f"{what}: geometry 'octree' does not use it, gpcc and auto do")
+            raise InvalidInput(f"{what}: only geometry gpcc and auto use it")
         if self.geometry != "gpcc":
             return
         if self.profile not in PROFILES:

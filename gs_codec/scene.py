@@ -234,7 +234,7 @@ class Scene:
             )
         for name, column in self.extra.items():
             if not is_extra_name(name):
-                raise InvalidInput(f"property '{name}': not a name beside the layout")
+                raise InvalidInput(f"property '{name}': not a valid name of an extra property")
             if column.dtype.name not in _TYPES:
                 raise InvalidInput(f"property '{name}': {column.dtype} is not a type of PLY")
             if column.shape != (self.count,):

@@ -1,4 +1,4 @@
-"""Seeded 3DGS scenes: synthetic ones of any size, or small ones trained on synthetic captures."""
+"""Generate a 3DGS scene of any size, or train a small one on simulated photographs."""
 
 from __future__ import annotations
 
@@ -177,20 +177,26 @@ def _add_floaters(planes: Planes, total: int, rng: np.random.Generator) -> None:
 def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, argparse.Namespace]:
     parser = argparse.ArgumentParser(prog="generate.py", description=__doc__)
     parser.add_argument(
-        "out", metavar="OUT", type=Path, help="scene to write (.ply), or a capture's folder"
+        "out", metavar="OUT", type=Path, help="PLY to write; with --capture, a folder"
     )
     parser.add_argument(
-        "--gaussians", type=int, metavar="N", help="how many (50000; a capture starts with 12000)"
+        "--gaussians",
+        type=int,
+        metavar="N",
+        help="number of Gaussians (default: 50000; 12000 at the start of a capture)",
     )
-    parser.add_argument("--sh-degree", type=int, metavar="0-3", help="3 by default")
-    parser.add_argument("--seed", type=int, default=0, help="0 by default")
+    parser.add_argument("--sh-degree", type=int, metavar="0-3", help="SH degree (default: 3)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
     parser.add_argument(
-        "--cameras", type=Path, metavar="JSON", help="write 24 cameras on a circle here"
+        "--cameras",
+        type=Path,
+        metavar="JSON",
+        help="cameras.json to write, with 24 cameras on a circle",
     )
     parser.add_argument(
         "--capture",
         choices=list(RIGS),
-        help="photograph a place in this style and train a scene on it, in about half a minute; "
+        help="train a scene on simulated photographs of this kind, in about half a minute; "
         "OUT gets point_cloud.ply and cameras.json",
     )
     return parser, parser.parse_args(argv)

@@ -69,7 +69,7 @@ def train(
             data = gs_codec.encode(now)
             quality = gs_codec.compare(cloud, now, cameras, width=width).mean.between.psnr
             times = gs_codec.inspect(data).ratio
-            print(f"{done:6} iterations: {quality:.2f} dB, {times:.1f} times smaller")
+            print(f"{done:6} iterations: {quality:.2f} dB, {times:.1f}x")
         if done < iterations:
             backward(splats, *views[torch.randint(len(views), ())])
             adam.step()
@@ -79,9 +79,9 @@ def train(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run as a program; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("source", type=Path, help="a scene")
-    parser.add_argument("cameras", type=Path, help="cameras.json, or another file of cameras")
-    parser.add_argument("target", type=Path, help="what is trained: .pt, .ply, .egs...")
+    parser.add_argument("source", type=Path, help="initial scene")
+    parser.add_argument("cameras", type=Path, help="file of the cameras, such as cameras.json")
+    parser.add_argument("target", type=Path, help="trained scene to write (.pt, .ply, .egs, ...)")
     parser.add_argument("--iterations", type=int, default=200)
     parser.add_argument(
         "--every",
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="N",
         help="iterations between reports",
     )
-    parser.add_argument("--width", type=int, help="of the views, pixels")
+    parser.add_argument("--width", type=int, help="width of the views, pixels")
     asked = parser.parse_args(arguments)
     torch.manual_seed(0)
     try:

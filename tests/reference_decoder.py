@@ -140,7 +140,7 @@ def check_table(header):
     for entry in header.sections:
         name = f"section {entry.id} of block {entry.block}"
         check(entry.flags < 2, f"{name}: flags {entry.flags:#x}")
-        check(entry.id in KNOWN or entry.flags == 1, f"{name}: not known, and not optional")
+        check(entry.id in KNOWN or entry.flags == 1, f"{name}: unknown, and not optional")
         check((entry.id, entry.block) not in seen, f"{name}: occurs twice")
         check(entry.size < 1 << 53, f"{name}: size")
         blocks = header.blocks
@@ -214,7 +214,7 @@ def read_comments(content):
     check(printable, "comments: other than printable ASCII and tabs")
     lines = content.decode("ascii").split("\n")
     for line in lines:
-        check(not of_header(line), f"comments: belongs into the header: {line!r}")
+        check(not of_header(line), f"comments: belongs in the header: {line!r}")
     return lines
 
 

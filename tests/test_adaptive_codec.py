@@ -250,7 +250,7 @@ def test_other_scenes_are_not_matched(tmp_path, monkeypatch):
     write_ply("scene.ply", random_scene(1500, 0, seed=43))
     write_ply("other.ply", random_scene(1500, 0, seed=44))
     encode_file("scene.ply", "scene.egs", Config("m"))
-    with pytest.raises(InvalidInput, match="no match of the scenes"):
+    with pytest.raises(InvalidInput, match="Gaussians of the scenes do not match"):
         compare_files("other.ply", "scene.egs")
 
 

@@ -480,7 +480,7 @@ def test_no_gaussians_are_refused():
         analyse_scene(random_scene(0), "x")
     scene = random_scene(3, 0)
     bad = replace(scene, opacity=np.full_like(scene.opacity, np.nan))
-    with pytest.raises(InvalidInput, match="all 3 hold NaN or infinity"):
+    with pytest.raises(InvalidInput, match="all 3 contain NaN or infinity"):
         analyse_scene(bad, "x")
 
 

@@ -149,7 +149,7 @@ def test_interrupt_ends_all_at_once_and_can_be_resumed(scenes, place):
     before = len(place.records())
     status, out, err = finish(place.start(source, "--jobs", "2", "--resume"))
     assert (status, len(place.outputs())) == (0, 10)
-    assert f"{before} complete before" in out
+    assert f"{before} already done" in out
 
 
 def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatch):
@@ -371,7 +371,7 @@ def test_local_cluster_does_the_same(scenes, place, tmp_path):
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (OSError("Stream is closed"), "tls://a:1: the worker ended, or cannot be reached"),
+        (OSError("Stream is closed"), "tls://a:1: the worker ended or is unreachable"),
         (ModuleNotFoundError("No module named 'gs_codec'"), "no gs_codec (No module named"),
         (RuntimeError("other"), "tls://a:1: the worker failed (other)"),
         (("0.1", "host", 1), "tls://a:1: gs_codec 0.1, expected gs_codec"),

@@ -230,7 +230,7 @@ BAD_ENTRIES: dict[str, tuple[Any, str]] = {
     "scaled rotation": ({"rotation": [[1.01, 0, 0], [0, 1.01, 0], [0, 0, 1.01]]}, "scaled"),
     "sheared rotation": ({"rotation": [[1, 0.01, 0], [0, 1, 0], [0, 0, 1]]}, "scaled"),
     "reflection": ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "reflection"),
-    "overflowing rotation": ({"rotation": [[1e308, -1e308, 0]] * 3}, "rotation holds 1e\\+308"),
+    "overflowing rotation": ({"rotation": [[1e308, -1e308, 0]] * 3}, "rotation contains 1e\\+308"),
     "other split": ({"split": "val"}, "split 'val', expected 'train' or 'test'"),
     "split of a list": ({"split": ["test"]}, "split"),
     "text for cx": ({"cx": "1", "cy": 2}, "cx '1'"),
@@ -413,9 +413,9 @@ BAD_MODELS: dict[str, Change] = {
         "cameras",
         "camera 9: model 'FOV'",
     ),
-    "camera twice": ([Image()], ONE * 2, "cameras", "camera 1 for the second time"),
-    "no camera": ([Image()], [], "images", "camera 1, which cameras"),
-    "unknown camera": ([Image(camera_id=8)], ONE, "images", "camera 8, which cameras"),
+    "camera twice": ([Image()], ONE * 2, "cameras", "camera 1 occurs twice"),
+    "no camera": ([Image()], [], "images", "camera 1, which is not in cameras"),
+    "unknown camera": ([Image(camera_id=8)], ONE, "images", "camera 8, which is not in cameras"),
     "Latin-1 name": ([Image(b"\xe9t\xe9.jpg")], ONE, "images", "expected UTF-8 text"),
     "bell in name": ([Image("a\x07.jpg")], ONE, "images", "control characters in name"),
     "escape in name": ([Image("\x1b[31m.jpg")], ONE, "images", "control characters in name"),
@@ -530,7 +530,7 @@ def test_bad_text_is_refused_in_one_line(name, tmp_path):
 def test_empty_text_is_refused(tmp_path):
     images = write_model(tmp_path, ".txt") / "images.txt"
     (tmp_path / "cameras.txt").write_bytes(b"")
-    assert_refused(tmp_path, "camera 1, which cameras.txt does not have", images)
+    assert_refused(tmp_path, "camera 1, which is not in cameras.txt", images)
     images.write_bytes(b"")
     assert_refused(tmp_path, "no cameras")
 
@@ -692,8 +692,8 @@ def test_of_several_models_that_with_most_images_is_read(suffix, tmp_path, caplo
         write_model(tmp_path / "sparse" / str(number), suffix, names(count))
     assert len(read_cameras(tmp_path)) == 5
     assert caplog.messages == [
-        f"{tmp_path}: 4 COLMAP models, images: sparse/0 2, sparse/2 3, sparse/10 5, sparse/11 1; "
-        "taken: sparse/10"
+        f"{tmp_path}: 4 COLMAP models (images: sparse/0 2, sparse/2 3, sparse/10 5, sparse/11 1); "
+        "using sparse/10"
     ]
     assert len(read_cameras(tmp_path / "sparse" / "2")) == 3
     path = tmp_path / "sparse" / "11" / f"images{suffix}"

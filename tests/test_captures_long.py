@@ -90,7 +90,10 @@ def test_command_measures_a_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(
     ("cameras", "message"),
-    [(None, "no cameras.json beside it"), ("all", "expected some cameras, not all, marked 'test'")],
+    [
+        (None, "no cameras.json in its folder"),
+        ("all", "expected some but not all cameras marked 'test'"),
+    ],
 )
 def test_scene_without_held_out_cameras_is_refused(
     cameras: str | None, message: str, tmp_path: Path

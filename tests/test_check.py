@@ -156,7 +156,7 @@ def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, cap
     assert report.rendered.remedy is None
     [record] = caplog.records
     assert record.getMessage() == (
-        f"rendered views lose {report.rendered.loss:.2f} dB, aimed at 0.05 dB"
+        f"rendered views lose {report.rendered.loss:.2f} dB (aim: 0.05 dB)"
     )
     with pytest.raises(InvalidInput, match="rendered views lose"):
         encode_camera_free(still_life, Config(strict=True))
@@ -242,7 +242,9 @@ def test_every_format_says_what_views_lose(suffix, tmp_path, still_life):
 def test_commands_say_it(tmp_path, still_life):
     write_ply(tmp_path / "scene.ply", still_life)
     run = CliRunner().invoke
-    line = r"rendered views: \d\d\.\d dB to the original, a loss of about 0\.\d\d dB at 30 dB; "
+    line = (
+        r"rendered views: \d\d\.\d dB against the original, a loss of about 0\.\d\d dB at 30 dB; "
+    )
     encoded = run(app, ["encode", str(tmp_path / "scene.ply"), str(tmp_path / "a.egs")])
     assert encoded.exit_code == 0, encoded.output
     assert __import__("re").search(line, encoded.output)

@@ -179,7 +179,7 @@ def test_a_checkpoint_of_gsplat_is_read(tmp_path, caplog):
     assert not caplog.messages
     torch.save(state, tmp_path / "ckpt_6999_rank1.pt")
     read_scene(path)
-    assert "ckpt_6999_rank1.pt, hold the rest of the scene" in caplog.text
+    assert "ckpt_6999_rank1.pt, contain the rest of the scene" in caplog.text
     torch.save(dict(splats.items()), tmp_path / "plain.zip")
     assert_trained(read_scene(tmp_path / "plain.zip"), splats)
 
@@ -474,7 +474,7 @@ ARRAYS = tensors_of(random_scene(4, 1))
 BAD_TENSORS = {
     "none": ({}, "tensor 'means': missing, expected means, quats, scales, opacities, sh0, shN"),
     "appearance": (ARRAYS | {"features": ARRAYS["means"]}, "tensor 'features': not known"),
-    "two names": (ARRAYS | {"features_dc": ARRAYS["sh0"]}, "some by two names"),
+    "two names": (ARRAYS | {"features_dc": ARRAYS["sh0"]}, "some have two names"),
     "integers": (ARRAYS | {"means": np.ones((4, 3), int)}, "tensor 'means': int64, expected fl"),
     "rows": (ARRAYS | {"sh0": np.ones((5, 3))}, r"'sh0': shape \(5, 3\), expected \(4, 1, 3\)"),
     "a number": (ARRAYS | {"means": np.float32(1)}, r"'means': shape \(\), expected \(0, 3\)"),

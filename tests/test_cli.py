@@ -131,7 +131,7 @@ def test_encode_of_what_comes_compressed_counts_from_the_floats(folder):
     write_scene("a.splat", read_ply("scene.ply"), Config())
     out = folder.run("encode", "a.splat", "out.egs").out
     size = Path("out.egs").stat().st_size
-    assert f" 48.00 kB -> {size / 1e3:.2f} kB, {1500 * 56 / size:.2f} times smaller than the" in out
+    assert f" 48.00 kB -> {size / 1e3:.2f} kB ({1500 * 56 / size:.2f}x relative to the" in out
 
 
 @pytest.mark.parametrize("suffix", ["ply", "splat", "egs"])
@@ -177,7 +177,7 @@ def test_compare_prints_the_errors(folder):
     lines = folder.run("compare", "scene.ply", "decoded.ply").out.splitlines()
     assert lines[0] == "1,500 Gaussians, matched by stored order"
     assert len(lines) == 3 + len(result["groups"])
-    assert lines[-1].endswith("--cameras auto compares what cameras see")
+    assert lines[-1].endswith("--cameras auto compares rendered views")
     assert f"{errors['opacity', 'logit']:.6g}" in lines[5].split()
 
 
@@ -328,7 +328,7 @@ def test_values_beyond_the_lattices_are_told(folder):
     scene.opacity[0, :3] = 1e6
     write_ply("far.ply", scene)
     status, _, err = folder.run("encode", "far.ply", "out.egs", "-p", "m")
-    assert (status, err) == (0, "values beyond 400, moved to 400: 3\n")
+    assert (status, err) == (0, "values clipped to 400: 3\n")
 
 
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
@@ -371,7 +371,7 @@ def test_decode_of_a_lower_degree(lattice, name):
     assert (status, err) == (0, "")
     first, second = out.splitlines()
     assert first.startswith("out.ply: 1,500 Gaussians, SH degree 1, ")
-    assert re.fullmatch(rf"read [0-9.]+ kB of {name}, [0-9]+% of it", second)
+    assert re.fullmatch(rf"read [0-9.]+ kB of {name} \([0-9]+%\)", second)
     scene = read_ply("out.ply")
     assert scene.sh_degree == 1
     report = strict_json(lattice.run("decode", name, "o.ply", "--sh-degree", "0", "--json").out)
@@ -538,7 +538,10 @@ REFUSED = {
     "coding of a .pt": ("convert scene.ply a.pt -p s", "--profile has no effect on a.pt, expected"),
     "compare missing": ("compare scene.ply missing.ply", "missing.ply: No such file"),
     "compare directory": ("compare some.dir scene.ply", "some.dir: a directory, expected a file"),
-    "compare counts": ("compare scene.ply other.ply", "1,500 Gaussians against 7: .* cameras see"),
+    "compare counts": (
+        "compare scene.ply other.ply",
+        "1,500 Gaussians against 7: .* rendered views",
+    ),
     "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of l, m, s, "),
     "depth group": (
         "encode scene.ply out.egs -p paper-m --depth colour=3",
@@ -645,9 +648,11 @@ def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
 def test_scenes_without_a_match_are_refused(folder):
     write_ply("other.ply", random_scene(1500, 3, seed=99))
     told = folder.refuse("compare", "scene.ply", "other.ply")
-    assert "no match of the scenes' Gaussians, so no errors by attribute: compare what" in told
+    assert (
+        "Gaussians of the scenes do not match, so there are no errors by attribute: compare" in told
+    )
     status, out, _ = folder.run("compare", "scene.egs", "other.ply", "--json")
-    assert (status, "no match" in strict_json(out)["error"]["text"]) == (2, True)
+    assert (status, "do not match" in strict_json(out)["error"]["text"]) == (2, True)
 
 
 # What only another process shows

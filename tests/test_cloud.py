@@ -419,7 +419,7 @@ def test_compare_takes_two_files_or_two_clouds(trio):
     same = gs_codec.compare(decoded, gs_codec.read(trio.egs))
     assert same.matched_by == "index"
     assert {group.max for group in same.groups} == {0}
-    with pytest.raises(InvalidInput, match="two of a kind"):
+    with pytest.raises(InvalidInput, match="two files or two clouds"):
         gs_codec.compare(trio.ply, decoded)
 
 

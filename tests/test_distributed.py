@@ -115,7 +115,9 @@ def test_what_leaves_no_gaussian_is_an_error_in_tasks_too(tmp_path):
         lambda out: whole(path, out, config),
         lambda out: in_tasks([path], out, config, 99),
     ):
-        with pytest.raises(InvalidInput, match="no Gaussian is left of 300: all hold NaN") as error:
+        with pytest.raises(
+            InvalidInput, match="no Gaussian is left of 300: all contain NaN"
+        ) as error:
             encode(tmp_path / "out.egs")
         said.append(str(error.value))
     assert said[0] == said[1]
@@ -338,7 +340,7 @@ def test_levels_are_decoded_by_one_process(tmp_path):
     [
         (["encode", "-", "b.egs"], "-: a pipe, expected a file with --dask"),
         (["encode", "scene.ply", "-"], "-: a pipe, expected a file with --dask"),
-        (["encode", "none", "b.egs"], "none: no such file, no .ply or .egs in it"),
+        (["encode", "none", "b.egs"], "none: no such file, or no .ply or .egs in this folder"),
         (
             ["encode", "cameras.json", "b.egs"],
             "cameras.json: only .egs and binary PLY of floats are read in parts",

@@ -263,7 +263,7 @@ def test_matrices_that_are_no_similarity_are_refused(tmp_path, number):
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("crop-box 1,2,3", "expected 6 numbers, with commas between"),
+        ("crop-box 1,2,3", "expected 6 numbers separated by commas"),
         ("crop-box 1,1,1,0,2,2", "high: below low on an axis"),
         ("crop-box 0,0,0,nan,1,1", "expected 6 numbers"),
         ("crop-sphere 0,0,0,0", "radius 0.0: expected a number above 0"),
@@ -395,8 +395,20 @@ def test_properties_that_not_all_merged_scenes_have_are_left_out(scene, caplog):
         (["scale 2"], None, True, True, None),
         (["scale 2"], Plan(cameras="c.json"), False, False, None),
         (["keep 9%", "scale 2"], Plan(cameras="c.json"), False, False, None),
-        (["scale 2"], Plan(cameras="c.json"), False, True, "--scale 2: cameras are of the scene"),
-        (["scale 2", "keep 9%"], Plan(cameras="c.json"), False, False, "before --scale 2"),
+        (
+            ["scale 2"],
+            Plan(cameras="c.json"),
+            False,
+            True,
+            "--scale 2: the given cameras do not fit the moved scene",
+        ),
+        (
+            ["scale 2", "keep 9%"],
+            Plan(cameras="c.json"),
+            False,
+            False,
+            "no longer fit after --scale 2",
+        ),
         (["scale 2", "keep 9%"], Plan(), False, False, None),
         (["keep 9%"], None, True, False, "--keep 9%: needs the whole scene in memory"),
     ],

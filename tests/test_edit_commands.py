@@ -120,9 +120,9 @@ def test_gaussians_with_nan_go_before_they_are_refused(folder):
         ("convert scene.ply o.ply --scale", "requires an argument"),
         ("convert scene.ply o.ply --remove-nan=1", "does not take a value"),
         ("convert - - o.ply", "-: stdin is one scene, expected '-' once"),
-        ("encode scene.ply o.egs --scale 2 --cameras cameras.json", "--scale 2: cameras are of"),
+        ("encode scene.ply o.egs --scale 2 --cameras cameras.json", "--scale 2: the given cameras"),
         ("encode scene.ply o.egs --keep 9% --max-memory 1GB", "--keep 9%: needs the whole scene"),
-        ("batch scene.ply out --scale 2 --cameras cameras.json", "--scale 2: cameras are of"),
+        ("batch scene.ply out --scale 2 --cameras cameras.json", "--scale 2: the given cameras"),
         ("batch scene.ply out --format ply -p s", "--profile has no effect on ply"),
         ("batch scene.ply out --format ply --prune 9", "--prune has no effect on ply"),
         ("batch scene.ply out --format csv --target-ratio 9", "--target-ratio has no effect on"),
@@ -230,7 +230,7 @@ def test_batches_resume_by_what_actions_read(folder):
     typed = ["batch", "scene.ply", "out", "--transform", "m.json", "--jobs", "1", "--resume"]
     matrix(2.0)
     assert folder.run(*typed)[1].startswith("1 scene encoded")
-    assert "1 complete before" in folder.run(*typed)[1]
+    assert "1 already done" in folder.run(*typed)[1]
     matrix(3.0)
     assert folder.run(*typed)[1].startswith("1 scene encoded")
 

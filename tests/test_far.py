@@ -448,7 +448,7 @@ def test_levels_of_a_file_without_far_ones_have_none():
     data = in_levels(0)
     level = bytes(read_file(in_levels()).read().sections[SectionId.LEVEL, 1])
     damaged = in_level(data, lambda _: level)
-    with pytest.raises(REFUSALS, match="level 1: header: is not that of a level of this file"):
+    with pytest.raises(REFUSALS, match="level 1: header: does not match a level of this file"):
         decode_part(damaged, Part(level=1))
     with pytest.raises(ValueError, match="level 1: features"):
         reference_decoder.decode(damaged)

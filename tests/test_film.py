@@ -304,7 +304,7 @@ def test_existing_frames_are_kept_unless_they_may_go(files, tmp_path, run_viewer
     (folder / "notes.txt").write_text("mine")
     status, _, err = run_viewer(*asked, "--frames", "2", "--overwrite")
     assert status == 2
-    assert "has 'notes.txt', expected frames alone" in err
+    assert "contains 'notes.txt', expected only frames" in err
     assert len(os.listdir(folder)) == 4
 
 
@@ -455,8 +455,8 @@ def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):
         (["--turntable", "out", "--frames", "1"], "frames 1: expected 2 to 99999"),
         (["--turntable", "out", "--flythrough", "o"], "turntable and flythrough: expected one"),
         (["--turntable", "out", "--screenshot", "o"], "screenshot and turntable: expected one"),
-        (["--flythrough", "out"], "flythrough: needs cameras of a file"),
-        (["--flythrough", "out", "--cameras", "auto"], "flythrough: needs cameras of a file"),
+        (["--flythrough", "out"], "flythrough: needs cameras from a file"),
+        (["--flythrough", "out", "--cameras", "auto"], "flythrough: needs cameras from a file"),
         (["--flythrough", "out", "--cameras", "c", "--view", "1"], "view: has no effect on a fly"),
         (["--flythrough", "out", "--cameras", "c", "--up", "z"], "up: has no effect on a fly"),
         (["--turntable", "out", "--cameras", "c", "--gt-images", "."], "gt-images: has no effect"),
@@ -480,7 +480,7 @@ def test_a_file_in_the_place_of_a_folder_stays(files, tmp_path, run_viewer):
     (tmp_path / "out").write_text("mine")
     status, _, err = run_viewer(files / "a.ply", "--turntable", tmp_path / "out", "--overwrite")
     assert (status, err.count("\n")) == (2, 1)
-    assert "out: exists, expected .mp4 or a folder" in err
+    assert "out: exists and is not a folder, expected .mp4 or a folder" in err
     assert (tmp_path / "out").read_text() == "mine"
 
 

@@ -149,7 +149,7 @@ def test_what_a_packed_ply_has_beyond_its_layout_is_left_out(tmp_path, caplog):
     expected = read_scene(written(tmp_path / "b.ply", changed_packed()))
     np.testing.assert_array_equal(vertex_rows(expected), vertex_rows(read_scene(path)))
     assert caplog.messages == [f"{path}: left out: elements face; properties label"]
-    with pytest.raises(InvalidInput, match="element 'face' beside 'vertex'; choose extra="):
+    with pytest.raises(InvalidInput, match="element 'face' in addition to 'vertex'; choose extra="):
         read_scene(path, "error")
 
 
@@ -317,7 +317,7 @@ def test_of_the_levels_that_spark_writes_leaves_are_read(case, zipped, tmp_path,
     plain = foreign.spz_file(streams, 7, 2, 1)
     expected = read_scene(written(tmp_path / "b.spz", plain), coordinates=None)
     assert_same_floats(scene, expected.take(np.array(leaves)))
-    part = f"{path}: one of several files; the others hold the rest of the scene"
+    part = f"{path}: one of several files; the others contain the rest of the scene"
     told = f"{path}: levels of detail: only the leaves were read, {len(leaves)} of 7 Gaussians"
     assert caplog.messages == [part] * is_part + [told]
 
@@ -565,7 +565,7 @@ BAD_KSPLAT = {
     "short": (bytes(4095), "4,095 bytes, expected a header of 4096"),
     "version": (ksplat(1, 1, minor=2), "version 0.2, level 1, expected 0.1, level 0 to 2"),
     "level": (ksplat(1, 1, level=3), "version 0.1, level 3, expected 0.1, level 0 to 2"),
-    "sections": (ksplat(1, 1, number=9), "9 sections, which the file has no room for"),
+    "sections": (ksplat(1, 1, number=9), "9 sections, more than the file has room for"),
     "count": (ksplat(1, 1, count=25), "sections of 24 Gaussians and SH degree 1, expected 25"),
     "degree": (patched(ksplat(1, 1), 4096 + 40, b"\3"), "SH degree 3, expected 24 and at most 2"),
     "truncated": (ksplat(1, 1)[:-1], "section of 88 bytes at 6144|section of .* of a file of"),

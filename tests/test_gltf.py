@@ -337,9 +337,15 @@ BAD = {
     "views of text": (edited("bufferViews", to=["a"]), "bufferViews is not a list of objects"),
     "larger buffer": (edited("buffers", 0, "byteLength", to=1 << 20), "of fewer bytes than"),
     "uri of a number": (edited("buffers", 0, "uri", to=7), "buffer.uri is no text"),
-    "uri elsewhere": (edited("buffers", 0, "uri", to="../a.bin"), "expected a file beside it"),
-    "uri escaped": (edited("buffers", 0, "uri", to="..%2Fa.bin"), "expected a file beside it"),
-    "uri of dots": (edited("buffers", 0, "uri", to=".."), "expected a file beside it"),
+    "uri elsewhere": (
+        edited("buffers", 0, "uri", to="../a.bin"),
+        "expected a file in the same folder",
+    ),
+    "uri escaped": (
+        edited("buffers", 0, "uri", to="..%2Fa.bin"),
+        "expected a file in the same folder",
+    ),
+    "uri of dots": (edited("buffers", 0, "uri", to=".."), "expected a file in the same folder"),
     "no such file": (edited("buffers", 0, "uri", to="b.bin"), r"file 'b\.bin': no file of"),
     "extensions of a number": (edited(*SPLATS, "extensions", to=5), "5 is not read"),
     "components in a list": (edited("accessors", 0, "componentType", to=[5126]), r"of \[5126\]"),

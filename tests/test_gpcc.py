@@ -173,8 +173,8 @@ def test_auto_takes_the_program_where_there_is_one(stand_in, monkeypatch):
         ({"geometry": "gpcc", "profile": LOSSLESS}, "profile 'lossless' has no uniformly"),
         ({"geometry": "gpcc", "depths": {"geometry": 19}}, "depth of geometry 19, at most 18"),
         ({"geometry": "gpcc", "depths": {"sh-dc": 9}}, "depth of sh-dc 9, at most 8"),
-        ({"tmc3": "tmc3"}, "tmc3: geometry 'octree' does not use it"),
-        ({"verify": False}, "verify: geometry 'octree' does not use it"),
+        ({"tmc3": "tmc3"}, "tmc3: only geometry gpcc and auto use it"),
+        ({"verify": False}, "verify: only geometry gpcc and auto use it"),
     ],
 )
 def test_what_makes_no_sense_is_refused(options, message):
@@ -270,7 +270,7 @@ FAILURES = {
     "decode:empty": "not a readable PLY",
     "decode:nothing": "wrote nothing",
     "decode:count": "gave 19 points, expected 20",
-    "decode:values": "gave other points than were coded",
+    "decode:values": "decoded other points than were encoded",
 }
 
 
@@ -378,7 +378,7 @@ def test_a_sound_ply_is_read():
         ("end_header", "end_headers", "not a readable PLY"),
         ("binary_little_endian", "ascii", "a PLY that is not binary"),
         ("binary_little_endian", "binary_big_endian", "a PLY that is not binary"),
-        ("vertex 1", "vertex 2", "gave 2 points, expected 1"),
+        ("vertex 1", "vertex 2", "wrote 2 points, expected 1"),
         ("vertex 1", "vertex -1", "element 'vertex -1', expected a name and a count"),
         ("vertex 1", "vertex 1e0", "element 'vertex 1e0', expected a name and a count"),
         ("vertex 1\n", "vertex 1\nelement vertex 1\n", "two elements of the same name 'vertex'"),
@@ -408,9 +408,9 @@ def test_another_size_is_refused(data):
 @pytest.mark.parametrize("value", [-1, 4, 0.5, np.nan, np.inf, 3e38])
 def test_values_that_are_no_symbols_are_refused(value):
     point = np.array([1, value, 3], "<f4").tobytes() + b"\4\5\6"
-    with pytest.raises(ToolFailed, match="value of y that is no integer of 2 bits"):
+    with pytest.raises(ToolFailed, match="value of y that is not an integer of 2 bits"):
         decode_ply(HEADER.encode() + point)
-    with pytest.raises(ToolFailed, match="value of red that is no integer of 3 bits"):
+    with pytest.raises(ToolFailed, match="value of red that is not an integer of 3 bits"):
         decode_ply(HEADER.encode() + POINT[:-1] + b"\x08")
 
 
@@ -423,7 +423,7 @@ def test_values_that_are_no_symbols_are_refused(value):
         (SectionId.TOOL, b"", CorruptStream, "section 'tool': 0 bytes"),
         (SectionId.TOOL, b"tmc3\x1b[31m", CorruptStream, "printable ASCII"),
         (SectionId.TOOL, b"t" * 201, CorruptStream, "section 'tool': 201 bytes"),
-        (SectionId.TOOL, None, CorruptStream, "section 'gpcc' of block 0: nothing is coded"),
+        (SectionId.TOOL, None, CorruptStream, "section 'gpcc' of block 0: empty"),
         (SectionId.GPCC, None, CorruptStream, "sections of blocks"),
         (SectionId.GPCC, b"123", TruncatedStream, "gpcc of block 0: 3 bytes"),
         (SectionId.GPCC, b"1234", ToolFailed, "ended with status 1"),
@@ -442,7 +442,7 @@ def test_sections_that_make_no_sense_are_refused(section, content, kind, message
 @pytest.mark.parametrize("profile", ["m", LOSSLESS, "paper-m"])
 def test_a_tool_without_its_points_is_refused(profile, stand_in):
     data = encode_scene(random_scene(0), Config(profile))[0]
-    with pytest.raises(CorruptStream, match="section 'tool' of block 0: nothing is coded"):
+    with pytest.raises(CorruptStream, match="section 'tool' of block 0: empty"):
         decode_scene(with_section(data, SectionId.TOOL, lambda _: b"tmc3"))
 
 

@@ -182,7 +182,7 @@ def test_a_damaged_index_is_refused(profile, name):
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_an_index_of_nothing_is_refused(profile):
     data = encode_scene(random_scene(0), Config(profile))[0]
-    with pytest.raises(CorruptStream, match="section 'index' of block 0: nothing is coded there"):
+    with pytest.raises(CorruptStream, match="section 'index' of block 0: empty"):
         decode_scene(with_section(data, SectionId.INDEX, lambda _: b""))
 
 

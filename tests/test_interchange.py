@@ -337,7 +337,7 @@ def test_sizes_of_fixed_formats_are_met_by_pruning(form, seen):
     assert report.rate.pruned == scene.count - report.count > 0.25 * scene.count
     data, report = encode_by_plan(scene, 1, Config(format=form), None, {"size": whole})
     assert (len(data), report.rate.pruned) == (whole, 0)
-    with pytest.raises(InvalidInput, match="target 40 bytes: one Gaussian takes"):
+    with pytest.raises(InvalidInput, match="target 40 bytes: one Gaussian alone takes"):
         encode_by_plan(scene, 1, Config(format=form), plan, {"size": 40})
 
 
@@ -423,15 +423,15 @@ def test_versions_of_spz_are_chosen(ply, tmp_path):
     [
         ("o.egs --spz-version 4", "spz_version: format 'egs', expected 'spz'"),
         ("o.splat --spz-version 4", "--spz-version has no effect on o.splat"),
-        ("o.spz --format splat", "--format has no effect on o.spz, whose suffix says its format"),
+        ("o.spz --format splat", "--format has no effect on o.spz, whose suffix sets the format"),
         ("o.splat -p l", "--profile has no effect on o.splat, expected an .egs"),
         ("o.compressed.ply --coarseness 2", "--coarseness has no effect on o.compressed.ply"),
         ("o.spz --block-size 2048", "--block-size has no effect on o.spz, expected an .egs"),
         ("o.spz --depth sh-ac=3", "--depth has no effect on o.spz"),
         ("o.spz -p paper-m", "format 'spz': profile 'paper-m', expected l, m, s"),
         ("o.spz --max-memory 1GB", "--max-memory has no effect on o.spz"),
-        ("o.glb --cameras auto", "--cameras has no effect on .glb, whose values stay"),
-        ("o.usdz --cameras auto", "--cameras has no effect on .usdz, whose values stay"),
+        ("o.glb --cameras auto", "--cameras has no effect on .glb, whose values are exact"),
+        ("o.usdz --cameras auto", "--cameras has no effect on .usdz, whose values are exact"),
         ("o.splat --views 8", "--views has no effect without views"),
         ("o.ksplat", "suffix '.ksplat', expected .egs, .spz, "),
         ("o.ply", "suffix '.ply', expected .egs, .spz, "),

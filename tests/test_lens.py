@@ -198,7 +198,7 @@ def test_width_and_size_do_not_lose_the_lens(tmp_path):
 BAD_LENSES = {
     "k1 = 1e300": ((500.0, 400.0, 300.0, 1e300), "lens: its distortion"),
     "k1 = -1e300": ((500.0, 400.0, 300.0, -1e300), "lens: its distortion"),
-    "k1 = -3": ((500.0, 400.0, 300.0, -3.0), "lens: its distortion cannot be undone"),
+    "k1 = -3": ((500.0, 400.0, 300.0, -3.0), "lens: its distortion cannot be inverted"),
     "focal of zero": ((0.0, 400.0, 300.0, 0.1), "lens: fx 0"),
     "point outside": ((500.0, -1.0, 300.0, 0.1), "lens: principal point -1, expected within"),
     "point on the edge": ((500.0, 400.0, 600.0, 0.1), "lens: principal point 600"),

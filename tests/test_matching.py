@@ -55,7 +55,7 @@ def test_copies_and_odd_scenes_are_matched_or_refused():
     # Centres do not identify coincident Gaussians.
     place = replace(scene, positions=np.zeros_like(scene.positions))
     for first, second in ((place, place.take(order)), (scene, random_scene(400, 1, seed=232))):
-        with pytest.raises(InvalidInput, match="no match of the scenes' Gaussians"):
+        with pytest.raises(InvalidInput, match="Gaussians of the scenes do not match"):
             put_side_by_side(first, second)
     for value in (np.nan, np.inf, 3e38):
         broken = replace(scene, positions=scene.positions.copy(), rot=scene.rot.copy())
@@ -69,7 +69,7 @@ def test_other_scenes_that_were_decoded_alike_are_not_matched(decoded, tmp_path)
     encode_file(tmp_path / "other.ply", tmp_path / "other.egs", Config("paper-m"))
     decode_file(tmp_path / "other.egs", tmp_path / "decoded.ply")
     encode_file(tmp_path / "decoded.ply", tmp_path / "again.egs", Config("m"))
-    with pytest.raises(InvalidInput, match="no match of the scenes' Gaussians"):
+    with pytest.raises(InvalidInput, match="Gaussians of the scenes do not match"):
         compare_files(decoded / "paper-m.egs", tmp_path / "again.egs")
 
 

@@ -379,12 +379,12 @@ def test_versions_in_other_orders_are_matched_by_the_nearest(trio, tmp_path):
 
 def test_scenes_without_a_match_have_no_errors(trio, tmp_path):
     for count, message in (
-        (1500, "no match of the scenes' Gaussians"),
+        (1500, "Gaussians of the scenes do not match"),
         (3, "1,500 Gaussians against 3"),
     ):
         write_ply(tmp_path / "other.ply", random_scene(count, 1, seed=25))
         with pytest.raises(
-            InvalidInput, match=rf"{message}.*so no errors by attribute: .*cameras="
+            InvalidInput, match=rf"{message}.*so there are no errors by attribute: .*cameras="
         ):
             compare_files(trio.ply, tmp_path / "other.ply")
 

@@ -485,7 +485,7 @@ BAD_FILES = {
     ),
     "a byte of 300": (
         lambda good: one_row("1 " * 22 + "300\n").replace(b"float rot_3", b"uchar rot_3"),
-        "'rot_3': a number that is no uint8",
+        "'rot_3': a number that is not a valid uint8",
     ),
 }
 
@@ -568,7 +568,9 @@ AFTER = "element face 5\nproperty list uchar int vertex_indices\n"
 def test_other_elements_are_refused_or_left_out(before, after, named, text, tmp_path, caplog):
     scene = random_scene(20, 1, seed=11)
     path = with_elements(tmp_path / "a.ply", scene, before, after, text)
-    with pytest.raises(InvalidInput, match=f"element '{named}' beside 'vertex'; choose extra="):
+    with pytest.raises(
+        InvalidInput, match=f"element '{named}' in addition to 'vertex'; choose extra="
+    ):
         read_ply(path, "error")
     assert caplog.messages == []
     for extra in ("drop", "keep"):

@@ -86,7 +86,7 @@ def test_steps_out_of_range(steps, message):
 
 
 def test_plans_that_contradict_themselves():
-    with pytest.raises(InvalidInput, match="width: given by the ground-truth images"):
+    with pytest.raises(InvalidInput, match="width: cannot be combined with ground-truth images"):
         Plan(Steps(), gt_images="images", width=100)
     with pytest.raises(InvalidInput, match="views 0: expected at least 1"):
         Plan(Steps(), views=0)
@@ -181,7 +181,7 @@ def test_refinement_fits_as_many_views_as_memory_holds(scene, monkeypatch, megab
 def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog, tmp_path):
     unmarked = [camera(f"{i}", 0.1 * i) for i in range(10)]
     views = choose_views(scene, Plan(Steps(refine=1), unmarked))
-    assert "every 8th is kept out" in caplog.text
+    assert "every 8th is held out" in caplog.text
     assert [c.name for c in views.held_out.cameras] == ["0", "8"]
     assert [c.name for c in views.targets.cameras[:8]] == [*"1234567", "9"]
     caplog.clear()
@@ -470,7 +470,7 @@ def test_encode_with_steps(folder):
 
 
 REFUSALS = {
-    "no step": ("prepare scene.ply out.ply", "no step of preparation asked for"),
+    "no step": ("prepare scene.ply out.ply", "no step of preparation given"),
     "suffix": (
         "prepare scene.ply out.txt --rectify 7",
         "suffix '.txt', expected .egs, .spz, ",
@@ -542,7 +542,7 @@ def test_number_of_gaussians(folder):
         assert encoded(Steps(gaussians=number)) == left
     # Refinement then does not choose another number.
     assert encoded(Steps(gaussians=390, refine=5)) == 390
-    with pytest.raises(InvalidInput, match="gaussians and prune both set"):
+    with pytest.raises(InvalidInput, match="gaussians and prune cannot be combined"):
         Steps(prune=0, gaussians=5)
 
 

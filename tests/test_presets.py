@@ -142,11 +142,14 @@ def test_largest_values_are_removed_wherever_the_scene_lies():
     ("arguments", "message"),
     [
         ("encode scene.ply o.egs --preset paper", "--preset 'paper': expected one of entropygs"),
-        ("encode scene.ply o.egs --preset entropygs -p m", "--preset codes by paper-l, paper-m"),
-        ("prepare scene.ply o.ply --preset entropygs -p l", "not by profile 'l'"),
-        ("batch scene.ply out --preset entropygs -p lossless", "not by profile 'lossless'"),
+        ("encode scene.ply o.egs --preset entropygs -p m", "--preset uses paper-l, paper-m"),
+        ("prepare scene.ply o.ply --preset entropygs -p l", "not profile 'l'"),
+        ("batch scene.ply out --preset entropygs -p lossless", "not profile 'lossless'"),
         ("bench paper scene.ply --out . --refine 4", "not empty; choose another folder"),
-        ("bench paper scene.ply ./scene.ply --out out", "scene.ply: named 'scene', as scene.ply"),
+        (
+            "bench paper scene.ply ./scene.ply --out out",
+            "has the same name 'scene' as scene.ply",
+        ),
         ("bench paper none.ply --out out", "none.ply: No such file"),
     ],
 )

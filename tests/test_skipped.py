@@ -94,7 +94,7 @@ def test_constant_channels_are_told(profile, group, rows, line):
     [((3,), "SH band 3"), ((1, 3), "SH bands 1, 3"), ((1, 2, 3), "SH bands 1, 2, 3")],
 )
 def test_zero_bands_are_told(profile, bands, named):
-    end = " once rounded" if profile in LATTICES else ""
+    end = " after rounding" if profile in LATTICES else ""
     lines = skipped(with_rows("f_rest", band_rows(*bands)), profile)
     assert [text for text in lines if "SH" in text] == [f"{named}: all zero{end}"]
 
@@ -113,7 +113,7 @@ def test_symbols_that_are_all_zero_are_told_of_lattices(profile):
         "scale_0: constant",
         "scale_1: the same as scale_0",
         "scale_2: the same as scale_1",
-        "rotation: all zero once rounded",
+        "rotation: all zero after rounding",
     ]
 
 

@@ -259,9 +259,9 @@ def test_positions_are_measured_beside_open3ds_octree(suite):
 @pytest.mark.thorough
 def test_progress_and_absent_codecs_are_told(suite):
     _, said, out = suite
-    assert re.search(r"^ *\d+:\d\d shot: codecs beside each other$", said, re.MULTILINE)
-    assert re.search(r"^ *\d+:\d\d plain: growing scenes$", said, re.MULTILINE)
-    assert "shot: growing scenes" not in said
+    assert re.search(r"^ *\d+:\d\d shot: codecs compared$", said, re.MULTILINE)
+    assert re.search(r"^ *\d+:\d\d plain: scenes of growing size$", said, re.MULTILINE)
+    assert "shot: scenes of growing size" not in said
     assert said.count("third: get it") == 1
     assert said.splitlines()[-1] == f"report: {out / 'report.md'}"
 
@@ -295,7 +295,7 @@ def test_groups_left_out_are_not_measured(tmp_path, monkeypatch):
     assert lines[0]["skipped"] == sorted(options.skip)
     assert [line["codec"] for line in of(lines, "beside")] == [*PROFILE_CHOICES, *IN_OTHERS]
     assert {line["curve"] for line in of(lines, "point")} == {"paper", "camera-free"}
-    assert told == ["scene: codecs beside each other", "scene: rate-quality curves"]
+    assert told == ["scene: codecs compared", "scene: rate-quality curves"]
 
 
 def test_help_names_every_group():
@@ -333,7 +333,7 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
     [
         ([], "no scenes given, .*`make suite`"),
         (["missing.ply"], "missing.ply"),
-        (["a/scene.ply", "b/scene.ply"], "b/scene.ply: named 'scene', as a/scene.ply is"),
+        (["a/scene.ply", "b/scene.ply"], "b/scene.ply: has the same name 'scene' as a/scene.ply"),
         (["a/scene.ply", "--threads", "0"], "threads 0: expected"),
         (["a/scene.ply", "--width", "0"], "width 0: expected"),
         (["a/scene.ply", "--skip", "lunch"], "--skip lunch: expected one of codecs, curves, "),

@@ -233,14 +233,14 @@ def test_streams_that_lie_are_refused(lie):
 @needs_torchac
 def test_states_beside_it_are_refused():
     data = encode_scene(random_scene(90, 1, seed=81), config())[0]
-    with pytest.raises(CorruptStream, match="section 'states' of block 0: nothing is coded"):
+    with pytest.raises(CorruptStream, match="section 'states' of block 0: empty"):
         decode_scene(with_section(data, SectionId.STATES, lambda _: bytes(4)))
 
 
 @pytest.mark.parametrize("profile", ["paper-m", "m", LOSSLESS])
 def test_a_coder_of_nothing_is_refused(profile):
     data = encode_scene(random_scene(0), Config(profile))[0]
-    with pytest.raises(CorruptStream, match="section 'coder' of block 0: nothing is coded"):
+    with pytest.raises(CorruptStream, match="section 'coder' of block 0: empty"):
         decode_scene(with_section(data, SectionId.CODER, lambda _: b"torchac 0.9.3"))
 
 

@@ -125,7 +125,9 @@ def test_quiet_leaves_results_warnings_and_errors(folder, caplog):
     status, out, err = folder.run("batch", "bad.ply", "out", "-q")
     assert (status, out) == (1, "")
     assert re.fullmatch(r"\[1/1\] error: .*bad\.ply: .*\n", err)
-    assert "--quiet and --verbose: expected" in folder.refuse("verify", "scene.egs", "-q", "-v")
+    assert "--quiet and --verbose cannot be combined" in folder.refuse(
+        "verify", "scene.egs", "-q", "-v"
+    )
 
 
 def test_verbose_tells_stages_and_memory(folder, caplog):

@@ -128,7 +128,7 @@ def test_what_usd_cannot_hold_is_said_or_refused():
     with pytest.raises(InvalidInput, match=r"log-scale 89\.0, USD holds up to 88"):
         pack_usd(large, ".usd")
     scene.positions[0, 1] = np.nan
-    with pytest.raises(InvalidInput, match="not finite, which USD cannot hold"):
+    with pytest.raises(InvalidInput, match="not finite, which USD cannot store"):
         pack_usd(scene, ".usd")
 
 

@@ -178,7 +178,7 @@ def all_damaged(path) -> None:
 def test_nothing_left_is_an_error(tmp_path):
     source = tmp_path / "a.ply"
     all_damaged(source)
-    said = f"{source}: no Gaussian is left of 30: all hold NaN or infinity"
+    said = f"{source}: no Gaussian is left of 30: all contain NaN or infinity"
     for profile in ("m", "paper-m", "lossless"):
         with pytest.raises(InvalidInput, match=said):
             encode_file(source, tmp_path / "a.egs", Config(profile, nonfinite="drop"))

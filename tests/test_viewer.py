@@ -133,13 +133,16 @@ def test_scenes_of_another_system_are_turned_and_say_so(files, tmp_path):
         open_scene(path)
         for path in (files / "a.ply", tmp_path / "said.ply", tmp_path / "unsaid.ply")
     )
-    assert Shown((), scenes=(first, said)).captions == ["A: a.ply", "B: said.ply, turned from RUB"]
+    assert Shown((), scenes=(first, said)).captions == [
+        "A: a.ply",
+        "B: said.ply, converted from RUB",
+    ]
     assert first.title == "a.ply"
     np.testing.assert_array_equal(said.positions, first.positions)
     assert np.any(unsaid.positions != first.positions)
     by_hand = turned(unsaid)
     np.testing.assert_array_equal(by_hand.positions, first.positions)
-    assert by_hand.title == "unsaid.ply, turned from RUB"
+    assert by_hand.title == "unsaid.ply, converted from RUB"
     pose = replace(STRAIGHT, frame=(60, 40))
     assert measure({}, (first, by_hand), pose) == "the same"
     again = turned(by_hand)
@@ -614,8 +617,8 @@ def test_layers_of_a_list():
         ({"mode": "both"}, "mode 'both'"),
         ({"size": (10, 100)}, "size 10x100"),
         ({"view": 3}, "view: needs cameras"),
-        ({"images": Path("x")}, "images: need cameras of a file"),
-        ({"images": Path("x"), "cameras": "auto"}, "images: need cameras of a file"),
+        ({"images": Path("x")}, "images: need cameras from a file"),
+        ({"images": Path("x"), "cameras": "auto"}, "images: need cameras from a file"),
         ({"images": Path("/none"), "cameras": "c.json"}, "/none: no such folder"),
         ({"up": "w"}, "up 'w': expected -y, y, -z"),
         ({"a": None, "cameras": "auto"}, "no scene"),
@@ -652,7 +655,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, run
              tmp_path / "images", "--width", "200", "--height", "80"]  # fmt: skip
     status, _, err = run_viewer(*asked, "--screenshot", tmp_path / "0.png")
     assert status == 0
-    assert err.startswith("gs-viewer: without a photograph: ")
+    assert err.startswith("gs-viewer: no photograph of ")
     assert "no image 'view0'" in err
     assert len(err.splitlines()) == 1
     second = [*asked, "--view", "1", "--screenshot", tmp_path / "1.png"]

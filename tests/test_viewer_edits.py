@@ -362,7 +362,7 @@ def test_edits_stay_when_a_scene_is_turned(scene):
     expected = turned(scene)
     edits.turn(expected)
     np.testing.assert_array_equal(edits.scene.positions, expected.positions[100:])
-    assert edits.scene.title == "scene.ply, edited, turned from RUB"
+    assert edits.scene.title == "scene.ply, edited, converted from RUB"
     assert edits.count == 7
     edits.undo()
     edits.undo()
@@ -381,7 +381,7 @@ def test_saving_tells_what_is_written_and_lost(scene, tmp_path):
     edits.keep(np.arange(scene.count) < 50, "test")
     assert edits.unsaved
     said = save_scene(edits.scene, tmp_path / "a.splat")
-    assert said[0] == "a.splat is written: 50 Gaussians, 1.60 kB"
+    assert said[0] == "a.splat saved: 50 Gaussians, 1.60 kB"
     assert said[1] == "opacity, colour and rotation rounded to 8 bits"
     edits.mark_saved(edits.scene)
     assert not edits.unsaved

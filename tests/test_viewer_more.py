@@ -185,7 +185,7 @@ def test_scenes_are_saved_as_convert_does(edited, folder, name, action, tmp_path
 
 
 def test_saving_tells_and_asks(edited):
-    assert edited["said"].startswith("filtered.egs is written: 2,174")
+    assert edited["said"].startswith("filtered.egs saved: 2,174")
     assert edited["unsaved"] == [False, True]
     assert edited["asked"]
 
@@ -233,9 +233,7 @@ def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(c
 
 def test_the_panel_says_if_the_scene_does_not_show_which_way_is_up(chosen):
     unsure, afterwards = chosen["unsure"]
-    assert unsure.replace("\n", " ") == (
-        "The scene does not show which way is up: U takes another axis."
-    )
+    assert unsure.replace("\n", " ") == ("The up axis is uncertain: press U to choose another.")
     assert afterwards == ""
 
 
@@ -311,7 +309,7 @@ def test_what_is_picked_is_told_and_marked_in_both_panes_until_escape(picked):
         first, second, elsewhere = picked[states]
         assert min(first, second) > 40
         assert elsewhere < 10
-    assert picked["cleared"].startswith("Click into a picture")
+    assert picked["cleared"].startswith("Click a pixel")
     assert picked["closes"]
 
 
@@ -361,7 +359,7 @@ def test_a_double_click_brings_what_is_there_to_the_middle(used):
 
 def test_all_of_the_scene_is_framed_and_the_panel_says_that_one_has_moved(used):
     assert used["focuses"]["framed"] > 0.9
-    assert used["focuses"]["where"] == "moved away from view0, 1 of 2 (--view 0) (R goes back)"
+    assert used["focuses"]["where"] == "moved away from view0, 1 of 2 (--view 0) (R returns)"
 
 
 def test_the_slider_sets_the_field_of_view(used):
@@ -399,7 +397,7 @@ def test_cameras_photographs_reports_and_recent_files_are_opened(used):
         "photographed": True,
         "layers": ["pruned", "splats"],
         "recent": ["b.egs", "a.ply", "Cancel"],
-        "asked": ["Open", "Show b.egs in place of"],
+        "asked": ["Open", "Show b.egs instead of"],
     }
 
 

@@ -45,7 +45,7 @@ def test_panes_are_named_and_the_panel_says_where_one_is(found):
     assert found["flipped"] == [" A: a.ply", " B: b.egs, error against A"]
     assert found["where"] == [
         "view0, 1 of 2 (--view 0)",
-        "moved away from view0, 1 of 2 (--view 0) (R goes back)",
+        "moved away from view0, 1 of 2 (--view 0) (R returns)",
         "view0, 1 of 2 (--view 0)",
         "overview; 2 views",
     ]
@@ -172,7 +172,10 @@ def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files
     assert ends(folder, listed)
     assert files["saved"] == []
     assert files["again"][0] == "a-2.png"
-    assert files["exists"][-2:] == ["a.png exists. Enter or Replace replaces it.", "Replace"]
+    assert files["exists"][-2:] == [
+        "a.png already exists. Press Enter or Replace to overwrite it.",
+        "Replace",
+    ]
     assert files["kept"]
     assert files["replaced"] == []
     assert files["written"]
@@ -183,7 +186,7 @@ def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files
 
 def test_an_empty_window_says_what_to_do_and_one_that_compiles_for_how_long(files):
     empty, compiles = files["notices"]
-    assert empty == "O opens a scene. H lists the keys."
+    assert empty == "Press O to open a scene, H for a list of keys."
     assert compiles.startswith("Compiling, once only: ")
 
 

@@ -258,10 +258,10 @@ def test_names_that_lead_out_of_the_folder_of_images_are_refused(name, tmp_path)
     Image.new("RGB", (40, 30)).save(tmp_path / "secret.png")
     Image.new("RGB", (40, 30)).save(folder / "view.png")
     name = name.format(tmp_path / "secret")
-    with pytest.raises(InvalidInput, match="expected a name that stays in the folder") as caught:
+    with pytest.raises(InvalidInput, match="expected a name inside the folder") as caught:
         find_image(folder, name)
     assert "\n" not in str(caught.value)
-    with pytest.raises(InvalidInput, match="expected a name that stays in the folder"):
+    with pytest.raises(InvalidInput, match="expected a name inside the folder"):
         photographed([camera("view"), camera(name)], folder)
 
 
@@ -276,7 +276,7 @@ def test_images_may_be_links(tmp_path):
 def test_output_names_that_cameras_share_are_numbered(caplog):
     assert output_names([camera("a/b.jpg"), camera("c"), camera("a_b")]) == ["a_b_1", "c", "a_b_2"]
     assert caplog.messages == [
-        "2 cameras of equal names: their files are numbered, for example a_b_1"
+        "2 cameras with equal names: their files are numbered, for example a_b_1"
     ]
     names = ["a", "a_1", "a", "b", "a", "b"]
     assert output_names(list(map(camera, names))) == ["a_2", "a_1", "a_3", "b_1", "a_4", "b_2"]
@@ -426,7 +426,7 @@ def test_cameras_of_a_stranger_read_no_other_file(folder, tmp_path):
     ):
         result = run(*command)
         assert isinstance(result.exception, InvalidInput)
-        assert "expected a name that stays in the folder" in str(result.exception)
+        assert "expected a name inside the folder" in str(result.exception)
 
 
 def test_json_knows_no_infinity(folder):
@@ -477,7 +477,7 @@ REFUSALS = {
     "no cameras": ("--cameras none.json", "none.json: no such file or folder"),
     "images alone": ("--images out", "--images needs --cameras"),
     "two widths": (
-        "--cameras cameras.json --gt-images truth --width 20", "width: given by the ground-truth",
+        "--cameras cameras.json --gt-images truth --width 20", "width: cannot be combined",
     ),
     "no truth folder": ("--cameras cameras.json --gt-images none", "none: no such folder"),
     "no truth image": ("--cameras cameras.json --gt-images .", "no image 'v0'"),

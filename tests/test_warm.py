@@ -60,5 +60,5 @@ def test_a_folder_that_keeps_nothing_is_an_error(tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
         f"gs-codec: error: {tmp_path / 'file'}: cannot be written to, expected a folder for "
-        "compiled kernels; NUMBA_CACHE_DIR names another\n"
+        "compiled kernels; set NUMBA_CACHE_DIR to another\n"
     )

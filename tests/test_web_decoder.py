@@ -207,8 +207,8 @@ WHOLE = [[-1e9] * 3, [1e9] * 3]
         ("none", "CorruptError", "cut off before byte 16"),
         ("failing", "SourceError", "503 Service Unavailable"),
         ("cut", "SourceError", "connection lost"),
-        ("silent", "SourceError", "nothing has come for 20 seconds"),
-        ("halting", "SourceError", "lost at byte 1: nothing has come for 20 seconds"),
+        ("silent", "SourceError", "no data for 20 seconds"),
+        ("halting", "SourceError", "lost at byte 1: no data for 20 seconds"),
     ],
 )
 def test_servers_that_answer_wrongly_to_ranges(answer, error, text):

@@ -222,7 +222,7 @@ def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
         job.steps += [("value", DETAIL), ("value", MISSING)]
         [told] = open_pages(job)
     assert (told.state, told.errors) == ("ready", [])
-    assert told.status == "Stopped: what had come is shown."
+    assert told.status == "Stopped: the page shows what was loaded."
     assert "ready" not in told.values
     assert "of this view missing" in told.values[-1]
     assert asked.given < 0.1 * len(city())
@@ -302,10 +302,10 @@ def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_pat
     assert (told.state, told.status, told.errors) == ("ready", "", [])
     first, *later = [value for value in told.values if value is not None]
     assert first.startswith(f"{'plain' if which == 'whole' else 'city'}.egs: ")
-    assert first.endswith("nothing has come for 20 seconds: asking again")
+    assert first.endswith("no data for 20 seconds: asking again")
     assert first.count(".egs") == 1
     if later:
-        assert later[0].endswith("nothing has come for 20 seconds")
+        assert later[0].endswith("no data for 20 seconds")
         assert later[1] == (which == "blocks")  # meanwhile, the available blocks are drawn
     assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
 

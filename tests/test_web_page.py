@@ -187,7 +187,7 @@ def test_a_folder_is_shown_by_any_server(files, tmp_path):
         job.shot(str(tmp_path / "wipe.png"))
         told, on_disk = open_pages(job, Job((site / "index.html").as_uri(), [("drawn",)]))
     assert on_disk.state == "error"
-    assert on_disk.status.startswith("a.egs: pages on disk cannot read files beside them")
+    assert on_disk.status.startswith("a.egs: a page opened from disk cannot read other files")
     assert (told.state, told.errors) == ("ready", [])
     asked = [request for request in told.requests if not request.startswith(("blob:", "data:"))]
     assert asked == [url, f"{url}a.egs", f"{url}b.egs"]
@@ -209,7 +209,7 @@ def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
         job = Job(url, steps, panel=True)
         job.shot(str(tmp_path / "part.png"))
         [told] = open_pages(job)
-    assert (told.state, told.status) == ("ready", "Stopped: what had come is shown.")
+    assert (told.state, told.status) == ("ready", "Stopped: the page shows what was loaded.")
     assert told.errors == []
     assert np.ptp(seen(tmp_path / "part.png")) > 0.3
 
@@ -501,8 +501,7 @@ def test_estimated_cameras_are_upright_by_the_axis_asked_for(files, tmp_path, ca
     assert not caplog.records
     share([tmp_path / "a.egs"], tmp_path / "page.html", overwrite=True)
     assert [record.getMessage() for record in caplog.records] == [
-        "cameras 'auto': the scene does not show which way is up; "
-        "choose an axis (up), or give its cameras"
+        "cameras 'auto': the up axis is uncertain; choose an axis (up), or give its cameras"
     ]
 
 
@@ -737,7 +736,7 @@ def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, cap
         assert f"folder: {name}, " in out
         shared, rendered = out.splitlines()
         assert shared.endswith(" MB, encoded for the page by profile l")
-        assert re.match(r"rendered views: \d+\.\d dB to the original, a loss of ", rendered)
+        assert re.match(r"rendered views: \d+\.\d dB against the original, a loss of ", rendered)
         info = sharing.inspect_bytes((tmp_path / "folder" / "a.egs").read_bytes())
         assert (info.profile, info.count) == ("l", files.a.count)
 
@@ -754,7 +753,7 @@ def test_pages_show_what_their_encoding_lost(files, tmp_path):
     [told] = open_pages(job)
     a, b = told.values[1]
     lost = f"encoded for this page, profile l, views: {shared[0].rendered.psnr:.1f} dB"
-    assert a.endswith(f", {lost} to the original")
+    assert a.endswith(f", {lost} against the original")
     assert b.endswith(" MB, profile s")
 
 

@@ -215,7 +215,7 @@ def test_render_replaces_cameras_with_overwrite_alone(folder):
 def test_render_refuses_what_cameras_do_not_have(option, folder):
     command = ("render", "scene.ply", "--cameras", "cameras.json", "--out", "out.json")
     line = folder.refuse(*command, *option.split())
-    assert "has no effect on cameras, which --out out.json asks for" in line
+    assert "has no effect with --out out.json, which writes only cameras" in line
 
 
 def test_bad_cameras_are_one_line(folder):

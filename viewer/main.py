@@ -40,32 +40,32 @@ app = typer.Typer(
 
 
 #: Panels of the help.
-_INPUT = "What to open"
-_SHOWN = "What to show"
-_OUTPUT = "Pictures and films; no display is needed"
-_BROWSER = "In a browser, in place of a window"
+_INPUT = "Input"
+_SHOWN = "Display"
+_OUTPUT = "Pictures and films (no display needed)"
+_BROWSER = "Browser instead of a window"
 
 #: Options allowed with ``--web``.
 _OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes", "up"}
 
 
-@app.command(epilog="Without a scene, the window opens empty. H in it lists the keys.")
+@app.command(epilog="Without a scene, the window opens empty. Press H in it for a list of keys.")
 def command(
     ctx: typer.Context,
     a: Annotated[Path | None, typer.Argument(metavar="A", help=SCENES, show_default=False)] = None,
     b: Annotated[
         Path | None,
-        typer.Argument(metavar="B", help="Another version of it.", show_default=False),
+        typer.Argument(metavar="B", help="Another version of A.", show_default=False),
     ] = None,
     cameras: Annotated[
         str | None,
-        typer.Option(metavar="C", help=f"Cameras to look from: {CAMERAS}", rich_help_panel=_INPUT),
+        typer.Option(metavar="C", help=f"Views to choose from: {CAMERAS}", rich_help_panel=_INPUT),
     ] = None,
     gt_images: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Ground-truth images of the cameras, shown beside.",
+            help="Folder of the cameras' ground-truth images, shown next to the scene.",
             rich_help_panel=_INPUT,
         ),
     ] = None,
@@ -81,7 +81,7 @@ def command(
         int | None,
         typer.Option(
             metavar="N",
-            help="Largest size of a scene's floats; by default 1 GiB or 1000 times the file.",
+            help="Maximum size of a scene's floats, bytes; by default 1 GiB or 1000 x the file.",
             rich_help_panel=_INPUT,
         ),
     ] = None,
@@ -104,8 +104,10 @@ def command(
     colour_scale: Annotated[
         str | None,
         typer.Option(
-            help=f"Scale of {', '.join(SCALED)}: {', '.join(SCALES)}.",
+            metavar="|".join(SCALES),
+            help=f"Colour scale of {', '.join(SCALED)}.",
             show_default="linear for opacity and bits",
+            rich_help_panel=_SHOWN,
         ),
     ] = None,
     octree_depth: Annotated[
@@ -128,19 +130,21 @@ def command(
         str,
         typer.Option(
             metavar="M",
-            help="Two scenes: side, wipe (one view, A left), or flip (one view, B).",
+            help="Layout of two scenes: side (by side), wipe (A left of a line) or flip (B first).",
             rich_help_panel=_SHOWN,
         ),
     ] = "side",
     view: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Camera to begin with, from 0.", rich_help_panel=_SHOWN),
+        typer.Option(
+            metavar="N", help="First camera to show, counted from 0.", rich_help_panel=_SHOWN
+        ),
     ] = None,
     up: Annotated[
         str | None,
         typer.Option(
             metavar="AXIS",
-            help=f"Up axis: {', '.join(UPS)}; by default from cameras, given or estimated.",
+            help=f"Up axis: {', '.join(UPS)}; by default from the cameras, given or estimated.",
             rich_help_panel=_SHOWN,
         ),
     ] = None,
@@ -153,19 +157,21 @@ def command(
         ),
     ] = 1280,
     height: Annotated[
-        int, typer.Option(metavar="N", help="Its height.", rich_help_panel=_SHOWN)
+        int, typer.Option(metavar="N", help="Height, pixels.", rich_help_panel=_SHOWN)
     ] = 800,
     screenshot: Annotated[
         Path | None,
         typer.Option(
-            metavar="PNG", help="Write a picture instead of a window.", rich_help_panel=_OUTPUT
+            metavar="PNG",
+            help="Write a picture instead of opening a window.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     turntable: Annotated[
         Path | None,
         typer.Option(
             metavar="OUT",
-            help="Write a film once around the scene: .mp4, or a folder of PNG frames.",
+            help="Write a film that circles the scene: .mp4, or a folder of PNG frames.",
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
@@ -173,35 +179,35 @@ def command(
         Path | None,
         typer.Option(
             metavar="OUT",
-            help="Write a film from each of --cameras to the next, in the order of the file.",
+            help="Write a film that visits --cameras in the order of the file.",
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
     frames: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Frames of a film; by default 180.", rich_help_panel=_OUTPUT
+            metavar="N", help="Number of frames of a film; by default 180.", rich_help_panel=_OUTPUT
         ),
     ] = None,
     fps: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="Frames a second of an .mp4 film; by default 24.",
+            help="Frames per second of an .mp4 film; by default 24.",
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
-            "--overwrite", help="Replace an existing picture or film.", rich_help_panel=_OUTPUT
+            "--overwrite", help="Overwrite an existing picture or film.", rich_help_panel=_OUTPUT
         ),
     ] = False,
     web: Annotated[
         bool,
         typer.Option(
             "--web",
-            help="Show it in a browser, by a server for this machine alone; over SSH, too.",
+            help="Show the scene in a browser; only this machine, or SSH, reaches the server.",
             rich_help_panel=_BROWSER,
         ),
     ] = False,
@@ -209,7 +215,7 @@ def command(
         int | None,
         typer.Option(
             metavar="N",
-            help="The server's port; by default a free one.",
+            help="Port of the server; by default a free one.",
             rich_help_panel=_BROWSER,
         ),
     ] = None,
@@ -253,7 +259,7 @@ def command(
 
         missing = write_screenshot(request, screenshot, overwrite)
         if missing:
-            print_status(f"gs-viewer: without a photograph: {missing}")
+            print_status(f"gs-viewer: no photograph of {missing}")
         return
     for source in filter(None, (a, b)):
         source.stat()  # report a missing scene before looking for a display
@@ -308,7 +314,7 @@ def _film(
     outputs = {"screenshot": screenshot, "turntable": turntable, "flythrough": flythrough}
     asked = [name for name, path in outputs.items() if path is not None]
     if len(asked) > 1:
-        raise gs_codec.GsCodecError(f"{asked[0]} and {asked[1]}: expected one of them")
+        raise gs_codec.GsCodecError(f"{asked[0]} and {asked[1]} cannot be combined")
     if overwrite and not asked:
         raise gs_codec.GsCodecError("overwrite: needs --screenshot, --turntable or --flythrough")
     path = turntable or flythrough

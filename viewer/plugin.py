@@ -158,7 +158,7 @@ def attach(visualizer: O3DVisualizer) -> Actions:
     actions = Actions(visualizer)
     for title, ask in (
         ("Open a scene ...", actions.ask_open),
-        ("Show what was pruned ...", actions.ask_pruned),
+        ("Show pruned Gaussians ...", actions.ask_pruned),
         ("Compare with another version ...", actions.ask_compare),
         ("Open cameras and photographs ...", actions.ask_photographs),
         ("Go to the nearest camera", actions.ask_nearest),

@@ -75,13 +75,13 @@ class Page(ThreadingHTTPServer):
 
     def run(self) -> None:
         """Tell the address, open a browser where there is a screen, and serve until Ctrl-C."""
-        print_text(f"{self.url}  (Ctrl-C ends)")
+        print_text(f"{self.url}  (Ctrl-C stops the server)")
         with ExitStack() as stack:
             if _has_screen():
                 webbrowser.open(stack.enter_context(_leading_to(self.url)))
             elif "SSH_CONNECTION" in os.environ:
-                port, there = self.server_port, "then open the address there"
-                print_text(f"elsewhere: ssh -L {port}:{_HOST}:{port} HOST, {there}")
+                port, there = self.server_port, "then open this address"
+                print_text(f"from another machine: ssh -L {port}:{_HOST}:{port} HOST, {there}")
             stack.callback(self.server_close)
             stack.enter_context(suppress(KeyboardInterrupt))
             self.serve_forever()

@@ -1,7 +1,7 @@
 # `make release` writes it to dist, with the version, the sum and the place of the project: a formula for a tap of one's
 # own. Packages come from PyPI as wheels, which formulae in Homebrew's own list may not do. Not built by our CI.
 class GsCodec < Formula
-  desc "Makes trained 3D Gaussian Splatting scenes smaller, and shows what was lost"
+  desc "Compresses trained 3D Gaussian Splatting scenes, and measures the loss"
   homepage "@URL@"
   url "https://pypi.org/packages/source/g/gs-codec/gs_codec-@VERSION@.tar.gz"
   sha256 "@SHA256@"

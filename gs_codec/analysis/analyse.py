@@ -77,7 +77,7 @@ class Analysis:
             notes.append(
                 f"Mutual information and histograms use {self.sampled:,} of "
                 f"{counted(self.count, 'Gaussian')}, chosen at random (seed {self.seed}); "
-                "all else uses every Gaussian."
+                "everything else uses all Gaussians."
             )
         if self.sampled < 1000:
             notes.append(
@@ -168,7 +168,7 @@ def analyse_scene(
     """
     scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"), whole=False)
     if not scene.count:
-        why = f": all {dropped:,} hold NaN or infinity" if dropped else ""
+        why = f": all {dropped:,} contain NaN or infinity" if dropped else ""
         raise InvalidInput(f"{name}: no Gaussians to analyse{why}")
     views = []
     if cameras is not None:

@@ -176,7 +176,7 @@ def compare(
         if images is not None:
             check_folder(images, overwrite)
         if gt_images is not None and width is not None:
-            raise InvalidInput("width: given by the ground-truth images, expected one of the two")
+            raise InvalidInput("width: cannot be combined with ground-truth images, which set it")
         stored = _stored_scene(first, max_bytes), _stored_scene(second, max_bytes)
         systems = system_of(stored[0]), system_of(stored[1])
         scenes = turn_axes(stored[0]), turn_axes(stored[1])
@@ -189,7 +189,7 @@ def compare(
     if isinstance(first, str | Path) and isinstance(second, str | Path):
         return compare_files(first, second, max_bytes)
     if isinstance(first, str | Path) or isinstance(second, str | Path):
-        raise InvalidInput("compare: one file and one cloud, expected two of a kind")
+        raise InvalidInput("compare: one file and one cloud, expected two files or two clouds")
     clouds = scene_of(first, max_bytes), scene_of(second, max_bytes)
     return compare_scenes(*put_side_by_side(*clouds))
 
@@ -261,5 +261,5 @@ def _stored_scene(source: PointCloud | str | Path, max_bytes: int | None) -> Sce
     if isinstance(source, str | Path):
         return read_scene(source, "drop", coordinates=None, max_bytes=max_bytes)
     if max_bytes is not None:
-        raise InvalidInput("max_bytes: limits scenes in files, expected none with a cloud")
+        raise InvalidInput("max_bytes: has no effect on a cloud, only on files")
     return from_cloud(source, "drop", tell=False)

@@ -107,7 +107,7 @@ class LocalStorage:
     def check_folder(self) -> None:
         """Create the folder if it is missing; reject one that is not writable."""
         if not os.access(make_folder(self.path), os.W_OK):
-            raise InvalidInput(f"{self.path}: no permission to write there")
+            raise InvalidInput(f"{self.path}: no write permission")
 
     def stamp(self, location: Location) -> Stamp | None:
         """Size and modification stamp of a file; None if it does not exist."""
@@ -168,7 +168,7 @@ def _folders(root: str) -> list[str]:
         for folder, names, _ in os.walk(start, onerror=_warn):
             real = os.path.realpath(folder)
             if real in seen or f"{above}/".startswith(f"{real.rstrip('/')}/"):
-                log.warning("%s: leads to %s, a parent or read before; skipped", folder, real)
+                log.warning("%s: links to %s, a parent or already read; skipped", folder, real)
                 names.clear()
                 continue
             seen.add(real)

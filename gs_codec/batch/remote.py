@@ -73,7 +73,7 @@ class RemoteStorage:
         self._read_only = [name for name in self._protocols if name in _READ_ONLY]
         self._is_store = self._protocols[0] in _OBJECTS
         if _OWN in self._protocols:
-            text = "this process's own storage, expected one that workers reach"
+            text = "storage of this process, expected one that workers can reach"
             raise InvalidInput(f"{self._name}: {text}")
         self._fs, self._root = self._open()
         shown, root = self._name.rstrip("/"), self._root.rstrip("/")
@@ -148,7 +148,7 @@ class RemoteStorage:
             if depth > _DEEPEST:
                 shown = self.shown(self._at(folder))
                 raise InvalidInput(
-                    f"{shown}: {counted(depth, 'folder')} deep, expected links without circles"
+                    f"{shown}: {counted(depth, 'folder')} deep; links may form a circle"
                 )
             for path, info in self._listed(folder, depth):
                 if info.get("type") != "directory":
@@ -186,7 +186,7 @@ class RemoteStorage:
         """See `LocalStorage.check_folder`."""
         if self._read_only or len(self._protocols) > 1:
             kind = self._read_only[0] if self._read_only else "a chain of protocols"
-            raise InvalidInput(f"{self._name}: {kind} can be read only")
+            raise InvalidInput(f"{self._name}: {kind} is read-only")
         if not self._is_store:
             with self._named():
                 self._fs.makedirs(self._root, exist_ok=True)

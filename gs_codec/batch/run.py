@@ -84,10 +84,10 @@ class Batch:
         if self.jobs is not None and not 1 <= self.jobs <= 1024:
             raise InvalidInput(f"jobs {self.jobs}: expected 1 to 1024")
         if self.jobs is not None and self.dask not in (None, "local"):
-            raise InvalidInput("jobs: the cluster's workers decide, expected none with an address")
+            raise InvalidInput("jobs: has no effect with a Dask scheduler, whose workers set it")
         if self.report is not None and is_url(self.report):
             shown = without_secrets(self.report)
-            raise InvalidInput(f"report {shown}: expected a file of this machine")
+            raise InvalidInput(f"report {shown}: expected a local file")
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Summary:
     report : str
         Path of the report.
     done, skipped, failed, not_started : int
-        Number of scenes encoded now, complete before, failed, and not started because one failed.
+        Number of scenes encoded now, already done, failed, and not started because one failed.
     gaussians, input_bytes, output_bytes : int
         Total Gaussians and bytes of the complete scenes.
     ratio : float or None

@@ -155,7 +155,7 @@ def find_tasks(
     found = sources.find(options.sources)
     if not found:
         missing = isinstance(sources, LocalStorage) and sources.is_missing()
-        text = "no such file or folder" if missing else "no scenes there"
+        text = "no such file or folder" if missing else "no scenes found"
         raise InvalidInput(f"{without_secrets(source)}: {text}")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
     stems = Counter(os.path.splitext(name)[0] for name, _ in found)
@@ -165,7 +165,7 @@ def find_tasks(
         target = targets.location(f"{name if stems[stem] > 1 else stem}.{options.format}")
         shown = sources.shown(location), targets.shown(target)
         if ".." in name.split("/"):  # possible in keys of object stores
-            raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")
+            raise InvalidInput(f"{shown[0]}: '..' in its name, expected a path inside the folder")
         if shown[1] in taken:
             both = f"{taken[shown[1]]} and {shown[0]}"
             raise InvalidInput(f"{both} would both be written to {shown[1]}")

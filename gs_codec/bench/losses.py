@@ -94,11 +94,11 @@ def measure_losses(paths: Sequence[Path], progress: Progress | None = None) -> I
 def _open(path: Path) -> MeasuredScene:
     cameras = cameras_beside(path)
     if cameras == "auto":
-        raise InvalidInput(f"{path}: no cameras.json beside it, expected one to measure losses")
+        raise InvalidInput(f"{path}: no cameras.json in its folder, expected one to measure losses")
     capture = open_scene(path, cameras, None, None)
     splits = [{camera.split for camera in part} for part in (capture.cameras, capture.guides)]
     if splits[0] != {"test"} or "test" in splits[1]:
-        raise InvalidInput(f"{cameras}: expected some cameras, not all, marked 'test'")
+        raise InvalidInput(f"{cameras}: expected some but not all cameras marked 'test'")
     return capture
 
 
@@ -167,7 +167,7 @@ def loss_table(lines: Sequence[Line]) -> list[str]:
         f"{aim}: {sum(key not in misses_of(line) for line in lines)} of {len(lines)}"
         for key, aim in (
             (FREE, f"camera-free {WANTED} +- {WITHIN} dB"),
-            (ESTIMATED, f"estimated cameras lose {MOST} dB at most"),
+            (ESTIMATED, f"estimated cameras lose at most {MOST} dB"),
             ("worse", f"and at most {WORSE} dB more than camera-free at equal size"),
         )
     ]

@@ -38,11 +38,11 @@ _METRICS = {"PSNR dB": ("psnr", 2), "SSIM": ("ssim", 4), "LPIPS": ("lpips", 4)}
 _REPEATS = 3
 
 _INTRODUCTION = (
-    "The preset `entropygs` on each scene, beside the figures published for "
+    "The preset `entropygs` on each scene, next to the figures published for "
     "EntropyGS (arXiv 2508.10227; means over Mip-NeRF 360, on other machines). PSNR is that of "
-    "views held out, against photographs where a scene has any, else against its own renders. "
-    f"LPIPS is measured where {LPIPS_VARIABLE} names weights. Times smaller count from the PLY, in "
-    "the ablation from its floats."
+    "held-out views, against photographs if a scene has any, otherwise against its own renders. "
+    f"LPIPS is measured if {LPIPS_VARIABLE} names weights. Ratios are relative to the PLY, in the "
+    "ablation to its floats."
 )
 
 
@@ -208,7 +208,7 @@ def _results(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
         f"{psnr:.2f}", f"{psnr - first:+.2f}", "", "", "", "",
     ])  # fmt: skip
     known = (label for name in _METRICS for label in (name, f"delta-{name.split()[0]}"))
-    return Table(["scene", "profile", "MB", "times smaller", "geometry", *known], rows, left=(0, 1))
+    return Table(["scene", "profile", "MB", "ratio", "geometry", *known], rows, left=(0, 1))
 
 
 def _delta(psnr: float, before: float | None) -> str:
@@ -242,8 +242,8 @@ def _ablation(lines: Sequence[Line], scenes: Sequence[str]) -> Table:
                 "" if psnr is None else _delta(psnr, first["psnr"]), f"{step['seconds']:.0f}",
                 *_published(known),
             ])  # fmt: skip
-    columns = ["scene", "step", "Gaussians", "MB", "times smaller", "PSNR dB", "delta-PSNR", "s"]
-    return Table([*columns, "*paper: times smaller*", "*delta-PSNR*"], rows, left=(0, 1))
+    columns = ["scene", "step", "Gaussians", "MB", "ratio", "PSNR dB", "delta-PSNR", "s"]
+    return Table([*columns, "*paper: ratio*", "*delta-PSNR*"], rows, left=(0, 1))
 
 
 def _published(known: tuple[float, float] | None) -> list[str]:

@@ -91,7 +91,7 @@ def check_names(paths: Sequence[Path]) -> None:
     for path in paths:
         other = names.setdefault(scene_name(path), path)
         if other is not path:
-            raise InvalidInput(f"{path}: named '{scene_name(path)}', as {other} is")
+            raise InvalidInput(f"{path}: has the same name '{scene_name(path)}' as {other}")
 
 
 def open_scene(

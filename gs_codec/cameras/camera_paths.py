@@ -149,5 +149,5 @@ def _facing(where: str, position: NDArray, target: NDArray) -> NDArray[np.float6
     with np.errstate(over="ignore"):
         direction = target - position
     if not (np.isfinite(direction).all() and direction.any()):
-        raise InvalidInput(f"{where}: position and target do not differ, expected a direction")
+        raise InvalidInput(f"{where}: position and target are equal, expected a direction")
     return facing(direction, _UP)

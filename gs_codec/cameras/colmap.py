@@ -110,7 +110,7 @@ def find_model(folder: Path, places: Sequence[str]) -> Path | None:
                 f"{model.relative_to(folder)} {n}" for model, n in zip(models, counts, strict=True)
             ]
             log.warning(
-                "%s: %d COLMAP models, images: %s; taken: %s",
+                "%s: %d COLMAP models (images: %s); using %s",
                 folder,
                 len(models),
                 ", ".join(told[:9]),
@@ -158,7 +158,7 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     for index, image in enumerate(sorted(_images(folder), key=lambda image: image.name)):
         if image.camera_id not in views:
             raise InvalidInput(
-                f"{image.where}: camera {image.camera_id}, which {cameras_path.name} does not have"
+                f"{image.where}: camera {image.camera_id}, which is not in {cameras_path.name}"
             )
         rotation, position = _pose(image)
         yield (
@@ -185,7 +185,7 @@ def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, Any]]:
     for camera in cameras:
         where = f"{path}: camera {camera.camera_id}"
         if camera.camera_id in views:
-            raise InvalidInput(f"{where} for the second time")
+            raise InvalidInput(f"{where} occurs twice")
         names = _parameters(where, camera.model)
         if len(camera.parameters) != len(names):
             found = f"{counted(len(camera.parameters), 'parameter')}, expected {len(names):,}"

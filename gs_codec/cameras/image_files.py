@@ -93,7 +93,9 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
     shared = [name for name, stem in zip(names, stems, strict=True) if counts[stem] > 1]
     if shared:
         many = counted(len(shared), "camera")
-        log.warning("%s of equal names: their files are numbered, for example %s", many, shared[0])
+        log.warning(
+            "%s with equal names: their files are numbered, for example %s", many, shared[0]
+        )
     return names
 
 
@@ -133,7 +135,7 @@ def find_image(folder: str | Path, name: str) -> Path:
 def seek_image(folder: str | Path, name: str) -> Path | None:
     """Like `find_image`, but return None if the folder exists and has no such image."""
     if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
-        raise InvalidInput(f"{folder}: image '{name}', expected a name that stays in the folder")
+        raise InvalidInput(f"{folder}: image '{name}', expected a name inside the folder")
     for inside in _names_inside(folder, name):
         stem = _stem(inside)
         others = [f"{stem}{suffix}" for suffix in (*_SUFFIXES, *map(str.upper, _SUFFIXES))]

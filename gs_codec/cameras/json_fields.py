@@ -129,7 +129,7 @@ def _rows(
 def check_rotation(where: str, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Check that entries are small enough for the test of whether the matrix is a rotation."""
     if np.abs(matrix).max() > _MAX_ROTATION:
-        raise InvalidInput(f"{where}: rotation holds {np.abs(matrix).max()}, expected -1 to 1")
+        raise InvalidInput(f"{where}: rotation contains {np.abs(matrix).max()}, expected -1 to 1")
     return matrix
 
 

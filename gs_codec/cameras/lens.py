@@ -110,7 +110,9 @@ class Lens:
                 f"lens: coefficients {self.coefficients}, expected {len(names)} finite numbers"
             )
         if not np.isfinite(self.r8) or (self.fisheye and self.r8):
-            raise InvalidInput(f"lens: r8 {self.r8}, expected a finite number, 0 of a fisheye lens")
+            raise InvalidInput(
+                f"lens: r8 {self.r8}, expected a finite number, 0 for a fisheye lens"
+            )
 
     def pinhole(self) -> dict[str, Any]:
         """Fields of a pinhole `Camera` that replaces the lens; `lens` is one of them.
@@ -253,7 +255,7 @@ def _growth(lens: Lens) -> tuple[float, float]:
             centre + focal * lens.undistort(_edge(lens, axis, at))[axis] for at in (0.5, side - 0.5)
         )
         if np.isnan(first).all() and np.isnan(last).all():
-            raise InvalidInput("lens: its distortion cannot be undone at the image's edges")
+            raise InvalidInput("lens: its distortion cannot be inverted at the image's edges")
         # Points behind the camera impose no limit.
         before, after = (
             np.fmin.reduce(away, initial=np.inf) for away in (centre - first, last - centre)

@@ -125,7 +125,7 @@ def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], 
     if not os.path.isfile(beside):
         return np.eye(4), 1.0
     where = str(beside)
-    found = as_object(where, load_json(beside), "how nerfstudio moved the cameras")
+    found = as_object(where, load_json(beside), "the transform that nerfstudio applied")
     # From COLMAP's world to the trained scene's; the file may use a third world.
     move, applied = np.eye(4), np.eye(4)
     move[:3] = as_pose(where, "transform", get(where, found, "transform"))
@@ -174,7 +174,9 @@ def _coefficient(where: str, key: str, value: Any) -> float:
 def _is_fisheye(where: str, fields: Mapping[str, Any]) -> bool:
     for key in _OTHER_LENSES:
         if key in fields:
-            raise InvalidInput(f"{where}: a lens with {key}, expected k1 to k4, p1, p2 or none")
+            raise InvalidInput(
+                f"{where}: a lens with {key}, expected k1 to k4, p1, p2 or no distortion"
+            )
     model = as_text(where, "camera_model", fields.get("camera_model", "OPENCV"))
     if model not in _MODELS:
         raise InvalidInput(
@@ -194,7 +196,7 @@ def _size(where: str, path: Path, fields: Mapping[str, Any], name: str) -> tuple
     image = seek_image(path.parent, name)
     if image is None:
         raise InvalidInput(
-            f"{where}: no w and h, and no image {short(name)} beside the file, which has its size"
+            f"{where}: no w and h, and no image {short(name)} next to the file to give the size"
         )
     return image_size(image)
 

@@ -19,10 +19,7 @@ UPS: dict[str, NDArray[np.float64]] = {
 BY_CAMERAS = "cameras"
 
 #: Message if the up axis of a scene is not certain.
-UNSURE = (
-    "cameras 'auto': the scene does not show which way is up; "
-    "choose an axis (up), or give its cameras"
-)
+UNSURE = "cameras 'auto': the up axis is uncertain; choose an axis (up), or give its cameras"
 
 #: Minimum mean square of right axes along a direction that is not level.
 _LOOSE = 1e-3

@@ -19,7 +19,7 @@ from gs_codec.runtime.wording import counted
 #: Prefix of command parameters for actions, because preparation has options of the same names.
 _PREFIX = "do_"
 
-_PANEL = "Actions, done in the order given"
+_PANEL = "Actions, applied in the order given"
 
 
 class InOrder(Shown, TyperCommand):

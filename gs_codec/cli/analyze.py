@@ -31,19 +31,20 @@ def command(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder for report.html, report.json, pictures; may be left out with --json.",
+            help="Folder for report.html, report.json and pictures; optional with --json.",
         ),
     ] = None,
     cameras: Annotated[
         str | None,
-        typer.Option(metavar="C", help=f"Measure what views lose by errors too: {CAMERAS}"),
+        typer.Option(metavar="C", help=f"Also measure how errors affect views: {CAMERAS}"),
     ] = None,
     sample: Annotated[
         int,
         typer.Option(metavar="N", help="Maximum number of Gaussians for the statistics.", min=2),
     ] = 200_000,
     seed: Annotated[
-        int, typer.Option(metavar="N", help="Seed of the sample, of shuffling and of noise.", min=0)
+        int,
+        typer.Option(metavar="N", help="Random seed of the sample, shuffling and noise.", min=0),
     ] = 0,
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
@@ -52,7 +53,7 @@ def command(
     if out is not None:
         check_folder(out, typed["overwrite"])
     elif not typed["json"]:
-        raise InvalidInput("missing option '--out', the folder of the report, or '--json'")
+        raise InvalidInput("missing option '--out' (folder of the report) or '--json'")
     else:
         typed.refuse(["overwrite"], "needs --out")
     from gs_codec.analysis.report import analyse_file
@@ -77,7 +78,7 @@ def command(
     bits = content["bits_by_profile"]
     print_table(
         Table(
-            ["bits a Gaussian", *bits],
+            ["bits per Gaussian", *bits],
             [
                 [part, *(f"{of_profile[part]:.2f}" for of_profile in bits.values())]
                 for part in next(iter(bits.values()))

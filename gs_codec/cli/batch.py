@@ -61,45 +61,49 @@ def command(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="SRC", help="A folder, or a glob in quotes ('in/**/*.ply'); or a URL."
+            metavar="SRC", help="Folder, quoted glob ('in/**/*.ply') or URL of the scenes."
         ),
     ],
     target: Annotated[
-        str, typer.Argument(metavar="DST", help="Folder for the same tree of files; or a URL.")
+        str, typer.Argument(metavar="DST", help="Folder or URL for the outputs, in the same tree.")
     ],
     typed: Typed,
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs", "-j", metavar="N", help="Scenes at once.", show_default="all processors"
+            "--jobs",
+            "-j",
+            metavar="N",
+            help="Number of scenes at once.",
+            show_default="all processors",
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Leave out what the report has and is unchanged.")
+        bool, typer.Option("--resume", help="Skip unchanged scenes that the report lists as done.")
     ] = False,
     report: Annotated[
         str | None,
         typer.Option(
             metavar="FILE",
-            help="Lines of JSON, one for each scene.",
-            show_default="DST/report.jsonl; here, if DST is a URL",
+            help="File for the report, one line of JSON per scene.",
+            show_default="DST/report.jsonl; ./report.jsonl if DST is a URL",
         ),
     ] = None,
     on_error: Annotated[
         str,
         typer.Option(
             metavar="continue|stop",
-            help="What to do after a scene fails.",
+            help="Continue or stop after a scene fails.",
             autocompletion=completion(("continue", "stop")),
         ),
     ] = "continue",
 ) -> None:
-    """Encode or convert a folder of scenes, each as `encode` or `convert` would.
+    """Encode or convert every scene in a folder, like `encode` and `convert`.
 
-    The exit status is 1 if any failed.
+    The exit status is 1 if a scene failed.
     """
     if resume and typed["overwrite"]:
-        raise InvalidInput("--overwrite and --resume: expected only one of them")
+        raise InvalidInput("--overwrite and --resume cannot be combined")
     config, rate = config_of(typed), target_of(typed)
     plain = typed["format"] if f".{typed['format']}" in PLAIN else None
     if plain is not None:
@@ -140,7 +144,7 @@ def command(
 def _summed_up(summary: Any, done: str) -> str:
     text = f"{counted(summary.done, 'scene')} {done}"
     if summary.skipped:
-        text += f", {summary.skipped:,} complete before"
+        text += f", {summary.skipped:,} already done"
     if summary.failed:
         text += f", {summary.failed:,} failed"
     if summary.not_started:
@@ -176,7 +180,7 @@ class _Lines:
     def begun(self, total: int, skipped: int, report: str) -> None:
         """See `Watcher.begun`."""
         self._total = total
-        done = f", {skipped:,} complete before" if skipped else ""
+        done = f", {skipped:,} already done" if skipped else ""
         self.said(f"scenes to {self._work}: {total:,}{done}; report: {report}")
 
     def started(self, task: Any) -> None:

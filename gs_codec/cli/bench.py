@@ -65,14 +65,14 @@ def _printed(lines: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 @takes("threads", "width", "overwrite")
 def measure_suite(
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for suite.jsonl, report.md, pictures.")
+        Path, typer.Option(metavar="DIR", help="Folder for suite.jsonl, report.md and pictures.")
     ],
     typed: Typed,
     scenes: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="SCENE...",
-            help="3DGS .ply files; cameras.json and images beside one are its views.",
+            help="3DGS .ply files, with cameras.json and images in the same folder.",
             show_default=False,
         ),
     ] = None,
@@ -83,14 +83,14 @@ def measure_suite(
         list[str] | None,
         typer.Option(
             metavar="GROUP",
-            help="Leave out, repeatedly: codecs, curves, memory, geometry, scaling, device, peers, "
-            "guided, pruned, refined.",
+            help="Group to skip (codecs, curves, memory, geometry, scaling, device, peers, guided, "
+            "pruned, refined); may be repeated.",
         ),
     ] = None,
 ) -> None:
-    """Measure scenes in full, other codecs too, and write a report.
+    """Measure scenes with all profiles and other codecs, and write a report.
 
-    Ten minutes for each 100,000 Gaussians, or so, and as many again for refined ones;
+    It takes about ten minutes per 100,000 Gaussians, and the same again for refinement.
     suite.jsonl has all lines measured so far.
     """
     from gs_codec.bench.suite.report import write_report
@@ -122,17 +122,17 @@ def measure_paper(
         list[Path],
         typer.Argument(
             metavar="SCENE...",
-            help="3DGS .ply files; cameras.json and images beside one are its views.",
+            help="3DGS .ply files, with cameras.json and images in the same folder.",
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for paper.jsonl, paper.md, checkpoints.")
+        Path, typer.Option(metavar="DIR", help="Folder for paper.jsonl, paper.md and checkpoints.")
     ],
     typed: Typed,
 ) -> None:
-    """Reproduce the paper's experiment: preset entropygs, then its tables, on scenes.
+    """Reproduce the paper's experiment: run preset entropygs and print the paper's tables.
 
-    Optimisation takes most of the time; with --overwrite it goes on from checkpoints in DIR.
+    Refinement takes most of the time; with --overwrite it resumes from checkpoints in DIR.
     """
     from gs_codec.bench.reproduce import open_scenes, reproduce, tables_of
     from gs_codec.runtime.threads import using_threads
@@ -155,15 +155,15 @@ def measure_captures(
         list[Path],
         typer.Argument(
             metavar="SCENE...",
-            help="3DGS .ply files; the cameras.json beside each marks some cameras as test.",
+            help="3DGS .ply files; cameras.json in the same folder marks some cameras as test.",
         ),
     ],
     typed: Typed,
 ) -> None:
-    """Measure what profile m loses in held-out views: camera-free, by estimated cameras, by given.
+    """Measure the loss of profile m in held-out views: without, with estimated, with given cameras.
 
-    JSON lines on stdout, a table in Markdown on stderr. Losses are those of a scene that has 30 dB
-    against its photographs.
+    JSON lines go to stdout, a Markdown table to stderr. Losses are for a scene that matches its
+    photographs to 30 dB.
     """
     from gs_codec.bench.losses import loss_table, measure_losses
     from gs_codec.runtime.threads import using_threads
@@ -186,7 +186,7 @@ class _Group(Shown, TyperGroup):
 
 app = typer.Typer(
     cls=_Group,
-    help="Measure time, size, error, memory and rendered quality; JSON lines on stdout.",
+    help="Measure time, size, error, memory and rendered quality; print JSON lines.",
     no_args_is_help=True,
     add_completion=False,
 )
@@ -204,22 +204,26 @@ def measure(
             "--profile",
             "-p",
             metavar="NAME",
-            help=f"One of {PROFILES_SHOWN}. May be repeated.",
+            help=f"Profile: {PROFILES_SHOWN}; may be repeated.",
             show_default="all profiles",
         ),
     ] = None,
     tile: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Tile each scene, jittered, to this many Gaussians.", min=1),
+        typer.Option(
+            metavar="N",
+            help="Repeat each scene in jittered tiles, up to this number of Gaussians.",
+            min=1,
+        ),
     ] = None,
     repeats: Annotated[
         int, typer.Option(metavar="N", help="Timed runs; medians are reported.", min=1)
     ] = 5,
     cameras: Annotated[
-        str | None, typer.Option(metavar="C", help=f"Measure rendered quality too: {CAMERAS}")
+        str | None, typer.Option(metavar="C", help=f"Also measure rendered quality: {CAMERAS}")
     ] = None,
 ) -> None:
-    """Measure scenes one by one; lines on stdout, a table of them on stderr."""
+    """Measure scenes one by one; JSON lines go to stdout, a table to stderr."""
     if cameras is None:
         typed.refuse(("gt_images", "width"), "needs --cameras")
     configs = [typed.build(Config, profile=name) for name in profile or PROFILE_CHOICES]
@@ -231,7 +235,7 @@ def measure(
 
 for _name, _help in (
     ("run", "Measure each profile: time, size, entropy, error, memory, quality."),
-    ("peers", "Measure profiles beside spz, splat-transform, pcodec and zstd."),
+    ("peers", "Compare profiles with spz, splat-transform, pcodec and zstd."),
 ):
     app.command(_name, cls=InOrder, help=_help)(measure)
 app.command("suite", cls=InOrder)(measure_suite)

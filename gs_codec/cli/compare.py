@@ -33,27 +33,28 @@ if TYPE_CHECKING:
 @takes(*_OF_VIEWS, "max_bytes", "overwrite", "json", split="held-out", device="auto")
 def command(
     first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another version of A.")],
     typed: Typed,
     cameras: Annotated[
-        str | None, typer.Option(metavar="C", help=f"Compare what these see: {CAMERAS}")
+        str | None, typer.Option(metavar="C", help=f"Compare rendered views: {CAMERAS}")
     ] = None,
     gt_images: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Measure both scenes against these images."),
+        typer.Option(
+            metavar="DIR", help="Folder of ground-truth images to measure both scenes against."
+        ),
     ] = None,
     images: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Write each view's two images, and 10 x their difference."
+            metavar="DIR", help="Folder for both images of each view and 10x their difference."
         ),
     ] = None,
     lpips: Annotated[
         Path | None,
         typer.Option(
             metavar="PATH",
-            help="Measure LPIPS too, by the network (VGG16, AlexNet or SqueezeNet 1.1) whose"
-            " weights this file holds.",
+            help="Also measure LPIPS, with these weights of VGG16, AlexNet or SqueezeNet 1.1.",
             show_default="GS_CODEC_LPIPS",
         ),
     ] = None,
@@ -96,7 +97,7 @@ def _print_attributes(comparison: Comparison) -> None:
             [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
         )
     )
-    print_text("Invisible Gaussians count too; --cameras auto compares what cameras see")
+    print_text("Errors of invisible Gaussians are included; --cameras auto compares rendered views")
 
 
 def _say_systems(systems: tuple[str, str]) -> None:

@@ -53,18 +53,18 @@ def command(
         str,
         typer.Option(
             metavar="[FROM:]TO",
-            help="Where x, y and z point in OUT: RDF is right, down, forward, as in PLY files; "
-            "'keep' is as in IN. FROM is for an IN that does not state its own, or a wrong one.",
+            help="Coordinate system of OUT: RDF (right, down, forward, as in PLY files), RUB, ..., "
+            "or keep (that of IN); FROM sets that of IN, if it is missing or wrong.",
         ),
     ] = "RDF",
     cameras: Annotated[
         str | None,
         typer.Option(
-            metavar="C", help=f"Guide --remove-floaters, --gaussians, --keep by views: {CAMERAS}"
+            metavar="C", help=f"Views for --remove-floaters, --gaussians and --keep: {CAMERAS}"
         ),
     ] = None,
 ) -> None:
-    """Convert scenes to another format, merged and edited on the way; report what that loses."""
+    """Convert, merge and edit scenes in any format, and report every loss."""
     suffix = f".{typed['format']}" if is_stdout(target) else known_suffix(target)
     if suffix in PLAIN:
         refuse_coding(typed, suffix[1:], target)

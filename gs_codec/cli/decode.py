@@ -31,7 +31,7 @@ def command(
         Path | None,
         typer.Argument(
             metavar="[OUT]",
-            help="Scene to write, a .ply; - is stdout.",
+            help="PLY to write; - is stdout.",
             show_default="IN with the suffix .ply",
         ),
     ] = None,
@@ -39,35 +39,35 @@ def command(
         str | None,
         typer.Option(
             metavar="X,Y,Z,X,Y,Z",
-            help="Only Gaussians whose centre is in this box: lowest, then highest corner.",
+            help="Decode only Gaussians with centres in this box: lowest, then highest corner.",
         ),
     ] = None,
     sh_degree: Annotated[
-        int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
+        int | None, typer.Option(metavar="D", help="Omit SH above this degree, 0-3.")
     ] = None,
     level: Annotated[
-        int, typer.Option(metavar="K", help="Level of detail: 0 is the scene, 1 a quarter of it...")
+        int,
+        typer.Option(metavar="K", help="Level of detail: 0 is the scene, 1 a quarter of it, ..."),
     ] = 0,
     view: Annotated[
         str | None,
         typer.Option(
             metavar="CAMERAS[:NAME]",
-            help="Only blocks that this camera sees (NAME, or #N from 0), as coarse as its"
-            " pixels allow.",
+            help="Decode only what a camera (NAME, or #N from 0) needs; see --tolerance.",
         ),
     ] = None,
     budget: Annotated[
-        int | None, typer.Option(metavar="N", help="With --view: most Gaussians.")
+        int | None, typer.Option(metavar="N", help="With --view: maximum number of Gaussians.")
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="PIXELS", help="With --view: largest error (default: 1)."),
+        typer.Option(metavar="PIXELS", help="With --view: maximum error, pixels (default: 1)."),
     ] = None,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     if target is None:
         if str(source) == "-":
-            raise InvalidInput("missing OUT: stdin has no name, expected a .ply, or - for stdout")
+            raise InvalidInput("missing OUT: required with stdin, expected a .ply, or - for stdout")
         target = source.with_suffix(".ply")
     box = None if bbox is None else _parse_box(bbox)
     from gs_codec.codecs.part import Part
@@ -116,7 +116,7 @@ def _tell(source: Path, target: Path, out: Path, typed: Typed, report: DecodeRep
     )
     if report.bytes_read < report.file_bytes:
         share = report.bytes_read / report.file_bytes
-        print_text(f"read {size_text(report.bytes_read)} of {source}, {share:.0%} of it")
+        print_text(f"read {size_text(report.bytes_read)} of {source} ({share:.0%})")
 
 
 def _camera_of(text: str) -> Camera:
@@ -134,9 +134,9 @@ def _camera_of(text: str) -> Camera:
     if len(found) != 1:
         place = cameras.index(found[0]) if found else 0
         raise InvalidInput(
-            f"--view {text}: {len(found) or 'none'} of "
-            f"{counted(len(cameras), 'camera')}, expected one by its "
-            f"name or number, for example {path}:#{place} for {cameras[place].name}"
+            f"--view {text}: matches {len(found) or 'none'} of "
+            f"{counted(len(cameras), 'camera')}, expected the name "
+            f"or number of one, for example {path}:#{place} for {cameras[place].name}"
         )
     return found[0]
 

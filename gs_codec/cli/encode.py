@@ -51,9 +51,9 @@ def command(
     ],
     typed: Typed,
 ) -> None:
-    """Encode a scene to an .egs file, or in a format that other programs read.
+    """Encode a scene to .egs, or to a format that other programs read.
 
-    With --dask, the workers of a cluster share one giant scene: IN may be a folder of its tiles.
+    With --dask, the workers of a cluster divide one giant scene; IN may be a folder of its tiles.
     """
     config, rate = config_of(typed, target), target_of(typed)
     plan = plan_of(typed, config)
@@ -85,7 +85,7 @@ def _encode_distributed(source: Path, target: Path, config: Config, typed: Typed
 
     tiles = [location.path for _, location in LocalStorage(str(source)).find((".ply", ".egs"))]
     if not tiles:
-        raise InvalidInput(f"{source}: no such file, no .ply or .egs in it")
+        raise InvalidInput(f"{source}: no such file, or no .ply or .egs in this folder")
     with progress_bar() as progress:
         return encode_distributed(
             tiles, target, config, dask=typed["dask"], progress=progress,
@@ -115,7 +115,7 @@ def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
         zeros = counted(report.zero_quaternions, "zero quaternion")
         print_status(f"replaced {zeros} by the identity")
     if lattices and report.rectified:
-        print_status(f"values beyond 400, moved to 400: {report.rectified:,}")
+        print_status(f"values clipped to 400: {report.rectified:,}")
 
 
 def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
@@ -126,7 +126,7 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
         f"{sum(report.seconds.values()):.2f} s"
     )
     if levels := report.section_bytes.get("level"):
-        print_text(f"coarser levels of detail: {size_text(levels)} of it")
+        print_text(f"including coarser levels of detail: {size_text(levels)}")
     if report.prepared is not None:
         print_prepared(report.prepared)
     if report.rate is not None:
@@ -145,7 +145,7 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
 
 
 #: Description of the crops that are measured in addition to whole views with a loss target.
-_CROPS = "crops of other views, half of them of the smallest Gaussians"
+_CROPS = "crops of other views (half show the smallest Gaussians)"
 
 
 def _print_rate(rate: RateReport) -> None:

@@ -36,15 +36,18 @@ def command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
     typed: Typed,
     channels: Annotated[
-        bool, typer.Option("--channels", help="List every channel's quantiser and model.")
+        bool, typer.Option("--channels", help="List the quantiser and model of every channel.")
     ] = False,
     histogram: Annotated[
-        bool, typer.Option("--histogram", help="Statistics of every attribute; decodes an .egs.")
+        bool,
+        typer.Option(
+            "--histogram", help="Print statistics of every attribute; an .egs is decoded."
+        ),
     ] = False,
 ) -> None:
-    """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
+    """Show the contents of a file; only the header of an .egs is read."""
     if typed["json"]:
-        typed.refuse(["channels"], "has no effect: --json always has them")
+        typed.refuse(["channels"], "has no effect with --json, which always lists channels")
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
 
     with piped_source(file, typed["input_format"]) as path:
@@ -53,7 +56,7 @@ def command(
             _show_other(file, path, typed, histogram)
             return
         if not histogram:
-            why = "has no effect on an .egs without --histogram: its header is read"
+            why = "has no effect on an .egs without --histogram: only its header is read"
             typed.refuse(["max_bytes"], why)
         info, statistics = inspect_file(path), None
         if histogram:
@@ -178,7 +181,7 @@ def _print_info(file: Path, info: Info) -> None:
         f"{file}: version {info.version}, profile {info.profile}{needs}, "
         f"{counted(info.count, 'Gaussian')}, SH degree {info.sh_degree}, "
         f"{counted(info.blocks, 'block')} of at most {info.block_size:,}",
-        f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
+        f"{size_text(info.file_bytes)}, {info.ratio:.2f}x relative to the floats, "
         f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian",
         _where(info),
     )
@@ -196,7 +199,7 @@ def _print_info(file: Path, info: Info) -> None:
     )
     if info.levels:
         print_table(Table(
-            ["level", "Gaussians", "blocks", "bytes", "least error", "largest error"],
+            ["level", "Gaussians", "blocks", "bytes", "smallest error", "largest error"],
             [
                 [
                     str(one.level), f"{one.count:,}", f"{one.blocks:,}", f"{one.bytes:,}",

@@ -29,27 +29,21 @@ from gs_codec.runtime.wording import as_typed, size_text
 #: Commands in the order of the help, with the first line of their help, because loading it from the
 #: modules would double the time of the list; each is a module of this package.
 NAMES = {
-    "encode": "Encode a scene to an .egs file, or in a format that other programs read.",
+    "encode": "Encode a scene to .egs, or to a format that other programs read.",
     "decode": "Decode an .egs file to a PLY that other 3DGS tools open.",
-    "verify": "Check every checksum of an .egs and decode all of it, or read all of another scene.",
-    "convert": (
-        "Convert scenes to another format, merged and edited on the way; report what that loses."
-    ),
-    "prepare": "Prune, refine or compact a scene before it is coded, and report what that cost.",
-    "batch": "Encode or convert a folder of scenes, each as `encode` or `convert` would.",
-    "inspect": (
-        "Show what a file holds: an .egs from its header alone, other scenes once they are read."
-    ),
+    "verify": "Check a whole file: test checksums and decode an .egs, or read another format.",
+    "convert": "Convert, merge and edit scenes in any format, and report every loss.",
+    "prepare": "Prune, refine or compact a scene before coding, and report the loss.",
+    "batch": "Encode or convert every scene in a folder, like `encode` and `convert`.",
+    "inspect": "Show the contents of a file; only the header of an .egs is read.",
     "compare": "Compare two versions of a scene: by attribute, or in rendered views.",
-    "render": (
-        "Draw a scene from each camera as the 3DGS rasteriser does, or write the cameras alone."
-    ),
-    "share": "Write a page that shows a scene, or compares two, in any browser.",
+    "render": "Render a scene from each camera as 3DGS does, or write only the cameras.",
+    "share": "Write a web page that shows a scene, or compares two, in any browser.",
     "analyze": (
         "Report why coding works on a scene: correlations, distributions, entropies, sensitivities."
     ),
-    "bench": "Measure time, size, error, memory and rendered quality; JSON lines on stdout.",
-    "warm": "Compile all kernels that are not compiled yet, so that no later command has to.",
+    "bench": "Measure time, size, error, memory and rendered quality; print JSON lines.",
+    "warm": "Compile all kernels now, so that later commands start without delay.",
 }
 
 
@@ -91,7 +85,7 @@ def _load_command(name: str) -> Any:
 
 app = typer.Typer(
     cls=_Commands,
-    help="Compress 3D Gaussian Splatting scenes (PLY) to small .egs files and back.",
+    help="Compress, convert, edit and compare 3D Gaussian Splatting scenes.",
     epilog="gs-codec help COMMAND lists the options of a command.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

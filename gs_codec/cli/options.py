@@ -34,34 +34,34 @@ _NUMBERS: Mapping[type, tuple[str, str]] = {
 #: Options by Python name, and their defaults; first those that are not fields.
 OPTIONS = {
     "max_memory": Option(
-        "Most memory to use: 4GB, 512MiB; the rest goes to temporary files.",
-        int, metavar="SIZE", shown="what is needed", unit="bytes",
+        "Maximum memory (4GB, 512MiB); further data goes to temporary files.",
+        int, metavar="SIZE", shown="no limit", unit="bytes",
     ),
     "max_bytes": Option(
-        "Largest size of a scene's floats, bytes.", int, shown="1 GiB or 1000 times the file"
+        "Maximum size of a scene's floats, bytes.", int, shown="1 GiB or 1000 times the file"
     ),
     "preset": Option(
-        "entropygs: the paper's whole pipeline; --refine and -p paper-* change it.",
+        "Run the paper's whole pipeline; --refine and -p paper-* change it.",
         values=tuple(PRESETS),
     ),
     "dask": Option(
-        "Use the workers of a Dask scheduler, or local ones.", metavar="ADDRESS",
+        "Dask scheduler to use, or local to start workers on this machine.", metavar="ADDRESS",
     ),
     "input_format": Option(
-        f"Format of stdin or a pipe; {listed(unmarked_names(), 'and')} need it.",
+        f"Format of stdin or a pipe, required for {listed(unmarked_names(), 'and')}.",
         metavar="NAME", values=READ_NAMES,
     ),
     "overwrite": Option("Overwrite existing output.", bool),
     "json": Option("Print the report as JSON.", bool),
-    "quiet": Option("Print no progress and no reports, except results.", bool),
-    "verbose": Option("Print the time of each stage, and the memory used.", bool),
-    "report": Option("Write report.json, ablation.md, labels.npy there.", Path, metavar="DIR"),
+    "quiet": Option("Hide progress and reports; print only results, warnings and errors.", bool),
+    "verbose": Option("Print the time of each stage, total time and memory.", bool),
+    "report": Option("Folder for report.json, ablation.md and labels.npy.", Path, metavar="DIR"),
     "split": Option(
-        "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."
+        "Cameras to use: all, test, train, or held-out (test if any are marked, otherwise all)."
     ),
     "error_scale": Option(
-        "Errors of sensitivities in standard deviations of the channel, or as the paper: mean "
-        "square over the attribute's mean.",
+        "Scale of errors: standard deviations of the channel, or mean square over the "
+        "attribute's mean, as in the paper.",
         values={name: name for name in ("deviation", "mean")},
     ),
 }  # fmt: skip

@@ -132,9 +132,9 @@ def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> 
         print_text("rendered views: not measured")
         return
     text = (
-        f"{views}: {loss.psnr:.1f} dB to the original, "
+        f"{views}: {loss.psnr:.1f} dB against the original, "
         f"a loss of {'about ' if loss.loss >= 0.01 else ''}{loss_text(loss.loss)} at 30 dB; "
-        f"worst window {loss_text(loss.worst)}"
+        f"95th percentile of crops {loss_text(loss.worst)}"
     )
     if loss.away is not None:
         text += f"; away from the cameras {loss_text(loss.away)}"
@@ -205,5 +205,5 @@ def smaller(before: int, after: int, ratio: float) -> str:
     """
     if ratio < 1.05:
         return f"{size_text(before)} -> {size_text(after)}"
-    beside = " than the floats" if abs(ratio * after - before) >= 1 else ""
-    return f"{size_text(before)} -> {size_text(after)}, {ratio:.2f} times smaller{beside}"
+    basis = " relative to the floats" if abs(ratio * after - before) >= 1 else ""
+    return f"{size_text(before)} -> {size_text(after)} ({ratio:.2f}x{basis})"

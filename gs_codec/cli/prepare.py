@@ -37,11 +37,11 @@ def command(
     ],
     typed: Typed,
 ) -> None:
-    """Prune, refine or compact a scene before it is coded, and report what that cost."""
+    """Prune, refine or compact a scene before coding, and report the loss."""
     config = config_of(typed, target)
     plan = plan_of(typed, config)
     if plan is None or not plan.steps.wanted:
-        raise InvalidInput("no step of preparation asked for, for example --prune 30")
+        raise InvalidInput("no step of preparation given; pass one, for example --prune 30")
     from gs_codec.files.preparing import prepare_file
     from gs_codec.files.scenes import written_bytes
 

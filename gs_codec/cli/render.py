@@ -22,11 +22,11 @@ from gs_codec.runtime.wording import counted
 )  # fmt: skip
 def command(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
-    cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],
+    cameras: Annotated[str, typer.Option(metavar="C", help=f"Views to render: {CAMERAS}")],
     out: Annotated[
         Path,
         typer.Option(
-            metavar="DIR", help="Folder for the images, PNG; or a .json file for the cameras alone."
+            metavar="DIR", help="Folder for PNG images, or a .json file for only the cameras."
         ),
     ],
     typed: Typed,
@@ -34,16 +34,16 @@ def command(
         bool | None,
         typer.Option(
             "--antialiased/--plain",
-            help="With or without Mip-Splatting's opacity compensation.",
-            show_default="as the file says",
+            help="Apply Mip-Splatting's opacity compensation, or not.",
+            show_default="as in the file",
         ),
     ] = None,
 ) -> None:
-    """Draw a scene from each camera as the 3DGS rasteriser does, or write the cameras alone."""
+    """Render a scene from each camera as 3DGS does, or write only the cameras."""
     only_cameras = out.suffix.lower() == ".json"
     if only_cameras:
         drawing = ("background", "device", "antialiased")
-        typed.refuse(drawing, f"has no effect on cameras, which --out {out} asks for")
+        typed.refuse(drawing, f"has no effect with --out {out}, which writes only cameras")
         check_writable(out, typed["overwrite"])
     else:
         check_folder(out, typed["overwrite"])

@@ -127,7 +127,7 @@ def takes(
         def called(ctx: typer.Context, **values: Any) -> None:
             quiet, verbose = values.pop("quiet"), values.pop("verbose")
             if quiet and verbose:
-                raise InvalidInput("--quiet and --verbose: expected only one of them")
+                raise InvalidInput("--quiet and --verbose cannot be combined")
             set_loudness(quiet, verbose, ctx.info_name in _RESULTS)
             arguments = {p.name: values[p.name] for p in kept}
             command(**arguments, typed=Typed(ctx, values))
@@ -139,7 +139,7 @@ def takes(
         listed = _listed("Expert options:", _expert(experts, DEFAULTS | defaults))
         if actions_hidden:
             kinds = [(f"--{n} {KINDS[n].metavar}".rstrip(), KINDS[n].help) for n in actions]
-            listed += ["", *_listed("Actions, done first, in the order given:", kinds)]
+            listed += ["", *_listed("Actions, applied before encoding, in the order given:", kinds)]
         called.epilog = "\n".join(listed)  # type: ignore[attr-defined]
         return called
 
@@ -213,7 +213,7 @@ def config_of(typed: Typed, target: Path | None = None) -> Config:
         refuse_coding(typed, form, target)
     profile = Config(typed["profile"]).profile
     if profile not in PROFILES:
-        typed.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
+        typed.refuse(["preset"], f"uses {', '.join(PROFILES)}, not profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
         typed.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
     return typed.build(Config, format=form if form in CODED_FORMATS else EGS)
@@ -239,7 +239,7 @@ def _format_of(typed: Typed, target: Path | None) -> str:
         return typed["format"] or EGS
     form = format_name(known_suffix(target))
     if form and typed["format"] not in (None, form):
-        typed.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
+        typed.refuse(["format"], f"has no effect on {target}, whose suffix sets the format")
     return form
 
 
@@ -267,7 +267,7 @@ def plan_of(typed: Typed, config: Config) -> Plan | None:
         typed.refuse(["geometry_rule"], "needs --prune-geometry")
     steps = typed.build(Steps)
     if not steps.refine:
-        typed.refuse(["checkpoint"], "needs --refine, whose state it keeps")
+        typed.refuse(["checkpoint"], "needs --refine, whose state it saves")
         typed.refuse(["device"], "needs --refine")
         typed.refuse(["keep_refined"], "needs --refine, whose result it keeps")
     if not steps.wanted and not _goes_by_views(typed, config):
@@ -285,7 +285,7 @@ def action_plan(typed: Typed) -> Plan | None:
     """
     guided = [action for action in typed.actions if KINDS[action.name].guided]
     if typed["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
-        why = "'auto' has no effect on --remove-floaters, which needs cameras of a file"
+        why = "'auto' has no effect on --remove-floaters, which needs cameras from a file"
         typed.refuse(["cameras"], why)
     if typed["cameras"] is None or not guided:
         known = ", ".join(f"--{name}" for name, kind in KINDS.items() if kind.guided)
@@ -308,7 +308,7 @@ def _goes_by_views(typed: Typed, config: Config) -> bool:
     fixed = config.scene_format.writes != "steps"
     prunes = fixed and any(typed[name] is not None for name in _TARGETS)
     if config.scene_format.is_exact and not prunes:
-        why = f"has no effect on .{config.format}, whose values stay: expected --prune or --refine"
+        why = f"has no effect on .{config.format}, whose values are exact: use --prune or --refine"
         typed.refuse(["cameras", "views", "width", "background"], why)
     if typed["cameras"] is not None or measured or typed["allow_prune"] or prunes:
         return True

@@ -23,13 +23,13 @@ def command(
         typer.Option(
             "--out",
             metavar="OUT",
-            help="A .html file with all in it, or a folder for a web server.",
+            help="A .html file that contains everything, or a folder for a web server.",
         ),
     ],
     typed: Typed,
     second: Annotated[
         Path | None,
-        typer.Argument(metavar="[B]", help="Another version of it.", show_default=False),
+        typer.Argument(metavar="[B]", help="Another version of A.", show_default=False),
     ] = None,
     cameras: Annotated[
         str, typer.Option(metavar="C", help=f"Views to choose from: {CAMERAS}")
@@ -38,11 +38,11 @@ def command(
         str | None,
         typer.Option(
             metavar="AXIS",
-            help=f"Up axis: {', '.join(UP_AXES)}; by default from cameras, given or estimated.",
+            help=f"Up axis: {', '.join(UP_AXES)}; by default from the cameras, given or estimated.",
         ),
     ] = None,
 ) -> None:
-    """Write a page that shows a scene, or compares two, in any browser."""
+    """Write a web page that shows a scene, or compares two, in any browser."""
     from gs_codec.files.sharing import share
 
     sources = [first] if second is None else [first, second]

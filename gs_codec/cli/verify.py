@@ -25,7 +25,7 @@ def command(
     source: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
     typed: Typed,
 ) -> None:
-    """Check every checksum of an .egs and decode all of it, or read all of another scene."""
+    """Check a whole file: test checksums and decode an .egs, or read another format."""
     from gs_codec.codecs.slabs import verify_file
     from gs_codec.files.scenes import is_egs
 

@@ -12,7 +12,7 @@ from gs_codec.runtime.threads import using_threads
 
 @takes("threads", "json")
 def command(typed: Typed) -> None:
-    """Compile all kernels that are not compiled yet, so that no later command has to."""
+    """Compile all kernels now, so that later commands start without delay."""
     from gs_codec.runtime.warming import warm
 
     with using_threads(typed["threads"]), progress_bar() as progress:
@@ -21,6 +21,5 @@ def command(typed: Typed) -> None:
         print_document(**asdict(report) | {"folder": str(report.folder)})
     else:
         print_text(
-            f"{report.kernels} kernels, {report.compiled} of them compiled now; "
-            f"compiled kernels are kept in {report.folder}"
+            f"{report.kernels} kernels, {report.compiled} compiled now; kept in {report.folder}"
         )

@@ -316,7 +316,7 @@ def _check_extra(file: EgsFile, limit: int) -> None:
     size = 0 if extra is None else extra_bytes(extra, file.header.count)
     if size > limit - file.header.float_bytes:
         raise CorruptStream(
-            f"section 'extra': {counted(size, 'byte')} beside "
+            f"section 'extra': {counted(size, 'byte')} in addition to "
             f"{file.header.float_bytes:,}, the limit is {limit:,}"
         )
 
@@ -350,7 +350,7 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
     for section_id, block in file.table:
         if section_id in others:
             label = SectionId(section_id).label
-            raise CorruptStream(f"section '{label}' of block {block}: nothing is coded there")
+            raise CorruptStream(f"section '{label}' of block {block}: empty")
     found = sum(section_id in expected for section_id, _ in file.table)
     if found != len(expected) * header.block_count:
         needed = len(expected) * header.block_count

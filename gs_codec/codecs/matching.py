@@ -40,8 +40,10 @@ _FAR = "far"
 #: Method of matching if no order matches the Gaussians.
 NEAREST = "nearest centre"
 
-_INSTEAD = 'compare what cameras see (cameras="auto")'
-_UNRELATED = f"no match of the scenes' Gaussians, so no errors by attribute: {_INSTEAD}"
+_INSTEAD = 'compare rendered views (cameras="auto")'
+_UNRELATED = (
+    f"Gaussians of the scenes do not match, so there are no errors by attribute: {_INSTEAD}"
+)
 
 #: Share of right pairs at which no other match is tried.
 _SURELY = 0.95

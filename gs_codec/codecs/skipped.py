@@ -100,9 +100,9 @@ def _zero_passes(listed: list[ContextList], zeros: set[str]) -> list[str]:
         else:
             zero += _named(found, stream, len(names))
     if zero:
-        lines.append(f"{', '.join(zero)}: all zero once rounded")
+        lines.append(f"{', '.join(zero)}: all zero after rounding")
     if zero_bands:
-        lines.append(f"{_bands(zero_bands)}: all zero once rounded")
+        lines.append(f"{_bands(zero_bands)}: all zero after rounding")
     return lines
 
 

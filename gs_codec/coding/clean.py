@@ -126,7 +126,7 @@ def drop_nonfinite(scene: Scene, config: Config, whole: bool = True) -> tuple[Sc
 
 def nothing_left(count: int) -> InvalidInput:
     """The error for a scene of which all `count` Gaussians are damaged."""
-    return InvalidInput(f"no Gaussian is left of {count:,}: all hold NaN or infinity")
+    return InvalidInput(f"no Gaussian is left of {count:,}: all contain NaN or infinity")
 
 
 def _sound(group: str, row: NDArray[np.float32]) -> NDArray[np.bool_]:

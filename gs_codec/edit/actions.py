@@ -73,7 +73,7 @@ def _numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
             numbers = ()
         if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
             expected = " or ".join(map(str, counts))
-            expected += " numbers, with commas between" if max(counts) > 1 else " number"
+            expected += " numbers separated by commas" if max(counts) > 1 else " number"
             raise InvalidInput(f"expected {expected}")
         return numbers
 
@@ -160,7 +160,7 @@ KINDS: Mapping[str, Kind] = {
         "Keep Gaussians with centres in this sphere: centre and radius.", "X,Y,Z,R", _numbers(4)
     ),
     "filter": Kind(
-        "Keep Gaussians for which this holds: 'opacity>0.05', 'longest_scale<2', 'z<=1.5'.",
+        "Keep Gaussians that meet a condition: 'opacity>0.05', 'longest_scale<2', 'z<=1.5'.",
         "CONDITION", read_condition,
     ),
     "remove-nan": Kind("Remove Gaussians with NaN or infinity.", "", _nothing),
@@ -169,26 +169,26 @@ KINDS: Mapping[str, Kind] = {
         "", _nothing, local=False, guided=True,
     ),
     "keep-largest-cluster": Kind(
-        "Keep the largest group of Gaussians that are near each other.", "", _nothing, local=False
+        "Keep the largest cluster of neighbouring Gaussians.", "", _nothing, local=False
     ),
-    "translate": Kind("Shift the scene.", "X,Y,Z", _numbers(3), does="move"),
+    "translate": Kind("Translate the scene.", "X,Y,Z", _numbers(3), does="move"),
     "rotate": Kind(
-        "Turn the scene: degrees about x, then y, then z; or a quaternion.",
+        "Rotate the scene: degrees about x, then y, then z; or a quaternion.",
         "X,Y,Z|W,X,Y,Z", _numbers(3, 4), does="move",
     ),
-    "scale": Kind("Multiply all lengths.", "F", _numbers(1), does="move"),
+    "scale": Kind("Scale the scene by this factor.", "F", _numbers(1), does="move"),
     "transform": Kind(
-        "Move the scene by a matrix of 4 x 4, rows in JSON, that scales all axes alike.",
+        "Transform the scene by a 4x4 matrix (JSON rows) that scales all axes equally.",
         "FILE", _matrix, does="move",
     ),
-    "sh-degree": Kind("No SH above this degree, 0-3.", "D", _whole(0, 3), "change"),
+    "sh-degree": Kind("Remove SH above this degree, 0-3.", "D", _whole(0, 3), "change"),
     "gaussians": Kind(
-        "Leave this number: the least seen are dropped, neighbours merged into one; with cameras, "
-        "by what views see, and colours are fitted to the views.",
+        "Reduce to this number: drop the least visible, merge neighbours; with --cameras, measure "
+        "visibility in views and refit colours.",
         "N", _whole(1, 1 << 40), local=False, guided=True,
     ),
     "keep": Kind(
-        "Leave this share of the Gaussians: drops the least seen, merges neighbours into one.",
+        "Reduce to this percentage: drop the least visible, merge neighbours.",
         "PERCENT", _share, local=False, guided=True,
     ),
     "sort": Kind("Sort the Gaussians along a Morton curve.", "morton", _order, "change"),
@@ -253,9 +253,9 @@ def check_actions(
                 f"{action.typed}: needs the whole scene in memory, without max-memory"
             )
         if kind.guided and given and moved is not None:
-            raise InvalidInput(f"{action.typed}: cameras are of the scene before {moved.typed}")
+            raise InvalidInput(f"{action.typed}: the cameras no longer fit after {moved.typed}")
         moved = action if kind.does == "move" else moved
     if coded and given and moved is not None:
         raise InvalidInput(
-            f"{moved.typed}: cameras are of the scene before it, expected none or auto"
+            f"{moved.typed}: the given cameras do not fit the moved scene, expected none or auto"
         )

@@ -103,7 +103,7 @@ def find_floaters(
     """
     if str(cameras) == "auto":
         raise InvalidInput(
-            "cameras 'auto': estimated cameras do not help here, expected given ones"
+            "cameras 'auto': estimated cameras are not enough, expected cameras from a file"
         )
     if cameras is not None:
         check_installed("scipy", "remove-floaters with cameras")

@@ -130,8 +130,8 @@ def _repeated(scene: Scene) -> _Found:
     same, all_same = np.zeros((2, scene.count), bool)
     same[centres] = all_same[rows[_repetitions(planes)[1]]] = True
     return [
-        ("same centre", "centre of an earlier one", same),
-        ("duplicate", "all attributes of an earlier one", all_same),
+        ("same centre", "centre equal to that of an earlier one", same),
+        ("duplicate", "all attributes equal to those of an earlier one", all_same),
     ]
 
 

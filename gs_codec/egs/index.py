@@ -114,7 +114,7 @@ def open_level(file: EgsFile, level: int) -> EgsFile:
         wanted = level_header(file.header, level)
         fewer = replace(wanted, features=wanted.features & ~Feature.FAR)
         if found.header not in (wanted, fewer) or levels_of(found):
-            raise CorruptStream("header: is not that of a level of this file")
+            raise CorruptStream("header: does not match a level of this file")
         errors_of(found)
     return found
 
@@ -142,7 +142,9 @@ def check_errors(finer: NDArray[np.float32], coarser: NDArray[np.float32]) -> No
     least = np.maximum.reduceat(finer, np.arange(0, len(finer), FANOUT))
     if (coarser < least).any():
         block = int(np.argmax(coarser < least))
-        raise CorruptStream(f"{_IN_ERRORS}: block {block} has less than one of the level below")
+        raise CorruptStream(
+            f"{_IN_ERRORS}: block {block} has a smaller error than a block that it replaces"
+        )
 
 
 @contextmanager

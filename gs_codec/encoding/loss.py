@@ -30,8 +30,8 @@ from gs_codec.scene import Scene
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
-#: Quantile of the windows' errors reported as the worst: a few windows look out of a Gaussian's
-#: inside, where no camera ever was.
+#: Quantile of the crops' losses that is reported. A few crops are seen from inside a Gaussian,
+#: where no camera ever was.
 _WORST = 0.95
 
 #: Lower bound of mean squared errors: 120 dB.

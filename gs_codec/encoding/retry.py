@@ -176,9 +176,9 @@ def tell(loss: RenderedLoss, config: Config) -> None:
     """Warn if views lose too much; raise if strict."""
     if loss.aimed is None or loss.loss <= 2 * loss.aimed:
         return
-    text = f"rendered views lose {loss.loss:.2f} dB, aimed at {loss.aimed:.2f} dB"
+    text = f"rendered views lose {loss.loss:.2f} dB (aim: {loss.aimed:.2f} dB)"
     if config.format != EGS:
-        text += f": more than steps can change, as .{config.format} has its own limits"
+        text += f"; finer steps do not help, because of the limits of .{config.format}"
     if config.strict:
         raise InvalidInput(text)
     log.warning(text)

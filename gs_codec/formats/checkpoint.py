@@ -111,7 +111,7 @@ def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
     other = path.with_name(rank.sub(lambda m: f"_rank{int(m[1] == '0')}.", path.name))
     if other != path and other.exists():
         log.warning(
-            "%s: one of several files; others, such as %s, hold the rest of the scene",
+            "%s: one of several files; others, such as %s, contain the rest of the scene",
             path,
             other.name,
         )

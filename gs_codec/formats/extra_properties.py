@@ -70,7 +70,7 @@ def refuse_beyond(properties: Sequence[str], elements: Sequence[str] = ()) -> No
     """Reject properties and elements beyond the layout, if there are any."""
     if elements:
         raise InvalidInput(
-            f"element '{elements[0][:_LENGTH]}' beside 'vertex'; choose extra=\"drop\""
+            f"element '{elements[0][:_LENGTH]}' in addition to 'vertex'; choose extra=\"drop\""
         )
     if properties:
         why = "normals are not all zero" if set(properties) <= {*NORMALS} else "beyond the layout"

@@ -67,7 +67,9 @@ def _headers(data: memoryview) -> tuple[np.void, NDArray]:
         raise InvalidInput(f".ksplat: {found}, expected 0.1, level 0 to {len(_TYPES) - 1}")
     number = int(header["sections"])
     if _HEADER.itemsize + number * _SECTION.itemsize > len(data):
-        raise InvalidInput(f".ksplat: {counted(number, 'section')}, which the file has no room for")
+        raise InvalidInput(
+            f".ksplat: {counted(number, 'section')}, more than the file has room for"
+        )
     sections = _counted(np.frombuffer(data, _SECTION, number, _HEADER.itemsize))
     total = int(sections["count"].sum(dtype=np.int64))
     if total != header["count"] or (sections["degree"] > 2).any():

@@ -131,7 +131,7 @@ class Clipped:
 def check_finite(scene: Scene, suffix: str) -> None:
     """Reject values that are not finite."""
     if not all(np.isfinite(getattr(scene, group)).all() for group in GROUPS):
-        raise InvalidInput(f"values that are not finite, which {suffix} cannot hold")
+        raise InvalidInput(f"values that are not finite, which {suffix} cannot store")
 
 
 #: Maximum log-scale whose scale is a finite float32.

@@ -105,7 +105,7 @@ class _Machine:
         elif name in _STEPS:
             _STEPS[name](self, argument)
         elif name not in ("PROTO", "FRAME", "STOP"):
-            raise InvalidInput(f"pickle: opcode {name}, which no checkpoint has")
+            raise InvalidInput(f"pickle: opcode {name}, not expected in a checkpoint")
 
     def mark(self, _: Any) -> None:
         self.below.append(self.stack)
@@ -152,7 +152,7 @@ class _Machine:
         """The storage described by ("storage", class, key, device, length)."""
         kind, known, key, _, length = self.stack.pop()
         if kind != "storage" or not isinstance(known, _Global) or not isinstance(key, str):
-            raise InvalidInput("pickle: refers to what is no storage")
+            raise InvalidInput("pickle: refers to something that is not a storage")
         self.stack.append(_Storage(known.name, key, _whole(length)))
 
     def name(self, _: Any) -> None:

@@ -37,7 +37,7 @@ def _by_our_names(tensors: Mapping[str, Any]) -> dict[str, Any]:
     """Tensors renamed to gsplat's names; `InvalidInput` if two names coincide."""
     named = {NERFSTUDIO.get(name, name): tensor for name, tensor in tensors.items()}
     if len(named) < len(tensors):
-        raise InvalidInput(f"tensors {', '.join(tensors)}: some by two names")
+        raise InvalidInput(f"tensors {', '.join(tensors)}: some have two names")
     return named
 
 

@@ -256,8 +256,8 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """
     if first.count != second.count:
         raise InvalidInput(
-            f"{counted(first.count, 'Gaussian')} against {second.count:,}: no match, so no "
-            'errors by attribute: compare what cameras see (cameras="auto")'
+            f"{counted(first.count, 'Gaussian')} against {second.count:,}: they do not match, so "
+            'there are no errors by attribute: compare rendered views (cameras="auto")'
         )
     coefficients = max(len(first.f_rest), len(second.f_rest)) // 3
     with np.errstate(over="ignore"):

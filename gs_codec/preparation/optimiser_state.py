@@ -85,9 +85,11 @@ def read_checkpoint(path: Path, digest: str, fresh: AdamState) -> Checkpoint | N
             if (found.dtype, found.tobytes()) == (own.dtype, own.tobytes()):
                 return _unpack(archive, fresh)
     except _DAMAGE as error:
-        raise InvalidInput(f"{path}: not a whole checkpoint ({one_line(error)})") from error
+        raise InvalidInput(
+            f"{path}: incomplete or damaged checkpoint ({one_line(error)})"
+        ) from error
     raise InvalidInput(
-        f"{path}: checkpoint of another scene, views or options; remove it to start anew"
+        f"{path}: checkpoint of another scene, views or options; remove it to start again"
     )
 
 

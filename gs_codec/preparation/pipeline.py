@@ -246,7 +246,7 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
     if plan.steps.refine and len(cameras) > 1:
         if origin == "given":
             log.warning(
-                "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
+                "cameras: none or all are marked 'test', so every 8th is held out from refinement"
             )
         test = known[::_EVERY]
         rest = [camera for camera in cameras if all(camera is not out for out in test)]

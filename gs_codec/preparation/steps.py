@@ -37,8 +37,8 @@ _ITERATIONS = {"kind": int, "low": 0, "high": 10_000_000}
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
 CAMERAS = (
-    "cameras.json, transforms.json, a camera path, a COLMAP model's folder, or auto: estimated "
-    "from the scene itself."
+    "cameras.json, transforms.json, a camera path, a COLMAP folder, or auto (estimated from the "
+    "scene)."
 )
 
 
@@ -96,26 +96,26 @@ class Steps:
     )  # fmt: skip
     geometry_rule: GeometryRule = option(
         "median",
-        "What --prune-geometry counts from: the median, or 0 (largest), as the paper does.",
+        "Centre of --prune-geometry: the median or, as in the paper, 0 (largest).",
         values=get_args(GeometryRule),
     )
     prune_importance: float = option(
-        0.0, "Prune this percentage, least important first (the paper's theta1).", **_PERCENT
+        0.0, "Prune this percentage by LightGaussian's importance (the paper's theta1).", **_PERCENT
     )
     prune: float | None = option(
         None,
-        "Prune this percentage: Gaussians whose removal changes the views least.",
+        "Prune this percentage of the Gaussians, those that change the views least.",
         shown="0; automatic with --refine",
         **_PERCENT,
     )
     gaussians: int | None = option(
         None,
-        "Prune to this number, by the same measure.",
+        "Prune to this number of Gaussians, like --prune.",
         kind=int, low=1, high=1 << 40, expected="at least 1",
     )  # fmt: skip
     prune_max_psnr_drop: float | None = option(
         None,
-        "Stop pruning at this PSNR loss (dB); without --prune, prune up to it.",
+        "Stop pruning at this PSNR loss, dB; without --prune, it is the only limit.",
         kind=float, metavar="DB", low=0, high=100, expected="0 to 100 dB",
     )  # fmt: skip
     refine: int = option(
@@ -130,7 +130,7 @@ class Steps:
     )
     compact_sh: float = option(
         0.0,
-        "Move SH energy to fewer coefficients; 3e-5 is usual.",
+        "Move SH energy to fewer coefficients; 3e-5 is typical.",
         kind=float, metavar="STRENGTH", low=0, high=1e6, expected="a strength of 0 or more",
     )  # fmt: skip
     refit_colour: int = option(0, "Refit SH with N conjugate-gradient iterations.", **_ITERATIONS)
@@ -149,7 +149,7 @@ class Steps:
             raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
         if self.prune is not None and self.gaussians is not None:
             raise InvalidInput(
-                "gaussians and prune both set the number of Gaussians, expected one of them"
+                "gaussians and prune cannot be combined: both set the number of Gaussians"
             )
 
     @property
@@ -215,26 +215,31 @@ class Plan:
 
     steps: Steps = Steps()
     cameras: str | Path | Sequence[Camera] = option(
-        "auto", f"Reference views: {CAMERAS}", metavar="C", shown="auto, where views are needed"
+        "auto", f"Reference views: {CAMERAS}", metavar="C", shown="auto, if views are needed"
     )
     gt_images: str | Path | None = option(
         None,
-        "Folder of ground-truth images, which take the place of renders of the input.",
+        "Folder of ground-truth images, used instead of renders of the input.",
         kind=Path, metavar="DIR",
     )  # fmt: skip
     width: int | None = option(
-        None, "Width of the views, pixels.", kind=int, low=1, high=1 << 20, shown="the cameras'"
+        None,
+        "Width of the views, pixels.",
+        kind=int,
+        low=1,
+        high=1 << 20,
+        shown="the cameras' width",
     )
     views: int = option(
         64,
-        "Most views to work by; of estimated ones, and for refinement, up to four times as many.",
+        "Maximum number of views; if estimated, or for refinement, up to four times as many.",
         kind=int,
         low=1,
         high=1 << 30,
         expected="at least 1",
     )
     background: tuple[float, float, float] = option(
-        BACKGROUNDS["black"], "Colour behind the scene.", shown="black", values=BACKGROUNDS
+        BACKGROUNDS["black"], "Background colour.", shown="black", values=BACKGROUNDS
     )
     checkpoint: str | Path | None = option(
         None,
@@ -243,14 +248,14 @@ class Plan:
     )  # fmt: skip
     device: Device = option(
         "cpu",
-        "Device for rendering and refinement; cuda needs gsplat, auto uses it where possible.",
+        "Device for rendering and refinement; cuda needs gsplat, auto uses cuda if possible.",
         values=get_args(Device),
     )
 
     def __post_init__(self) -> None:
         check_fields(self)
         if self.gt_images is not None and self.width is not None:
-            raise InvalidInput("width: given by the ground-truth images, expected one of the two")
+            raise InvalidInput("width: cannot be combined with ground-truth images, which set it")
         check_options(self)
 
     @property

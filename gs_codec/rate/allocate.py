@@ -209,15 +209,15 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
 def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:
     """Message that a size in bytes is out of reach, in the units of the target."""
     if target.ratio is not None:
-        wanted, unit = f"{target.ratio:g}", "times smaller"
+        wanted, unit = f"{target.ratio:g}", "x"
         ends = [f"{target.ratio * limit / size:.4g}" for size in (most, least)]
     elif target.bits is not None:
-        wanted, unit = f"{target.bits:g}", "bits per Gaussian"
+        wanted, unit = f"{target.bits:g}", " bits per Gaussian"
         ends = [f"{target.bits * size / limit:.4g}" for size in (least, most)]
     else:
-        wanted, unit = f"{limit:,}", "bytes"
+        wanted, unit = f"{limit:,}", " bytes"
         ends = [f"{size:,}" for size in (least, most)]
-    return f"target {wanted} {unit}: unreachable, expected {ends[0]} to {ends[1]} {unit}"
+    return f"target {wanted}{unit}: unreachable, expected {ends[0]} to {ends[1]}{unit}"
 
 
 def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:

@@ -66,7 +66,7 @@ def _most(scene: Scene, config: Config, limit: int) -> int:
     each = (all_of_them - one) / max(scene.count - 1, 1)
     count = 1 + math.floor((limit - one - _HEADER) / max(each, 1))
     if count < 1:
-        raise InvalidInput(f"target {counted(limit, 'byte')}: one Gaussian takes {one:,} already")
+        raise InvalidInput(f"target {counted(limit, 'byte')}: one Gaussian alone takes {one:,}")
     return count
 
 

@@ -158,7 +158,7 @@ class Disk(Memory):
         except OSError as error:
             raise InvalidInput(
                 f"{self.folder}: {one_line(error)}: no temporary file of {counted(size, 'byte')}"
-                " (TMPDIR names another folder)"
+                " (set TMPDIR to use another folder)"
             ) from error
         self.watch(mapped)
         return mapped

@@ -45,7 +45,7 @@ def warm(progress: Callable[[str, int, int], None]) -> WarmReport:
     if folder is None or not is_writable():
         raise InvalidInput(
             f"{folder or 'cache folder'}: cannot be written to, expected a folder for compiled "
-            "kernels; NUMBA_CACHE_DIR names another"
+            "kernels; set NUMBA_CACHE_DIR to another"
         )
     modules: dict[str, list[Entry]] = defaultdict(list)
     for entry in entries:

@@ -56,7 +56,7 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
             raise MissingTool(text) from error
         except (OSError, ValueError, TimeoutError) as error:
             cause = redacted(one_line(error), address)
-            raise InvalidInput(f"{name}: no scheduler there ({cause})") from error
+            raise InvalidInput(f"{name}: no scheduler found ({cause})") from error
         yield client
 
 
@@ -85,7 +85,7 @@ def _why_silent(error: Any) -> str:
     if isinstance(error, ModuleNotFoundError):
         return f"no gs_codec ({one_line(error)}), expected gs_codec {__version__} on workers"
     if isinstance(error, OSError):
-        return "the worker ended, or cannot be reached"
+        return "the worker ended or is unreachable"
     return f"the worker failed ({one_line(error) or type(error).__name__})"
 
 

@@ -126,9 +126,9 @@ class Pool:
         if task.name not in self._tried:
             self._tried.add(task.name)
             self._again.append(task)
-            self._listener.said(f"{task.name}: its process {ended}; will be tried again alone")
+            self._listener.said(f"{task.name}: its process {ended}; retrying it alone")
             return None
-        text = f"its process {ended}, twice; it may need more memory than there is"
+        text = f"its process {ended}, twice; it may need more memory than available"
         return Done(task, error=WorkerLost(text))
 
 

@@ -123,7 +123,7 @@ class QualityChart:
         said += f"mean {decibels(float(values.mean()))} (line)"
         measured = "" if done == count else f" {done} of"
         views = f"{measured} {counted(count, 'view')}"
-        return f"PSNR of{views}, B against A: {said}. Click a bar to go there."
+        return f"PSNR of{views}, B against A: {said}. Click a bar to show its view."
 
     def view_at(self, x: float, width: int) -> int | None:
         """The view whose bar covers a column."""

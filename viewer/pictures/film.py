@@ -68,7 +68,7 @@ class Film:
             raise gs_codec.GsCodecError(f"gt-images: has no effect on a {self.kind}")
         if self.kind == "flythrough":
             if request.chosen:
-                raise gs_codec.GsCodecError("flythrough: needs cameras of a file")
+                raise gs_codec.GsCodecError("flythrough: needs cameras from a file")
             for name, value in (("view", request.view), ("up", request.up)):
                 if value is not None:
                     raise gs_codec.GsCodecError(f"{name}: has no effect on a flythrough")

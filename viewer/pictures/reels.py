@@ -58,15 +58,17 @@ def check_reel(path: Path, size: tuple[int, int], overwrite: bool) -> None:
         check_folder(path, overwrite)
         there = path.is_dir()
         if os.path.lexists(path) and not there:
-            raise gs_codec.InvalidInput(f"{path}: exists, expected .mp4 or a folder")
+            raise gs_codec.InvalidInput(
+                f"{path}: exists and is not a folder, expected .mp4 or a folder"
+            )
         others = [name for name in os.listdir(path) if not _FRAME.fullmatch(name)] if there else []
         if others:
-            raise gs_codec.InvalidInput(f"{path}: has '{min(others)}', expected frames alone")
+            raise gs_codec.InvalidInput(f"{path}: contains '{min(others)}', expected only frames")
         check_writable(path / "frame" if there else path)
         return
     if path.suffix.lower() != ".mp4":
         raise gs_codec.InvalidInput(
-            f"{path}: expected .mp4, or a folder, whose name has no suffix, for PNG frames"
+            f"{path}: expected .mp4, or a folder name without suffix for PNG frames"
         )
     if any(side % 2 for side in size):
         raise gs_codec.InvalidInput(

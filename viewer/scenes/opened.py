@@ -97,7 +97,7 @@ class Opened:
     def title(self) -> str:
         """The name, whether it is edited, and the system that it was converted from, if any."""
         name = self.name if self.whole is None else f"{self.name}, edited"
-        return name if self.system == CONVENTION else f"{name}, turned from {self.system}"
+        return name if self.system == CONVENTION else f"{name}, converted from {self.system}"
 
     @property
     def is_stored(self) -> bool:
@@ -360,7 +360,7 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
         )
     if centres is None:
         log.warning(
-            "%s: no checksum of its scene, only the number of Gaussians was checked", folder
+            "%s: no checksum of its scene; only the number of Gaussians was checked", folder
         )
     elif centres != centres_checksum((scene.whole or scene).positions.T):
         raise gs_codec.GsCodecError(

@@ -23,7 +23,7 @@ _DOMAINS = {
 
 #: What follows the bits of a stream that are shared, and what it means.
 _SHARED = {"": "  ", "block": " b", "file": " f"}
-_SHARED_NOTE = "b, f: shared by its block, the file", ""
+_SHARED_NOTE = "b: shared by its block, f: by the file", ""
 
 #: Most step sizes that are listed.
 _LISTED = 4

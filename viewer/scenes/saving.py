@@ -54,4 +54,4 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
 
 
 def _written(path: Path, count: int, size: int) -> str:
-    return f"{path.name} is written: {counted(count, 'Gaussian')}, {size_text(size)}"
+    return f"{path.name} saved: {counted(count, 'Gaussian')}, {size_text(size)}"

@@ -107,7 +107,7 @@ class Request:
         if self.view is not None and self.cameras is None:
             raise gs_codec.GsCodecError("view: needs cameras")
         if self.images is not None and self.chosen:
-            raise gs_codec.GsCodecError("gt-images: need cameras of a file")
+            raise gs_codec.GsCodecError("gt-images: need cameras from a file")
         if self.images is not None and not self.images.is_dir():
             raise gs_codec.GsCodecError(f"{self.images}: no such folder, expected images")
         if self.a is None and (self.pruned is not None or self.cameras is not None):

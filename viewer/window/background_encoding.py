@@ -200,7 +200,7 @@ class Encoding:
         tried = tries.all[number - 1]
 
         def done(_: None) -> None:
-            viewer.panel.say(f"{Path(path).name} is written")
+            viewer.panel.say(f"{Path(path).name} saved")
 
         viewer.worker.submit("save", lambda stale: tries.save(tried, Path(path)), done, viewer.fail)
 

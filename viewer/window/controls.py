@@ -155,6 +155,6 @@ class Controls(Host, Protocol):
             save_picture(picture, Path(path))
 
         def done(_: None) -> None:
-            self.panel.say(f"{Path(path).name} is written")
+            self.panel.say(f"{Path(path).name} saved")
 
         self.worker.submit("save", draw, done, self.fail)

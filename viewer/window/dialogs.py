@@ -166,12 +166,12 @@ def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[in
         (f"{letter}: {scene}", partial(then, index))
         for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True))
     ]
-    ask_among(window, "Open", f"Show {name} in place of", choices)
+    ask_among(window, "Open", f"Show {name} instead of", choices)
 
 
 def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
     """Ask which of some files to open."""
-    told = "Opened last" if paths else "No file was opened before."
+    told = "Recent files" if paths else "No recent files."
     choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
     ask_among(window, "Recent", told, choices)
 

@@ -95,7 +95,7 @@ class Dock:
             return Message("PSNR of views needs two scenes: open another version as B.")
         first = self._visits.views.first
         if len(views) <= first:
-            return Message("No views: open cameras, or wait until they are chosen.")
+            return Message("No views yet: open cameras, or wait for estimated ones.")
         measured = {k - first: value for k, value in self.survey.decibels.items()}
         here = None if self._visits.moved else self._visits.number - first
         return QualityChart(views[first:], measured, here)
@@ -110,7 +110,7 @@ class Dock:
             return Message("histogram: counting ...")
         found = [each for s in scenes if (each := self._statistics[s].get(name)) is not None]
         if not found:
-            return Message(f"No {name}: SH of a lower degree.")
+            return Message(f"No {name}: the SH degree is lower.")
         before = self.chart
         kept = isinstance(before, HistogramChart) and before.scenes[0].name == name
         return HistogramChart(found, before.chosen if kept else None)  # type: ignore[attr-defined]

@@ -36,14 +36,18 @@ class EditTab:
         self._add_tools()
         self._add_steps()
         self._add_box()
-        tip = "Save the scene in any format that is written (ctrl + shift + S)."
+        tip = "Save the scene in any output format (ctrl + shift + S)."
         self._row(("Save as ...", self._editor.ask_save, tip))
         self._unsaved = gui.Label("")
         self.widget.add_child(self._unsaved)
 
     def _add_tools(self) -> None:
         """What drags in panes do."""
-        tips = ("Drags move the camera.", "Drags draw boxes (X).", "Drags draw lassos (L).")
+        tips = (
+            "Drags move the camera.",
+            "Drags select by boxes (X).",
+            "Drags select by lassos (L).",
+        )
         actions = [partial(self._editor.set_tool, tool) for tool in TOOLS]
         self._row(*zip(TOOLS, actions, tips, strict=True))
         for tool in TOOLS:
@@ -65,13 +69,13 @@ class EditTab:
             ("Invert", does(Edits.invert), "ctrl + I"),
         )
         self.rule = gui.Combobox()
-        button = self._widgets.button("Select", self._select_by, "Select these.")
+        button = self._widgets.button("Select", self._select_by, "Select these Gaussians.")
         self.buttons["Select"] = button
         self._widgets.row(self.widget, self.rule, button)
         self._row(
-            ("Delete", does(Edits.delete), "Delete what is selected (Delete)."),
-            ("Hide", does(Edits.hide), "Hide what is selected (ctrl + H)."),
-            ("Show all", does(Edits.show_all), "Show what is hidden."),
+            ("Delete", does(Edits.delete), "Delete the selection (Delete)."),
+            ("Hide", does(Edits.hide), "Hide the selection (ctrl + H)."),
+            ("Show all", does(Edits.show_all), "Show all hidden Gaussians."),
         )
         self._row(("Undo", does(Edits.undo), "ctrl + Z"), ("Redo", does(Edits.redo), "ctrl + Y"))
         self._steps = gui.Label("")
@@ -84,8 +88,8 @@ class EditTab:
         self.widget.add_child(self.low)
         self.widget.add_child(self.high)
         self._row(
-            ("Of selection", self._take_box, "The box around what is selected."),
-            ("Crop", self._crop, "Delete what is outside the box."),
+            ("Of selection", self._take_box, "Use the box around the selection."),
+            ("Crop", self._crop, "Delete everything outside the box."),
         )
 
     def _row(self, *made: tuple[str, Callable[[], None], str]) -> None:

@@ -267,7 +267,7 @@ class Editor:
         def save() -> None:
             self.ask_save(go_on)
 
-        text = f"{edits.scene.name} was edited and is not saved."
+        text = f"{edits.scene.name} has unsaved edits."
         choices = [("Save as ...", save), ("Discard the edits", discard)]
         dialogs.ask_among(self._viewer.modal, "Unsaved edits", text, choices)
         return True

@@ -168,7 +168,7 @@ class FileDialog:
             self._say(str(error))
             return
         if asked.saves and path.exists() and path != self._replaced:
-            self._say(f"{path.name} exists. Enter or Replace replaces it.")
+            self._say(f"{path.name} already exists. Press Enter or Replace to overwrite it.")
             self._replaced, self.accepts.text = path, "Replace"
             self._modal.lay_out()
             return
@@ -182,7 +182,7 @@ class FileDialog:
                 raise InvalidInput("type a name")
             return to_write(path, self._asked.kind, self.format.selected_text)
         if self._asked.kind.suffixes and not self.field.text_value.strip():
-            raise InvalidInput("type a name, or choose one")
+            raise InvalidInput("type a name or choose one")
         check_readable(path, self._asked.kind)
         return path
 

@@ -168,7 +168,7 @@ class Loading:
         """Show the photographs in a folder beside the scenes, each with its camera."""
         viewer = self._viewer
         if viewer.request.chosen:
-            viewer.fail(gs_codec.GsCodecError("photographs: need cameras of a file"))
+            viewer.fail(gs_codec.GsCodecError("photographs: need cameras from a file"))
             return
         viewer.request = replace(viewer.request, images=Path(folder))
         self._visits.go_to(max(self._visits.number, self._visits.views.first))
@@ -204,7 +204,7 @@ class Loading:
 
     def ask_report(self) -> None:
         """Ask for the report of what was pruned from the first scene, and show it."""
-        self._ask("Report of what was pruned from A", REPORTS, self.open_report)
+        self._ask("Report of the Gaussians pruned from A", REPORTS, self.open_report)
 
     def _ask(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
         if not self._viewer.stage.scenes:

@@ -43,10 +43,10 @@ class LookControls:
             whole=True,
         )
         self.scale = widgets.slider(
-            grid, "splats' scale", _SCALES, lambda x: put(replace(look(), scale=x))
+            grid, "splat scale", _SCALES, lambda x: put(replace(look(), scale=x))
         )
         self.opacity = widgets.slider(
-            grid, "least opacity", (0.0, 1.0), lambda x: put(replace(look(), least_opacity=x))
+            grid, "minimum opacity", (0.0, 1.0), lambda x: put(replace(look(), least_opacity=x))
         )
         self.background = gui.ColorEdit()
         self.background.set_on_value_changed(
@@ -54,8 +54,8 @@ class LookControls:
         )
         grid.add_child(gui.Label("background"))
         grid.add_child(self.background)
-        tip = "All degrees, scale 1, on black: what is measured."
-        self.plain = widgets.button("As it is", lambda: put(Appearance()), tip)
+        tip = "Show all SH degrees, scale 1, on black, as measurements do."
+        self.plain = widgets.button("Defaults", lambda: put(Appearance()), tip)
         widgets.row(parent, self.plain)
 
     def refresh(self) -> None:

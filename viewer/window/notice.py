@@ -16,7 +16,7 @@ _SHORT = 0.5
 _STAYS = 1.0
 
 #: What an empty window says.
-_EMPTY = "O opens a scene. H lists the keys."
+_EMPTY = "Press O to open a scene, H for a list of keys."
 
 
 class Notice:

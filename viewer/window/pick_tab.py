@@ -11,7 +11,7 @@ from viewer.window.widgets import Widgets
 #: Width of a row, characters.
 _COLUMNS = 41
 
-_NOTHING = "Click into a picture to pick the\nGaussian that adds most to a pixel."
+_NOTHING = "Click a pixel to pick the Gaussian\nthat contributes most to it."
 
 
 class PickTab:
@@ -30,7 +30,7 @@ class PickTab:
         def clear() -> None:
             viewer.picking.clear()
 
-        self._clear = widgets.button("Clear", clear, "pick nothing (Esc)")
+        self._clear = widgets.button("Clear", clear, "clear the pick (Esc)")
         widgets.row(self.widget, self._clear)
         self.text = gui.Label(_NOTHING)
         self.text.font_id = font

@@ -96,7 +96,7 @@ class RateTab:
         )
         self.profile.selected_text = "m"
         self.guided = widgets.checkbox("camera-guided", lambda _: self.refresh())
-        self.guided.tooltip = "by the cameras that are open, else by estimated ones"
+        self.guided.tooltip = "use the open cameras, otherwise estimated ones"
         self._upper.add_child(self.guided)
         self.wish = widgets.choice(self._upper, "by", _WISHES, lambda _: self.refresh())
         self.number = gui.NumberEdit(gui.NumberEdit.DOUBLE)
@@ -160,7 +160,7 @@ class RateTab:
         encoding, number = self._viewer.encoding, self._chosen
         source = encoding.scenes[0].path
         self._viewer.files.ask_save(
-            "Save the try", TRIES, lambda path: encoding.save(number, path), scene=source
+            "Save the encoding", TRIES, lambda path: encoding.save(number, path), scene=source
         )
 
     def _select(self, _: str, twice: bool) -> None:

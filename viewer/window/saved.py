@@ -54,7 +54,7 @@ class Saved:
     def text(self) -> str:
         """How many poses are kept."""
         count = len(self.poses)
-        return f"path: {counted(count, 'pose')}" if count else "path: no poses kept"
+        return f"path: {counted(count, 'pose')}" if count else "path: no poses yet"
 
     # The flight
 
@@ -103,7 +103,7 @@ class Saved:
         except Exception as error:
             viewer.fail(error)
         else:
-            viewer.panel.say(f"{Path(path).name} is written")
+            viewer.panel.say(f"{Path(path).name} saved")
 
     def open(self, path: str) -> None:
         """Keep the poses of a file of cameras instead of the present ones."""

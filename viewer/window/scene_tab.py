@@ -13,7 +13,7 @@ from viewer.scenes.numbers import between, facts
 from viewer.window.controls import Controls
 from viewer.window.widgets import Widgets
 
-_MODE_NAMES = ("side by side", "wipe", "one, F flips")
+_MODE_NAMES = ("side by side", "wipe", "one (F switches)")
 
 _DRAWN_BY = {True: "splats: Open3D's shader", False: "splats: our rasteriser, on the CPU"}
 
@@ -46,7 +46,7 @@ class SceneTab:
         for k in range(0, len(rows), 3):
             widgets.row(self._upper, *rows[k : k + 3])
         self.logarithmic = widgets.checkbox("log", viewer.set_logarithmic)
-        self.logarithmic.tooltip = "Colours on a logarithmic scale."
+        self.logarithmic.tooltip = "Use a logarithmic colour scale."
         self.colouring = widgets.choice(
             self._upper,
             "centres by",
@@ -58,8 +58,8 @@ class SceneTab:
         self.mode = widgets.choice(
             below, "two scenes", _MODE_NAMES, lambda k: viewer.set_mode(MODES[k])
         )
-        self.exact = widgets.checkbox("exact splats, by the CPU", viewer.set_exact)
-        self.exact.tooltip = "SH of all degrees, as measured; slower than the graphics card."
+        self.exact = widgets.checkbox("exact splats (CPU)", viewer.set_exact)
+        self.exact.tooltip = "All SH degrees, as in measurements; slower than the graphics card."
         self.exact.visible = viewer.stage.has_shader
         below.add_child(self.exact)
         self.turned = widgets.checkbox(
@@ -92,9 +92,9 @@ class SceneTab:
             ),
         )
         tips = {
-            "Photos": "Show the photographs of the cameras, in a folder.",
-            "Report": "Show what was pruned from A: report.json of prepare.",
-            "Picture": "Save a picture of what is shown.",
+            "Photos": "Show the cameras' photographs, from a folder.",
+            "Report": "Show the Gaussians pruned from A (report.json of prepare).",
+            "Picture": "Save a picture of the view.",
         }
         for row in rows:
             buttons = [widgets.button(text, action, tips.get(text, "")) for text, action in row]
@@ -116,7 +116,7 @@ class SceneTab:
         ends = DEPTHS[0], DEPTHS[-1]
         self.depth = widgets.slider(
             self._octree,
-            "octree's depth",
+            "octree depth",
             ends,
             lambda value: viewer.set_octree(replace(viewer.choice.octree, depth=int(value))),
             whole=True,

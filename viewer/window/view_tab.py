@@ -36,9 +36,9 @@ class ViewTab:
             upper,
             widgets.button("<", lambda: visits.go(-1), "previous view (P)"),
             widgets.button(">", lambda: visits.go(1), "next view (N)"),
-            widgets.button("Reset", visits.reset, "back to the view (R)"),
+            widgets.button("Reset", visits.reset, "return to the view (R)"),
             widgets.button("Overview", visits.overview, "Home"),
-            widgets.button("All", viewer.frame_all, "go back until all is seen (G)"),
+            widgets.button("All", viewer.frame_all, "show the whole scene (G)"),
         )
         self._where = gui.Label("")
         upper.add_child(self._where)
@@ -48,7 +48,7 @@ class ViewTab:
         self.look = LookControls(viewer, widgets, upper)
         self._add_path(widgets)
         self.dock = widgets.choice(self._below, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
-        self.order = widgets.choice(self._below, "views by", _ORDERS, lambda _: self.refresh())
+        self.order = widgets.choice(self._below, "sort views by", _ORDERS, lambda _: self.refresh())
         self.list = gui.ListView()
         self.list.set_max_visible_items(12)
         self.list.set_on_selection_changed(self._chosen)
@@ -62,11 +62,13 @@ class ViewTab:
         self._kept = gui.Label("")
         self._below.add_child(self._kept)
         self.path = [
-            widgets.button("Keep", saved.keep, "Keep this pose (I)."),
-            widgets.button("Drop", saved.drop, "Drop the pose kept last."),
-            widgets.button("Fly", saved.fly, "Fly from each pose to the next, or stop."),
+            widgets.button("Keep", saved.keep, "Add this pose to the path (I)."),
+            widgets.button("Drop", saved.drop, "Remove the last pose."),
+            widgets.button("Fly", saved.fly, "Fly along the path, or stop."),
             widgets.button("Save", saved.ask_write, "Save the poses as cameras, for --flythrough."),
-            widgets.button("Open", saved.ask_open, "Open poses, or cameras, instead of these."),
+            widgets.button(
+                "Open", saved.ask_open, "Replace the path by poses or cameras from a file."
+            ),
         ]
         widgets.row(self._below, *self.path)
 

@@ -17,7 +17,7 @@ from viewer.window.pane import HIDDEN
 from viewer.window.worker import Stale
 
 #: What the panel says where the up axis is not certain.
-_UNSURE = "The scene does not show which way is up: U takes another axis."
+_UNSURE = "The up axis is uncertain: press U to choose another."
 
 
 class Visits:
@@ -150,7 +150,7 @@ class Visits:
             index, count = self.number - self.views.first, len(self.views.cameras)
             name = self.viewpoints[self.number].name
             text = f"{name}, {index + 1} of {count} (--view {index})"
-        return f"moved away from {text} (R goes back)" if self.moved else text
+        return f"moved away from {text} (R returns)" if self.moved else text
 
     def tick(self) -> None:
         """Tell the panel when the pose has moved away from a viewpoint, or is back."""

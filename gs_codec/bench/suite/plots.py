@@ -89,7 +89,7 @@ def plot_frontier(results: Results, scene: str) -> Figure:
     axis = figure.subplots()
     for curve in _CURVES:
         _draw_profiles(axis, _profiles(lines, curve), curve, lambda line: line["ratio"], quality)
-    axis.set_xlabel("times smaller than the PLY")
+    axis.set_xlabel("compression ratio, relative to the PLY")
     make_logarithmic(axis, "x")
     _dress_quality(axis, quality)
     return _with_legend(figure, axis)

@@ -21,24 +21,26 @@ if TYPE_CHECKING:
 
 _INTRODUCTION = (
     "All codecs were measured on the same scenes in one process, taking turns. PSNR and delta-PSNR "
-    "are those of views that no codec has seen: PSNR against the scene's own views before coding, "
-    "delta-PSNR the loss against photographs. Times are medians, of one run for camera-guided and "
-    "pruned; a \\* marks a program whose start is timed with it. Memory is the peak of the whole "
-    'process. "Ours at that PSNR" is read off the curves of `l`, `m`, `s`; ≤ means that even '
-    "their coarsest point is better. Pruned scenes have the bits of the input's Gaussians."
+    "are those of views that no codec has seen: PSNR against renders before coding, delta-PSNR "
+    "the change against photographs. Times are medians (camera-guided and pruned: one run); \\* "
+    "marks a separate program, whose times include its start. Memory is the peak of the whole "
+    'process. "Ours at that PSNR" is interpolated from the curves of `l`, `m`, `s`; ≤ means that '
+    "even their coarsest point is better. Bits of pruned scenes are per Gaussian of the input."
 )
 
 _POSITIONS = (
     "Processor seconds per million points, medians. Count tree: quantising, Morton codes and "
     "sorting; coding them; decoding. Open3D's class: `convert_from_point_cloud`; `traverse`, "
-    "which calls Python back for each node, here to read which children it has."
+    "which calls Python for each node, here to read its children."
 )
 
-_GROWTH = "The largest scene, tiled; every measurement is a process of its own, its start included."
+_GROWTH = (
+    "The largest scene, tiled; each measurement is a process of its own and includes its start."
+)
 
 _DEVICE = (
-    "Profile `m`, medians: a stream decoded to tensors by the device, all that the CPU does "
-    "included, and by the CPU; and refinement with gsplat. The largest scene, and it tiled."
+    "Profile `m`, medians, on the largest scene, also tiled: decoding to tensors on the device "
+    "(including the CPU's part) and on the CPU, and refinement with gsplat."
 )
 
 
@@ -85,10 +87,10 @@ def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
     codecs = results.of("beside", scene)
     parts = [f"## {tables.scene_title(results, scene)}", tables.views(results, scene)]
     parts += [tables.codec_table(results, scene).markdown(), tables.rates(results, scene)]
-    drawn = [("rate", "bits for each Gaussian", plots.plot_rate)]
+    drawn = [("rate", "bits per Gaussian", plots.plot_rate)]
     if codecs:
         drawn.append(("time", "seconds", plots.plot_time))
-        drawn.append(("frontier", "times smaller", plots.plot_frontier))
+        drawn.append(("frontier", "compression ratio", plots.plot_frontier))
     for name, over, plot in drawn:
         parts.append(draw(f"{name}-{scene}", f"Quality against {over}", plot, results, scene))
     return parts
@@ -108,5 +110,5 @@ def _circumstances(results: Results) -> list[str]:
         for name, size in machine.get("installed", {}).items()
     ]
     facts += [f"- not measured: {escaped(reason)}" for reason in results.absent]
-    facts += [f"- left out with --skip: {group}" for group in machine.get("skipped", ())]
+    facts += [f"- skipped with --skip: {group}" for group in machine.get("skipped", ())]
     return ["## Circumstances", "\n".join(facts)] if facts else []

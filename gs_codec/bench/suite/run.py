@@ -57,8 +57,8 @@ class Options:
     def __post_init__(self) -> None:
         if not self.scenes:
             raise InvalidInput(
-                "no scenes given, expected .ply files, each beside its cameras.json; "
-                "`make suite` makes two and measures them"
+                "no scenes given, expected .ply files, each in a folder with its cameras.json; "
+                "`make suite` generates and measures two"
             )
         check_names(self.scenes)
         check_threads(self.threads)
@@ -172,11 +172,11 @@ def _device(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
 #: Measurements of each scene, or only of the largest (`ONCE`), by group. Memory comes after
 #: everything that compiles kernels, which also takes memory.
 STAGES = {
-    "codecs": ("codecs beside each other", _codecs),
+    "codecs": ("codecs compared", _codecs),
     "curves": ("rate-quality curves", _curves),
     "memory": ("memory of each profile", _memory),
-    "geometry": ("positions beside Open3D's octree", _geometry),
-    "scaling": ("growing scenes", _scaling),
+    "geometry": ("positions compared with Open3D's octree", _geometry),
+    "scaling": ("scenes of growing size", _scaling),
     "device": ("a CUDA device", _device),
 }
 ONCE = ("scaling", "device")

@@ -108,7 +108,7 @@ class Streams:
         ends = np.concatenate([self.ends[..., 1], self.low_bits[:, 1:]], axis=1)
         if np.any((used + 7) // 8 != ends // 8):
             [block, _] = np.argwhere((used + 7) // 8 != ends // 8)[0]
-            raise CorruptStream(f"block {block}: raw bytes are left or lacking")
+            raise CorruptStream(f"block {block}: too many or too few raw bytes")
         padding = np.where(used % 8 > 0, 0xFF >> (used % 8), 0)
         if np.any(self.data[np.maximum(ends // 8 - 1, 0)] & padding):
             raise CorruptStream("a section of a block: padding bits that are not 0")

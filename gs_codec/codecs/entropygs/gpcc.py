@@ -142,7 +142,9 @@ def _read_rows(ply: bytes, count: int) -> NDArray:
     if missing := [name for name in (*_AXES, *_COLOURS) if name not in vertex.types]:
         raise ToolFailed(f"wrote a PLY without property '{missing[0]}'")
     if vertex.count != count or vertex.lists:
-        raise ToolFailed(f"gave {counted(vertex.count, 'point')}, expected {count:,} without lists")
+        raise ToolFailed(
+            f"wrote {counted(vertex.count, 'point')}, expected {count:,} without lists"
+        )
     dtype = vertex.dtype("<")
     expected = count * dtype.itemsize
     if len(ply) - header.size != expected:
@@ -158,7 +160,9 @@ def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
     column = rows[name]
     # NaN fails both comparisons.
     if not np.all((column >= 0) & (column < 1 << depth)) or np.any(column % 1):
-        raise ToolFailed(f"gave a value of {name} that is no integer of {counted(depth, 'bit')}")
+        raise ToolFailed(
+            f"wrote a value of {name} that is not an integer of {counted(depth, 'bit')}"
+        )
     return column.astype(np.uint32)
 
 
@@ -270,7 +274,7 @@ def _decode(
     order = canonical_order(encode_morton(cells, axes), *symbols)
     cells, symbols = cells[:, order], symbols[:, order]
     if _checksum(cells, symbols) != checksum:
-        raise ToolFailed("gave other points than were coded: their checksum does not match")
+        raise ToolFailed("decoded other points than were encoded (checksum mismatch)")
     return cells, symbols
 
 

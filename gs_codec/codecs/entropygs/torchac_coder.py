@@ -144,7 +144,7 @@ def decode_stream(
     expected = reader.unpack("I")[0]
     channels = [_decode(reader, count, table) for table in tables]
     if _checksum(channels) != expected or len(reader.rest()):
-        raise CorruptStream(f"{where}: torchac gives other symbols than were coded")
+        raise CorruptStream(f"{where}: torchac decodes other symbols than were encoded")
     return channels
 
 

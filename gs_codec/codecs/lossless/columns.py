@@ -69,7 +69,7 @@ def _write(values: NDArray[np.uint32], delta: DeltaSpec) -> bytes:
 def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32]:
     """The inverse of `write_integers` for `count` values, at least one. Raises CorruptStream."""
     if len(data) < 3 or data[0] != _FORMAT or data[2] & 15 or data[2] >> 4 > _CONSECUTIVE:
-        raise CorruptStream(f"{where}: not a pcodec stream of a kind that is used here")
+        raise CorruptStream(f"{where}: not a supported pcodec stream")
     packed = bytes(data)
     values = np.empty(count, np.uint32)
     try:

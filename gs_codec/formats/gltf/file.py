@@ -134,7 +134,7 @@ class GltfFile:
                 return base64.b64decode(uri.partition(";base64,")[2], validate=True)
         name = unquote(uri)
         if not name.isprintable() or set(name) & set("/\\:") or not name.strip("."):
-            raise InvalidInput(f"glTF: buffer.uri {uri!a:.60}, expected a file beside it")
+            raise InvalidInput(f"glTF: buffer.uri {uri!a:.60}, expected a file in the same folder")
         path = self.path.parent / name
         with refusing(f"file '{name[:60]}'"):
             if not path.is_file() or path.stat().st_size < length:

@@ -165,7 +165,9 @@ def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
         with np.errstate(all="ignore"):
             rows[name] = column
         if rows.dtype[name].kind != "f" and not np.array_equal(rows[name], column):
-            raise InvalidInput(f"property '{name}': a number that is no {rows.dtype[name].name}")
+            raise InvalidInput(
+                f"property '{name}': a number that is not a valid {rows.dtype[name].name}"
+            )
     return rows
 
 

@@ -222,5 +222,5 @@ def _checked(names: Iterable[Any]) -> Iterator[str]:
         plain = isinstance(name, str) and name.isprintable() and ":" not in name
         parts = name.replace("\\", "/").split("/") if plain else [""]
         if any(part.strip(".") == "" for part in parts):
-            raise InvalidInput(f"{STREAMED}: file {name!a:.60}, expected one beside it")
+            raise InvalidInput(f"{STREAMED}: file {name!a:.60}, expected one in its folder")
         yield "/".join(parts)

@@ -235,7 +235,7 @@ def _leaves(
     if header.count and not count:
         raise InvalidInput(f"a tree of {counted(header.count, 'Gaussian')} without leaves")
     if (number + first.astype(np.int64) > header.count).any():
-        log.warning("%s: one of several files; the others hold the rest of the scene", path)
+        log.warning("%s: one of several files; the others contain the rest of the scene", path)
     of_all = f"{count:,} of {counted(header.count, 'Gaussian')}"
     log.warning("%s: levels of detail: only the leaves were read, %s", path, of_all)
     kept = [

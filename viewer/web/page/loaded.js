@@ -92,7 +92,7 @@ export class Loaded {
     this.failures = [];
     if (entry.url && location.protocol === 'file:') {
       throw new Error(
-        'pages on disk cannot read files beside them: serve it, or share one .html file',
+        'a page opened from disk cannot read other files: use a web server, or share one .html file',
       );
     }
     const source = entry.url ?? (this.data ??= inPage(entry.data));

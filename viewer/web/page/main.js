@@ -96,7 +96,7 @@ class Viewer {
     const isStopped = this.abort.signal.aborted;
     const lost = this.scenes.find((scene) => scene.lost);
     let text = [...new Set(errors.map((one) => one.text))].join('\n');
-    if (!text && isStopped) text = 'Stopped: what had come is shown.';
+    if (!text && isStopped) text = 'Stopped: the page shows what was loaded.';
     else if (!text && lost) text = `${lost.told(lost.lost)}: asking again`;
     const mayRetry = !isStopped && errors.some(({ error }) => error instanceof SourceError);
     this.panel.tell(text, errors.length > 0, mayRetry);

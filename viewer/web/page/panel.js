@@ -160,7 +160,7 @@ export class Panel {
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;
       const profile = `${entry.encoded ? 'encoded for this page, ' : ''}profile ${scene.profile}`;
-      const lost = entry.psnr ? [`views: ${number(entry.psnr, 1)} dB to the original`] : [];
+      const lost = entry.psnr ? [`views: ${number(entry.psnr, 1)} dB against the original`] : [];
       const parts = [counted(scene.count, 'Gaussian'), `SH degree ${scene.degree}`, size];
       told.textContent = [...parts, profile, ...lost].join(', ');
       this.#list(scenes);

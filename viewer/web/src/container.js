@@ -126,7 +126,7 @@ export class Header {
     const name = NAMES[id] ?? '';
     const where = `section ${name || id} of block ${block}`;
     check(flags < 2, where, `flags ${flags}`);
-    if (!name && flags !== 1) throw new UnsupportedError('not known, and not optional', where);
+    if (!name && flags !== 1) throw new UnsupportedError('unknown, and not optional', where);
     const at = this.end;
     this.end += paddedSize({ size });
     this.bytes[name] = (this.bytes[name] ?? 0) + this.end - at;
@@ -266,7 +266,7 @@ export function readErrors(content, blocks) {
 export function checkErrors(finer, coarser) {
   finer.forEach((error, block) => {
     const above = Math.floor(block / FANOUT);
-    check(error <= coarser[above], 'errors', `block ${above} has less than one of the level below`);
+    check(error <= coarser[above], 'errors', `block ${above} has a smaller error than a block that it replaces`);
   });
 }
 
@@ -306,7 +306,7 @@ export function readComments(content) {
   );
   check(printable, 'comments', 'other than printable ASCII and tabs');
   const lines = new TextDecoder().decode(content.slice()).split('\n'); // in case memory is shared
-  for (const line of lines) check(!ofHeader(line), 'comments', `belongs into the header: ${line}`);
+  for (const line of lines) check(!ofHeader(line), 'comments', `belongs in the header: ${line}`);
   return lines;
 }
 
@@ -331,7 +331,7 @@ export function checkSupport(header) {
   }
   if (header.features % FAR > 0) {
     throw new UnsupportedError(
-      `coded by ${namesOf(header.features % FAR)}, which this decoder does not read`,
+      `coded with ${namesOf(header.features % FAR)}, which this decoder does not support`,
     );
   }
 }

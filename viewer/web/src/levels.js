@@ -209,7 +209,7 @@ export class EgsFile {
     signal?.throwIfAborted();
     const opened = this.#opened[level];
     if (!opened || !blocks.every((block) => opened.ofBlock[block])) {
-      throw new RangeError(`level ${level}, blocks ${blocks}: not all are there`);
+      throw new RangeError(`level ${level}, blocks ${blocks}: not all exist`);
     }
     if (![0, 1, 2, 3].includes(shDegree)) throw new RangeError(`shDegree: ${shDegree}`);
     const ending = new Ending(this.#ending.signal, signal);

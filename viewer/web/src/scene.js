@@ -97,6 +97,6 @@ function allocated(size) {
   try {
     return new Float32Array(size);
   } catch {
-    throw new TooLargeError(`there is no memory for ${counted(4 * size, 'byte')}`);
+    throw new TooLargeError(`not enough memory for ${counted(4 * size, 'byte')}`);
   }
 }

@@ -56,7 +56,7 @@ async function heardFrom(host, coming) {
       const look = () => (heard.get(host) === before ? reject(new Error(text)) : listen());
       timer = setTimeout(look, SILENCE);
     };
-    const text = `nothing has come for ${SILENCE / 1000} seconds`;
+    const text = `no data for ${SILENCE / 1000} seconds`;
     listen();
   });
   try {
@@ -109,7 +109,7 @@ const cutOff = (end) => new CorruptError(`cut off before byte ${end}`, 'file');
 
 /** A chunk of a stream as bytes: slicing a Node `Buffer` differs from other arrays. */
 function bytesOf(chunk) {
-  if (!ArrayBuffer.isView(chunk)) throw new TypeError('the stream gives other than bytes');
+  if (!ArrayBuffer.isView(chunk)) throw new TypeError('expected a stream of bytes');
   return new Uint8Array(chunk.buffer, chunk.byteOffset, chunk.byteLength);
 }
 

@@ -1,4 +1,4 @@
-"""Open the viewer's window by one call, or add its actions to any Open3D visualizer."""
+"""Open the viewer's window with one call, or add its actions to an Open3D visualizer."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from open3d.pybind.visualization import O3DVisualizer
     from open3d.visualization.rendering import MaterialRecord
 
-#: The group of the geometries that actions show.
+#: Group name of the geometries that actions show.
 _GROUP = "gs_codec"
 
 
@@ -58,30 +58,30 @@ def draw(
     Parameters
     ----------
     *scenes : open3d.t.geometry.PointCloud, or path
-        One or two: clouds with the attributes that `gs_codec.read` gives, or files that it reads.
+        One or two clouds with the attributes from `gs_codec.read`, or paths of files to read.
     cameras : path, "auto", or sequence, optional
-        Cameras to look from, as for `gs_codec.render`.
+        Cameras to look from, as in `gs_codec.render`.
     pruned : path, optional
         Folder of a report of ``gs-codec prepare`` for the first scene.
     layers : sequence of str, optional
-        Of ``splats``, ``centres``, ``pruned``, ``boxes``, ``error`` and ``octree``; by default
+        Any of ``splats``, ``centres``, ``pruned``, ``boxes``, ``error`` and ``octree``; default:
         ``splats``, and ``pruned`` if a report is given.
     colour : {"colour", "opacity", "scale", "error", "bits", "sh", "class", "block"}
-        Quantity that centres are coloured by: SH-DC; opacity; longest axis; difference in colour
-        from the nearest centre of the other scene; of an ``.egs`` file the bits that it takes, its
-        class of step sizes, or its block; the sum of the squares of its SH-AC.
+        Quantity that colours the centres: SH-DC; opacity; longest axis; colour difference from the
+        nearest centre of the other scene; bits, class of step sizes or block (``.egs`` files only);
+        or the sum of squares of SH-AC.
     colour_scale : {"linear", "log"}, optional
-        Scale of the colours of ``opacity`` and ``bits``, by default linear, or of ``scale``,
-        ``error`` and ``sh``, by default logarithmic.
+        Colour scale; default: linear for ``opacity`` and ``bits``, logarithmic for ``scale``,
+        ``error`` and ``sh``.
     octree_depth : int
         Depth of the octree's cells, 1-12.
     octree_colour : {"occupancy", "bits"}
-        What these are coloured by: how many Gaussians they hold, or, of an ``.egs`` file, the
-        mean of these Gaussians' bits.
+        Quantity that colours the cells: number of Gaussians, or their mean bits (``.egs`` files
+        only).
     mode : {"side", "wipe", "flip"}
         Two scenes side by side, or in one view: divided by a line, or switched by a key.
     up : {"-y", "y", "-z", "z", "-x", "x"}, optional
-        Which axis is up; by default cameras say it, given or estimated.
+        Up axis; default: from the cameras, given or estimated.
     width, height : int
         Size of the window, 64-16384 pixels.
 
@@ -119,26 +119,26 @@ def attach(visualizer: O3DVisualizer) -> Actions:
     """Add actions to the menu of an `open3d.visualization.O3DVisualizer`.
 
     The actions open a scene of any format that `gs_codec` reads, show the Gaussians that a report
-    lists as pruned, colour centres by their error against another version, and show cameras and
-    the photograph of the one nearest to the view. Each asks for a file.
+    lists as pruned, colour centres by their error against another version, and show cameras and the
+    photograph nearest to the view. Each action asks for a file.
 
-    Splats are drawn by Open3D's shader if a graphics card draws the window, else centres. Names of
-    geometries say the file and the layer. Legends and photographs are in a small window of their
-    own, which closes with the visualizer: so `set_on_close` of the visualizer is taken. If you set
-    another function, call `Actions.detach` in it. From the first action to `Actions.detach`, the
-    visualizer's post-processing and antialiasing are off, so that colours are those of the legends;
-    lit materials, the background and the sky look darker meanwhile.
+    If a graphics card draws the window, Open3D's shader draws splats; otherwise centres are shown.
+    Names of geometries contain the file and the layer. Legends and photographs appear in a small
+    separate window, which closes with the visualizer; `attach` therefore calls `set_on_close` of
+    the visualizer. If you set another function there, call `Actions.detach` in it. From the first
+    action to `Actions.detach`, the visualizer's post-processing and antialiasing are off, so that
+    colours match the legends; meanwhile lit materials, the background and the sky look darker.
 
     Parameters
     ----------
     visualizer : open3d.visualization.O3DVisualizer
-        Its menu gets the actions.
+        Visualizer whose menu gets the actions.
 
     Returns
     -------
     Actions
-        The same actions as methods that take a path; they raise `gs_codec.GsCodecError` if a file
-        cannot be read.
+        The actions as methods that take paths; they raise `gs_codec.GsCodecError` if a file cannot
+        be read.
 
     Examples
     --------
@@ -173,9 +173,9 @@ class Actions:
     Attributes
     ----------
     scene : Opened or None
-        The scene opened last.
+        The last scene opened.
     cameras : list of gs_codec's Camera
-        Those opened last.
+        The last cameras opened.
     """
 
     def __init__(self, visualizer: O3DVisualizer) -> None:
@@ -192,7 +192,7 @@ class Actions:
 
     @checked
     def open(self, path: str | Path, up: str | None = None) -> None:
-        """Show a scene, replacing the previous one, from its overview; `up` is as for `draw`."""
+        """Show a scene from its overview, replacing the previous one; `up` as in `draw`."""
         request = Request(up=up)
         request.check()
         scene = open_scene(path)
@@ -228,7 +228,7 @@ class Actions:
 
     @checked
     def photographs(self, cameras: str | Path, images: str | Path) -> None:
-        """Show where the cameras of a file are; `nearest` shows their images in a folder."""
+        """Show the cameras of a file; `nearest` shows their images from a folder."""
         self._check()
         found = gs_codec.read_cameras(cameras)
         seek_images(images, found)
@@ -254,9 +254,9 @@ class Actions:
         return camera.name
 
     def detach(self) -> None:
-        """Remove what was shown; the menu items stay, without effect, as they cannot be removed.
+        """Remove all geometries. The menu items cannot be removed; they have no effect any more.
 
-        After this, the other methods raise `gs_codec.GsCodecError`.
+        Afterwards, all other methods raise `gs_codec.GsCodecError`.
         """
         self._clear()
         self._visualizer.remove_geometry(self._frustums)
@@ -268,7 +268,7 @@ class Actions:
         self._ask("Open a scene", SCENES, self.open)
 
     def ask_pruned(self) -> None:
-        """Ask for a ``report.json`` and show its folder's report by `pruned`."""
+        """Ask for a ``report.json``, and pass its folder to `pruned`."""
         self._ask("report.json of prepare", REPORTS, lambda path: self.pruned(Path(path).parent))
 
     def ask_compare(self) -> None:
@@ -276,7 +276,7 @@ class Actions:
         self._ask("Compare with", SCENES, self.compare)
 
     def ask_photographs(self) -> None:
-        """Ask for a file of cameras, then for the folder of their images: `photographs`."""
+        """Ask for a file of cameras and a folder of their images, for `photographs`."""
         self._ask(
             "Cameras",
             CAMERAS,
@@ -288,7 +288,7 @@ class Actions:
         )
 
     def ask_nearest(self) -> None:
-        """Look from the nearest camera, as `nearest`; tell why if that is not possible."""
+        """Call `nearest`; show a message if it fails."""
         if self._attached:
             self._try(self.nearest)
 
@@ -303,7 +303,7 @@ class Actions:
         return self.scene
 
     def _show(self, scene: Opened, points: dict[str, Points], splats: bool = False) -> None:
-        """Show only these points of a scene, by layer; or its splats, and the points on demand."""
+        """Show only these points of a scene, by layer; or its splats, with the points hidden."""
         from viewer.window.pane import draws_splats, point_geometry, splat_cloud, splat_material
 
         self._check()
@@ -320,7 +320,7 @@ class Actions:
             )
 
     def _process_colours(self, on: bool) -> None:
-        """Whether Open3D changes colours after drawing, and blends them at edges, as by default."""
+        """Set whether Open3D post-processes colours and antialiases edges; its default is on."""
         view = self._visualizer.scene.view
         view.set_post_processing(on)
         view.set_antialiasing(on)
@@ -365,12 +365,12 @@ class Actions:
 
         if not self._attached:
             return
-        # A dialog needs a theme, and O3DVisualizer does not give access to its own.
+        # A dialog needs a theme, and O3DVisualizer does not expose its own.
         window = gui.Application.instance.create_window(title, 720, 480)
         modal = Modal(window)
 
         def close() -> None:
-            # Not at once: Open3D is going through its windows.
+            # Deferred, because Open3D is iterating over its windows.
             gui.Application.instance.post_to_main_thread(window, window.close)
 
         def closing() -> bool:
@@ -387,7 +387,7 @@ class Actions:
         window.set_on_close(closing)
 
     def _try(self, action: Callable[[], object]) -> None:
-        """Do something, or tell why it is not possible."""
+        """Run an action; show a message if it fails."""
         try:
             action()
         except (gs_codec.GsCodecError, OSError) as error:

@@ -1,4 +1,4 @@
-"""The page for browsers, served on this machine."""
+"""The browser page, served on this machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gs_codec.cli.output import print_text
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.report import Progress
 
-#: This machine alone.
+#: Address of this machine only.
 _HOST = "127.0.0.1"
 
 #: Maximum time without data on a connection, seconds.
@@ -35,19 +35,19 @@ _CONNECTIONS = 64
 
 
 class Page(ThreadingHTTPServer):
-    """A server of a page to those on this machine who know its address.
+    """Serves a page to users of this machine who know its address.
 
     Parameters
     ----------
     files : dict of str to bytes
-        By name; `PAGE` is the address itself.
+        Files by name; `PAGE` is the page at the address itself.
     port : int
-        0 takes a free one.
+        Port; 0 selects a free one.
 
     Attributes
     ----------
     url : str
-        The address, with a random part that nobody guesses.
+        The address, with an unguessable random part.
     """
 
     daemon_threads = True
@@ -61,7 +61,7 @@ class Page(ThreadingHTTPServer):
         self._free = threading.BoundedSemaphore(_CONNECTIONS)
 
     def verify_request(self, request: object, client_address: object) -> bool:
-        """Whether a connection is served: not if too many are; its thread then frees its place."""
+        """Whether to serve a connection; its thread frees its place at the end."""
         return self._free.acquire(blocking=False)
 
     def process_request_thread(
@@ -87,7 +87,7 @@ class Page(ThreadingHTTPServer):
             self.serve_forever()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of a connection that was cut, as when a page is closed."""
+        """Log nothing about interrupted connections, which occur when a page is closed."""
         if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
@@ -105,8 +105,8 @@ class _Handler(BaseHTTPRequestHandler):
         self._head()
 
     def _head(self) -> bytes | None:
-        """Send what comes before a file, or a range of one, and return that."""
-        # By another name than this machine's, a page of another host could ask.
+        """Send the response headers of a file or a range of one, and return its bytes."""
+        # Reject other host names, through which pages of other sites could send requests.
         host = self.headers.get("Host", "").partition(":")[0]
         data = self.server.contents.get(self.path) if host in (_HOST, "localhost") else None
         if data is None:
@@ -136,15 +136,15 @@ class _Handler(BaseHTTPRequestHandler):
         return data
 
     def log_message(self, *arguments: object) -> None:
-        """Say nothing of requests."""
+        """Log no requests."""
 
 
 @contextmanager
 def _leading_to(url: str) -> Iterator[str]:
-    """Address of a file that leads to `url` and that others cannot read.
+    """Address of a private file that redirects to `url`.
 
-    All users see the arguments of a browser. Browsers in a sandbox read no folder for temporary
-    files, but they read the home folder.
+    All users can see a browser's arguments. The file is in the home folder, because sandboxed
+    browsers cannot read folders for temporary files.
     """
     home = Path.home()
     folder = home if os.access(home, os.W_OK) else None
@@ -155,7 +155,7 @@ def _leading_to(url: str) -> Iterator[str]:
 
 
 def _range_of(text: str, size: int) -> range | None:
-    """The bytes of a file that a request asks for; None: all of them, or ranges of another kind."""
+    """The requested bytes of a file; None for all of them, or for unsupported kinds of range."""
     asked = re.fullmatch(r"bytes=(\d{1,18})-(\d{0,18})", text)
     if asked is None:
         return None
@@ -171,12 +171,12 @@ def serve(
     progress: Progress | None,
     up: str | None = None,
 ) -> Page:
-    """A server of a page that shows one scene or two; see `gs_codec.files.sharing.share`.
+    """Make a server of a page that shows one or two scenes; see `gs_codec.files.sharing.share`.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If the page cannot be made, or the port cannot be had.
+        If the page cannot be made, or the port is not available.
     """
     if port is not None and not 1 <= port <= 65535:
         raise gs_codec.GsCodecError(f"port {port}: expected 1 to 65535")
@@ -190,7 +190,7 @@ def serve(
 
 
 def _has_screen() -> bool:
-    """Whether a browser with windows can be opened here."""
+    """Whether a browser window can be opened here."""
     if "SSH_CONNECTION" in os.environ:
         return False
     return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))

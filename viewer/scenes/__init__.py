@@ -1,1 +1,1 @@
-"""Scenes, cameras and choices that the viewer shows."""
+"""Scenes, cameras and the user's choices."""

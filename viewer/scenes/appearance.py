@@ -1,4 +1,4 @@
-"""The Gaussians that are drawn of a scene, as an appearance and hidden Gaussians make them."""
+"""The Gaussians to draw, according to the appearance and hidden Gaussians."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ class Look:
     ----------
     appearance : Appearance
     drawn : ndarray, shape (N,), bool, or None
-        Which Gaussians are drawn; None if none is hidden. It must not be changed.
+        Mask of drawn Gaussians; None if none is hidden. Must not be modified.
     """
 
     appearance: Appearance = field(default_factory=Appearance)
     drawn: NDArray[np.bool_] | None = None
 
     def is_same(self, other: Look) -> bool:
-        """Whether the same Gaussians are drawn; the backgrounds may differ."""
+        """Whether the same Gaussians are drawn; backgrounds may differ."""
         background = other.appearance.background
         mine = replace(self.appearance, background=background)
         return mine == other.appearance and self.drawn is other.drawn
 
 
 def which_drawn(scene: Opened, look: Look) -> NDArray[np.bool_] | None:
-    """Which Gaussians ``(N,)`` of a scene are drawn; None if all are."""
+    """Mask ``(N,)`` of the drawn Gaussians of a scene; None if all are drawn."""
     least = look.appearance.least_opacity
     if least <= 0:
         return look.drawn
@@ -44,9 +44,9 @@ def which_drawn(scene: Opened, look: Look) -> NDArray[np.bool_] | None:
 
 
 def gaussians_drawn(scene: Opened, look: Look) -> Scene:
-    """The Gaussians of a scene as they are drawn, in its order.
+    """The Gaussians of a scene with an appearance applied, in the scene's order.
 
-    Those that are not drawn have the opacity 0, whose logit is not finite: rasterisers skip them.
+    Gaussians that are not drawn get opacity 0: the logit is -infinity, so rasterisers skip them.
     """
     gaussians, appearance = scene.gaussians, look.appearance
     mask, degree = which_drawn(scene, look), min(appearance.sh_degree, scene.sh_degree)

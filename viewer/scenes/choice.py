@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
-#: Layers that can be switched on and off.
+#: Names of the layers.
 LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
 
-#: Quantities that centres can be coloured by.
+#: Quantities that can colour centres.
 COLOURINGS = ("colour", "opacity", "scale", "error", "bits", "sh", "class", "block")
 
-#: Scales of the colours of magnitudes; those that have them, and which they have by default.
+#: Colour scales of quantities, and the default scale of each quantity that has one.
 SCALES = ("linear", "log")
 SCALED = {"opacity": "linear", "scale": "log", "error": "log", "bits": "linear", "sh": "log"}
 
-#: How two scenes are shown.
+#: Modes of showing two scenes.
 MODES = ("side", "wipe", "flip")
 
-#: Quantities that cells of the octree can be coloured by, and the depths they can have.
+#: Quantities that can colour octree cells, and the range of depths.
 CELL_COLOURINGS = ("occupancy", "bits")
 DEPTHS = range(1, 13)
 
-#: Quantities whose histograms are shown below the panes.
+#: Quantities with histograms.
 QUANTITIES = (
     "opacity",
     "longest scale",
@@ -38,13 +38,13 @@ QUANTITIES = (
     "z",
 )
 
-#: What is shown below the panes.
+#: Choices for the dock below the panes.
 DOCKS = ("nothing", "PSNR of views", "views", *(f"histogram: {name}" for name in QUANTITIES))
 
 
 @dataclass(frozen=True)
 class OctreeChoice:
-    """How the octree is shown.
+    """Settings of the octree layer.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class OctreeChoice:
     colouring : str
         One of `CELL_COLOURINGS`.
     filled : bool
-        Whether cells are filled; otherwise only their edges are drawn.
+        Whether cells are filled, not outlined.
     """
 
     depth: int = 6
@@ -61,22 +61,22 @@ class OctreeChoice:
     filled: bool = True
 
     def among(self, layers: Collection[str]) -> OctreeChoice:
-        """The same among layers: filled cells would hide splats and points."""
+        """The same for these layers: not filled if filled cells would hide splats or points."""
         return replace(self, filled=not set(layers) - {"octree", "boxes"})
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """How splats are drawn in panes and saved pictures; what is measured does not depend on it.
+    """How splats are drawn in panes and saved pictures; measurements ignore it.
 
     Attributes
     ----------
     sh_degree : int, 0-3
         Highest SH degree of their colours.
     scale : float, 0.05-2
-        Factor on their axes.
+        Factor for their axes.
     least_opacity : float, 0-1
-        Gaussians of lower opacity are not drawn, neither as splats nor as centres.
+        Minimum opacity of the splats and centres that are drawn.
     background : tuple of three float, 0-1
         RGB behind everything.
     """
@@ -89,7 +89,7 @@ class Appearance:
 
 @dataclass
 class Choice:
-    """What is shown of the scenes, and how.
+    """All display settings.
 
     Attributes
     ----------
@@ -102,18 +102,18 @@ class Choice:
     mode : str
         One of `MODES`.
     front : {0, 1}
-        Which scene ``flip`` shows.
+        Index of the scene that ``flip`` shows.
     wipe : float, 0-1
-        Position of the line of ``wipe``.
+        Position of the wipe line.
     up : str
-        Name of the up axis, in `UPS` or "cameras".
+        Name of the up axis: one of `UPS`, or "cameras".
     octree : OctreeChoice
     exact : bool
-        Whether a graphics card leaves splats to gs_codec's rasteriser.
+        Whether gs_codec's rasteriser draws splats even with a graphics card.
     flying : bool
-        Whether a drag looks around instead of turning about the point ahead.
+        Whether drags look around instead of orbiting the point ahead.
     dock : str
-        What is shown below the panes, of `DOCKS`.
+        Contents of the dock, one of `DOCKS`.
     appearance : Appearance
     """
 
@@ -132,5 +132,5 @@ class Choice:
 
     @property
     def scale(self) -> str | None:
-        """The scale of the colouring, if it has one."""
+        """Scale of the chosen colouring, if it has one."""
         return self.scales.get(self.colouring)

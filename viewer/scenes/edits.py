@@ -1,4 +1,4 @@
-"""What is selected, hidden and deleted of a scene, with undo and redo."""
+"""Selected, hidden and deleted Gaussians of a scene, with undo and redo."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 import gs_codec
 from viewer.scenes.opened import Opened, keep
 
-#: How a choice of Gaussians changes the selection.
+#: Ways to combine chosen Gaussians with the selection.
 HOW = ("replace", "add", "remove")
 
-#: Steps that can be undone: at most 25 bytes a Gaussian, of the 236 of one of SH degree 3.
+#: Maximum number of undo steps: up to 25 bytes per Gaussian in all, of its 236 with SH degree 3.
 _STEPS = 100
 
-#: Edited scenes that are kept, for undo and redo.
+#: Number of edited scenes cached for undo and redo.
 _KEPT = 2
 
-#: Bits of a mask of the file's Gaussians.
+#: A packed mask over the file's Gaussians.
 _Bits = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Masks of the file's Gaussians, and the step that led here."""
+    """Masks over the file's Gaussians, and the step that led here."""
 
     step: str
     selected: _Bits
@@ -37,21 +37,22 @@ class _State:
 class Edits:
     """The edits of one scene.
 
-    Masks are of the Gaussians of `scene`, the scene that is left. Hidden Gaussians are not drawn,
-    and no step selects them; they are part of the scene, and are saved with it.
+    Masks have one element per Gaussian of `scene`, which lacks deleted Gaussians. Hidden Gaussians
+    are not drawn and cannot be selected, but they are part of the scene and are saved with it.
 
     Parameters
     ----------
     scene : Opened
-        The scene as it was opened or, without steps to undo, as other edits left it.
+        The scene as opened or, without steps to undo, as edited before.
 
     Attributes
     ----------
     whole : Opened
     scene : Opened
-        What is left; `whole` itself if nothing is deleted.
+        The scene without deleted Gaussians; `whole` itself if none are deleted.
     drawn : ndarray, shape (N,), bool, or None
-        Which Gaussians are drawn; None if none is hidden. The same array as long as that is so.
+        Mask of drawn Gaussians; None if none is hidden. The array object changes only with its
+        contents.
     """
 
     def __init__(self, scene: Opened) -> None:
@@ -67,7 +68,7 @@ class Edits:
 
     @property
     def selected(self) -> NDArray[np.bool_]:
-        """Which Gaussians ``(N,)`` are selected."""
+        """Mask ``(N,)`` of selected Gaussians."""
         return self._of_scene(self._state.selected)
 
     @property
@@ -82,21 +83,21 @@ class Edits:
 
     @property
     def unsaved(self) -> bool:
-        """Whether something was deleted, or brought back, since the scene was saved."""
+        """Whether deleted Gaussians have changed since the scene was saved."""
         return not np.array_equal(self._state.deleted, self._saved)
 
     @property
     def undone_next(self) -> str:
-        """The step that `undo` takes back; empty if there is none."""
+        """The step that `undo` would take back; empty if none."""
         return self._state.step if self._before else ""
 
     @property
     def redone_next(self) -> str:
-        """The step that `redo` does again; empty if there is none."""
+        """The step that `redo` would repeat; empty if none."""
         return self._after[-1].step if self._after else ""
 
     def select(self, chosen: NDArray[np.bool_], how: str = "replace") -> None:
-        """Select the chosen Gaussians ``(N,)``, or add or remove them, as `HOW` lists."""
+        """Combine a mask ``(N,)`` with the selection, as `how` (one of `HOW`) says."""
         before = self.selected
         if how == "remove":
             after = before & ~chosen
@@ -115,30 +116,30 @@ class Edits:
         self.select(np.zeros(self.scene.count, bool))
 
     def invert(self) -> None:
-        """Select those that are not selected, and no others."""
+        """Invert the selection."""
         self.select(~self.selected)
 
     def hide(self) -> None:
-        """Hide what is selected; then nothing is selected."""
+        """Hide the selected Gaussians, and clear the selection."""
         selected = self.selected
         hidden = self._of_scene(self._state.hidden) | selected
         self._do("hide", selected=np.zeros_like(selected), hidden=hidden)
 
     def show_all(self) -> None:
-        """Show what is hidden."""
+        """Show all hidden Gaussians."""
         self._do("show all", hidden=np.zeros(self.scene.count, bool))
 
     def delete(self) -> None:
-        """Delete what is selected; raises as `keep` does."""
+        """Delete the selected Gaussians; raises like `keep`."""
         self.keep(~self.selected, "delete")
 
     def keep(self, kept: NDArray[np.bool_], step: str) -> None:
-        """Delete all but the Gaussians ``(N,)`` that are kept; `step` names this for undo.
+        """Delete all Gaussians not in the mask `kept` ``(N,)``; undo shows the name `step`.
 
         Raises
         ------
         gs_codec.GsCodecError
-            If none would be left.
+            If no Gaussians would be left.
         """
         if not kept.any():
             raise gs_codec.GsCodecError(f"{step}: no Gaussian would be left")
@@ -146,30 +147,30 @@ class Edits:
         self._do(step, selected=self.selected & kept, hidden=hidden & kept, deleted=~kept)
 
     def undo(self) -> None:
-        """Take the last step back, if any."""
+        """Undo the last step, if any."""
         if self._before:
             self._after.append(self._state)
             self._be(self._before.pop())
 
     def redo(self) -> None:
-        """Do the step again that was taken back last, if any."""
+        """Redo the last undone step, if any."""
         if self._after:
             self._before.append(self._state)
             self._be(self._after.pop())
 
     def mark_saved(self, saved: Opened) -> None:
-        """Remember that a scene of these edits was saved."""
+        """Record that a scene of these edits was saved."""
         left = np.ones(self.whole.count, bool) if saved.left is None else saved.left
         self._saved = np.packbits(~left)
 
     def turn(self, whole: Opened) -> None:
-        """Take on the whole scene as `turned` made it; the steps stay."""
+        """Replace the whole scene by the result of `turned`, and keep the steps."""
         self.whole = whole
         self._known.clear()
         self._be(self._state)
 
     def _do(self, step: str, **masks: NDArray[np.bool_]) -> None:
-        """Change masks ``(N,)`` of the scene; nothing if they are as before."""
+        """Set masks ``(N,)`` of the scene as a new step, if any of them changes."""
         bits = {name: self._of_file(mask) for name, mask in masks.items()}
         bits["deleted"] = bits.get("deleted", self._state.deleted) | self._state.deleted
         before = {name: getattr(self._state, name) for name in bits}
@@ -180,7 +181,7 @@ class Edits:
             self._be(replace(self._state, step=step, **changed))
 
     def _be(self, state: _State) -> None:
-        """Take on a state, and the scene that is left in it."""
+        """Switch to a state and to the scene without its deleted Gaussians."""
         before, was = self._state, self.scene
         self._state = state
         known = [scene for deleted, scene in self._known if deleted is state.deleted]
@@ -194,12 +195,12 @@ class Edits:
             self.drawn = ~self._of_scene(state.hidden) if self.hidden_count else None
 
     def _of_scene(self, bits: _Bits) -> NDArray[np.bool_]:
-        """A mask ``(N,)`` of the scene, of one of the file."""
+        """Convert a mask of the file to one ``(N,)`` of the scene."""
         mask = np.unpackbits(bits, count=self.whole.count).astype(bool)
         return mask if self.scene.left is None else mask[self.scene.left]
 
     def _of_file(self, mask: NDArray[np.bool_]) -> _Bits:
-        """A mask of the file, of one ``(N,)`` of the scene."""
+        """Convert a mask ``(N,)`` of the scene to one of the file."""
         whole = mask
         if self.scene.left is not None:
             whole = np.zeros(self.whole.count, bool)

@@ -1,4 +1,4 @@
-"""A camera path from pose to pose, and the poses in a file."""
+"""A smooth camera path through poses, and poses in files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from viewer.scenes.pose import Pose, of_camera
 
 
 def write_poses(path: Path, poses: Sequence[Pose]) -> None:
-    """Write poses as a ``cameras.json``, in order; whole or not at all.
+    """Write poses, in order, as a ``cameras.json``; atomically.
 
     Raises
     ------
@@ -30,12 +30,12 @@ def write_poses(path: Path, poses: Sequence[Pose]) -> None:
 
 
 def read_poses(path: Path) -> list[Pose]:
-    """Read the poses of all cameras of a file, in its order.
+    """Read the poses of all cameras of a file, in order.
 
     Raises
     ------
     gs_codec.GsCodecError
-        As `gs_codec.read_cameras`.
+        If the file cannot be read; see `gs_codec.read_cameras`.
     """
     return [of_camera(camera) for camera in gs_codec.read_cameras(path)]
 
@@ -43,8 +43,9 @@ def read_poses(path: Path) -> list[Pose]:
 def flythrough(poses: Sequence[Pose], count: int) -> list[Pose]:
     """Poses on a smooth path from the first to the last, through all others.
 
-    Positions follow a cubic curve, rotations a cubic spline, lenses go in proportion. Time goes by
-    how far the camera moves and turns, so that its speed is even. The frame is that of the first.
+    Positions follow a cubic curve, rotations a cubic spline; lenses are interpolated linearly. Time
+    is proportional to how far the camera moves and turns, so its speed is even. All poses have the
+    frame of the first.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def flythrough(poses: Sequence[Pose], count: int) -> list[Pose]:
 
 
 def _times(positions: NDArray, turns: NDArray) -> NDArray[np.float64]:
-    """When a path is at each of its positions; a pose that is repeated takes a little time."""
+    """Time of each position on a path; a repeated pose takes a little time."""
     moves = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     steps = moves / (moves.mean() or 1.0) + turns / (turns.mean() or 1.0)
     least = 0.1 * float(steps.mean()) or 1.0
@@ -78,7 +79,7 @@ def _times(positions: NDArray, turns: NDArray) -> NDArray[np.float64]:
 
 
 def _slopes(knots: NDArray, positions: NDArray) -> NDArray[np.float64]:
-    """Velocities at the positions: of the parabola through each and its neighbours."""
+    """Velocity at each position: that of the parabola through it and its neighbours."""
     steps = np.diff(knots)[:, None]
     speeds = np.diff(positions, axis=0) / steps
     inner = (speeds[:-1] * steps[1:] + speeds[1:] * steps[:-1]) / (steps[:-1] + steps[1:])

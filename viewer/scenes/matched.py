@@ -1,4 +1,4 @@
-"""Which Gaussians of two versions of a scene belong together, and how far they are apart."""
+"""Match the Gaussians of two versions of a scene, and measure their differences."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.scene import SH_C0, Scene
 from viewer.scenes.opened import Opened
 
-#: Name of the property that keeps rows while scenes are put side by side.
+#: Property that stores row numbers while scenes are matched.
 _ROW = "row"
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a Gaussian is from the one that belongs to it.
+    """Differences between a Gaussian and its match.
 
     Attributes
     ----------
     row : int
-        Of the other Gaussian in its scene.
+        Row of the match in its scene.
     matched_by : str
         ``stored order``, ``index`` or ``Morton order``, as in `Comparison`; or `NEAREST`.
     position : float
-        Distance of the centres, scene units.
+        Distance between the centres, scene units.
     scales : tuple of three float
-        Ratio of the axes, this over the other, less 1; from the longest unless they are matched by
+        Ratios of the axes, this over the other, minus 1; sorted from the longest unless matched by
         index.
     rotation : float
         Angle, degrees.
     opacity : float
         Difference, 0-1.
     colour : float
-        Root mean square over R, G and B of SH-DC, of 255.
+        Root mean square over R, G and B of SH-DC, in levels of 255.
     sh : float or None
-        Root mean square over the SH-AC; None if neither has any.
+        Root mean square over the SH-AC; None if neither scene has any.
     """
 
     row: int
@@ -55,10 +55,10 @@ class Difference:
 
 
 class Match:
-    """Which Gaussians of two scenes belong together.
+    """Matches between the Gaussians of two scenes.
 
-    Gaussians are matched as `gs_codec.compare` matches them; where it cannot, as after pruning, by
-    the nearest centre.
+    Uses the matching of `gs_codec.compare`; if that fails, for example after pruning, the nearest
+    centre.
 
     Parameters
     ----------
@@ -75,15 +75,12 @@ class Match:
         a, b = (_numbered(each) for each in self._scenes)
         try:
             a, b, self.matched_by = put_side_by_side(a, b, in_order=True)
-        except gs_codec.GsCodecError:  # they do not belong together
+        except gs_codec.GsCodecError:  # no match in order
             return
         self._rows = a.extra[_ROW], b.extra[_ROW]
 
     def difference(self, which: int, row: int) -> Difference | None:
-        """How far a Gaussian of the first scene (0) or the second (1) is from the other's.
-
-        None if the other scene has none.
-        """
+        """Differences of a Gaussian of scene `which` (0 or 1) from its match, if any."""
         own, other = self._scenes[which], self._scenes[1 - which]
         if self._rows is None:
             found = _nearest(own.positions[:, row], other.positions)
@@ -103,14 +100,14 @@ def _numbered(scene: Scene) -> Scene:
 
 
 def _nearest(position: NDArray, positions: NDArray) -> int | None:
-    """The nearest of finite positions ``(3, N)``; None if there is none."""
+    """Index of the nearest of finite positions ``(3, N)``; None if there are none."""
     with np.errstate(over="ignore", invalid="ignore"):
         apart = np.sum((positions - position[:, None]) ** 2, axis=0)
     return int(np.nanargmin(apart)) if np.isfinite(apart).any() else None
 
 
 def _with_axes_alike(first: Scene, second: Scene) -> tuple[Scene, Scene]:
-    """Both with their axes from the longest, written so that their quaternions are near."""
+    """Both scenes with axes sorted from the longest, and with similar quaternions if possible."""
     pair = []
     rot = np.array([[1], [0], [0], [0]], np.float32)
     for scene in (second, first):

@@ -1,4 +1,4 @@
-"""Text of the panel's numbers: sizes, bits, and quality of the view."""
+"""Texts for the panel's numbers: sizes, bits, and quality of the view."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from viewer.scenes.opened import Opened
 
 
 def facts(scene: Opened) -> list[tuple[str, str]]:
-    """Rows for a scene: Gaussians, SH degree, size, and bits of each attribute."""
+    """Rows of text for a scene: Gaussians, SH degree, size, and bits of each attribute."""
     rows = [("Gaussians", f"{scene.count:,}")]
     if scene.whole is not None:
         rows.append(("  of the file", f"{scene.file_count:,}"))
@@ -32,7 +32,7 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
 
 
 def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
-    """Rows that compare the sizes of two scenes; files only if they are of what is shown."""
+    """Rows of text that compare two scenes' sizes; file sizes only for unedited files."""
     rows, edited = [], first.whole or second.whole
     if first.file_bytes and second.file_bytes and not edited:
         rows.append(("A's file / B's", f"{first.file_bytes / second.file_bytes:.1f}"))
@@ -43,7 +43,7 @@ def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
 
 
 def quality_text(quality: gs_codec.Quality) -> str:
-    """PSNR and SSIM of two images, as `gs_codec.compare_images` gives them."""
+    """PSNR and SSIM from `gs_codec.compare_images`, as text."""
     if np.isinf(quality.psnr):
         return "the same"
     return f"{quality.psnr:.2f} dB, SSIM {quality.ssim:.4f}"

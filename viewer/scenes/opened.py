@@ -1,4 +1,4 @@
-"""Open scenes for the viewer: Gaussians, facts about the file, pruning reports."""
+"""Open scenes: their Gaussians, facts about the file, and pruning reports."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: Called with the stage, the steps done, and the total.
+#: Called with the stage, the steps done, and the total number of steps.
 Progress = Callable[[str, int, int], None]
 
 #: Exceptions that reading a damaged report may raise.
@@ -48,37 +48,37 @@ _DAMAGE = (
 #: A block's box spans these quantiles of its centres along each axis.
 _BOX = (0.02, 0.98)
 
-#: The most frequent system of scenes that do not state theirs and are not in that of PLY files.
+#: The most common coordinate system of scenes that state none but are not in that of PLY files.
 _OTHER = "RUB"
 
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A scene and where it came from.
+    """An open scene and its source.
 
     Attributes
     ----------
     name : str
         Name of the file, or the name given for a cloud.
     cloud : open3d.t.geometry.PointCloud
-        With the attributes that `gs_codec.read` gives: right, down, forward.
+        Cloud with the attributes from `gs_codec.read`; axes right, down, forward.
     file_bytes : int or None
     info : gs_codec's Info or None
         For an ``.egs`` file.
     system : str
         The coordinate system of the file.
     path : Path
-        Of the file; a cloud has none.
+        Path of the file; empty for a cloud.
     comments : tuple of str
-        Of the file; with an order that it states only if the scene was not turned.
+        Comments of the file; a comment on the order is kept only if the scene was not turned.
     modified : int or None
-        When the file was written last, nanoseconds.
+        Modification time of the file, nanoseconds.
     system_given : bool
-        Whether `system` is what `turned` made it, and not what the file states.
+        Whether `turned` set `system`, not the file.
     whole : Opened or None
-        Of an edited scene, the M Gaussians before edits, as in the file; None if all are left.
+        For an edited scene, the M Gaussians of the file; None if none are deleted.
     left : ndarray, shape (M,), bool, or None
-        Which of them are left.
+        Mask of those that are not deleted.
     """
 
     name: str
@@ -95,13 +95,13 @@ class Opened:
 
     @property
     def title(self) -> str:
-        """The name, whether it is edited, and the system that it was converted from, if any."""
+        """The name, with notes if it is edited or was converted from another coordinate system."""
         name = self.name if self.whole is None else f"{self.name}, edited"
         return name if self.system == CONVENTION else f"{name}, converted from {self.system}"
 
     @property
     def is_stored(self) -> bool:
-        """Whether its file holds this very scene: it was neither edited nor turned."""
+        """Whether the scene equals its file: neither edited nor turned."""
         return self.path != Path() and self.whole is None and not self.system_given
 
     @property
@@ -111,17 +111,17 @@ class Opened:
 
     @property
     def file_count(self) -> int:
-        """Number of Gaussians of the file, before edits."""
+        """Number of Gaussians in the file."""
         return self.count if self.whole is None else self.whole.count
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """Rows of the file ``(N,)`` that its Gaussians are."""
+        """Row in the file of each Gaussian ``(N,)``."""
         return np.arange(self.count) if self.left is None else np.flatnonzero(self.left)
 
     @cached_property
     def gaussians(self) -> Scene:
-        """Its Gaussians as gs_codec takes them, with the file's comments; shares memory."""
+        """The Gaussians as a `Scene`, with the file's comments; shares memory."""
         return replace(from_cloud(self.cloud, "drop", tell=False), comments=self.comments)
 
     @cached_property
@@ -131,7 +131,7 @@ class Opened:
 
     @cached_property
     def colours(self) -> NDArray[np.float32]:
-        """Colours of SH-DC, RGB ``(N, 3)``, 0-1."""
+        """SH-DC colours, RGB ``(N, 3)``, 0-1."""
         return np.clip(0.5 + SH_C0 * self._array("f_dc"), 0, 1).astype(np.float32)
 
     @cached_property
@@ -148,7 +148,7 @@ class Opened:
 
     @cached_property
     def sh_energy(self) -> NDArray[np.float64]:
-        """Sum of the squares of the SH-AC of each Gaussian ``(N,)``."""
+        """Sum of squares of the SH-AC of each Gaussian ``(N,)``."""
         f_rest = self._array("f_rest")
         return np.einsum("nkc,nkc->n", f_rest, f_rest, dtype=np.float64)
 
@@ -166,7 +166,7 @@ class Opened:
     def blocks(self) -> NDArray[np.float32]:
         """Boxes ``(blocks, 2, 3)`` around most centres of each block of an ``.egs`` file.
 
-        The few far centres are left out, because they would make every box as large as the scene.
+        The boxes ignore the few far centres, which would make every box as large as the scene.
         Empty if the file is not ``.egs``, has one block, or restores the original order.
         """
         info = self.info
@@ -180,12 +180,12 @@ class Opened:
 
     @cached_property
     def bits(self) -> NDArray[np.float64] | None:
-        """Bits of each Gaussian ``(N,)``, by `gaussian_bits`; None if `bits_unknown` says why.
+        """Bits of each Gaussian ``(N,)``, by `gaussian_bits`; None if `bits_unknown`.
 
         Raises
         ------
         gs_codec.GsCodecError
-            If the file is no longer what was opened.
+            If the file has changed.
         """
         if self.bits_unknown:
             return None
@@ -197,12 +197,12 @@ class Opened:
 
     @cached_property
     def classes(self) -> NDArray[np.uint8] | None:
-        """Classes of shape and of colour ``(2, N)``; None if `unknown` says why.
+        """Classes of shape and of colour ``(2, N)``; None if `unknown`.
 
         Raises
         ------
         gs_codec.GsCodecError
-            If the file is no longer what was opened.
+            If the file has changed.
         """
         if self.unknown("class"):
             return None
@@ -214,12 +214,12 @@ class Opened:
 
     @property
     def block_numbers(self) -> NDArray[np.int64] | None:
-        """Number of the block of each Gaussian ``(N,)``; None if `unknown` says why."""
+        """Block number of each Gaussian ``(N,)``; None if `unknown`."""
         info = None if self.unknown("block") else self.info
         return None if info is None else self.rows // info.block_size
 
     def unknown(self, colouring: str) -> str:
-        """Why a quantity of `COLOURINGS` is not known of this scene alone; empty if it is."""
+        """Why a quantity of `COLOURINGS` is unknown for this scene alone; empty if it is known."""
         if colouring in ("bits", "block", "class") and self.bits_unknown:
             return self.bits_unknown
         profile = self.info.profile if self.info is not None else ""
@@ -229,13 +229,13 @@ class Opened:
 
     @property
     def bits_unknown(self) -> str:
-        """Why the bits of single Gaussians are not known; empty if they are."""
+        """Why the bits of single Gaussians are unknown; empty if they are known."""
         if self.info is None or not self.count:
             return "not an .egs file" if self.count else "without Gaussians"
         return "stored in the original order" if self.info.keeps_order else ""
 
     def check_unchanged(self) -> None:
-        """Check that the file is what was opened.
+        """Check that the file has not changed since it was opened.
 
         Raises
         ------
@@ -249,7 +249,7 @@ class Opened:
 
 
 def thinned(count: int, most: int) -> slice:
-    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
+    """A slice that selects at most `most` of `count` items, evenly spaced in stored order."""
     return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
@@ -259,7 +259,7 @@ def open_scene(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> Opened:
-    """Read a scene from a file or cloud; `progress` and `max_bytes` are as for `gs_codec.read`.
+    """Read a scene from a file or cloud; `progress` and `max_bytes` are as in `gs_codec.read`.
 
     Raises
     ------
@@ -281,7 +281,7 @@ def open_scene(
 
 
 def modified(path: Path | str) -> int | None:
-    """When a file was written last, nanoseconds; None if it cannot be told."""
+    """Modification time of a file, nanoseconds; None if unknown."""
     try:
         return os.stat(path).st_mtime_ns
     except OSError:
@@ -289,7 +289,7 @@ def modified(path: Path | str) -> int | None:
 
 
 def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
-    """The Gaussians of a whole scene that are left ``(M,)``; the scene itself if these are all."""
+    """The Gaussians of a whole scene in the mask ``(M,)``; the scene itself for all."""
     if left.all():
         return scene
     cloud = to_cloud(from_cloud(scene.cloud, "keep").take(left))
@@ -300,7 +300,7 @@ def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
 def turned(scene: Opened) -> Opened:
     """The scene converted from ``RUB`` to ``RDF``; a second call undoes it.
 
-    For a file in another coordinate system that does not say so.
+    For files that are in another coordinate system but do not state it.
     """
     was = scene.system == _OTHER
     return replace(
@@ -314,13 +314,13 @@ def turned(scene: Opened) -> Opened:
 
 @dataclass(frozen=True, eq=False)
 class Pruned:
-    """Which Gaussians preparation removed from a scene.
+    """The Gaussians of a scene that preparation removed.
 
     Attributes
     ----------
     reasons : tuple of str
     labels : ndarray, shape (N,), uint8
-        For each Gaussian of the scene 0 if kept, or 1 + the index of the reason.
+        For each Gaussian: 0 if kept, otherwise 1 + the index of the reason.
     """
 
     reasons: tuple[str, ...]
@@ -328,12 +328,12 @@ class Pruned:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of Gaussians by reason."""
+        """Number of pruned Gaussians by reason."""
         counts = np.bincount(self.labels, minlength=len(self.reasons) + 1)[1:]
         return dict(zip(self.reasons, counts.tolist(), strict=True))
 
     def of(self, scene: Opened) -> Pruned:
-        """The same of the Gaussians that are left in an edited scene."""
+        """The same for the Gaussians left in an edited scene."""
         return self if scene.whole is None else replace(self, labels=self.labels[scene.rows])
 
 
@@ -343,7 +343,7 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     Raises
     ------
     gs_codec.GsCodecError
-        If there is none, or it is for another scene.
+        If there is no report, or it is for another scene.
     """
     folder = Path(folder)
     try:

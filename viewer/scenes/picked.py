@@ -1,4 +1,4 @@
-"""A Gaussian that was picked: which one a pixel shows, and all that is known of it."""
+"""Find the Gaussian shown at a pixel, and collect all information about it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from viewer.scenes.matched import Difference, Match
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
 
-#: Points are picked within this distance, pixels.
+#: Maximum distance of a picked point, pixels.
 _NEAR = 3.0
 
 #: All Gaussians are drawn.
@@ -28,16 +28,16 @@ _PLAIN = Look()
 
 @dataclass(frozen=True)
 class Hit:
-    """What a click into a pane hit.
+    """The Gaussian hit by a click into a pane.
 
     Attributes
     ----------
     which : {0, 1}
-        The scene.
+        Index of the scene.
     row : int
-        The Gaussian's number in it, from 0.
+        Row of the Gaussian in the scene, from 0.
     weight : float or None
-        Its weight alpha T in the pixel, 0-1; None if its point was clicked on.
+        Its weight alpha T in the pixel, 0-1; None if a point was clicked.
     """
 
     which: int
@@ -47,14 +47,14 @@ class Hit:
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a Gaussian adds to a view.
+    """Contribution of a Gaussian to a view.
 
     Attributes
     ----------
     weight : float
-        Sum of its weights alpha T over pixels.
+        Sum of its weights alpha T over the pixels.
     pixels : int
-        Number of these pixels.
+        Number of pixels it contributes to.
     size : tuple of two int
         Width and height of the view, pixels.
     """
@@ -65,26 +65,26 @@ class Contribution:
 
     @property
     def share(self) -> float:
-        """Share of the view's light that comes through it, 0-1: weight over all pixels."""
+        """Share of the view's light from the Gaussian, 0-1: weight over number of pixels."""
         return self.weight / (self.size[0] * self.size[1])
 
 
 @dataclass(frozen=True, eq=False)
 class Picked:
-    """A Gaussian and all that is known of it.
+    """A Gaussian with all information about it.
 
     Attributes
     ----------
     scene : Opened
     hit : Hit
     contribution : Contribution
-        To the camera's own frame.
+        Contribution to the camera's own frame.
     coded : CodedGaussian or None
-        None where `Opened.bits_unknown` has a reason.
+        None if `Opened.bits_unknown`.
     difference : Difference or None
-        None without another scene.
+        None if there is no second scene.
     pruned_by : str
-        Why it was removed; empty if it was not, or if there is no report.
+        Reason for pruning; empty if it was kept or there is no report.
     """
 
     scene: Opened
@@ -107,7 +107,7 @@ class Picked:
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """Unit quaternion wxyz ``(4,)``, w not negative; the identity if the norm is 0."""
+        """Unit quaternion wxyz ``(4,)``, w >= 0; the identity if the norm is 0."""
         rot = self.scene.gaussians.rot[:, self.hit.row].astype(np.float64)
         norm = np.linalg.norm(rot)
         unit = rot / norm if norm else np.eye(4)[0]
@@ -115,7 +115,7 @@ class Picked:
 
     @property
     def turn(self) -> tuple[float, NDArray[np.float64]]:
-        """The rotation as an angle, degrees, and a unit axis ``(3,)``."""
+        """The rotation as an angle in degrees and a unit axis ``(3,)``."""
         real, vector = self.rotation[0], self.rotation[1:]
         norm = np.linalg.norm(vector)
         axis = vector / norm if norm else np.eye(3)[0]
@@ -128,12 +128,12 @@ class Picked:
 
     @property
     def colour(self) -> NDArray[np.float64]:
-        """Colour of SH-DC, RGB ``(3,)`` of 255; what is beyond 0 to 255 is cut."""
+        """SH-DC colour, RGB ``(3,)``, clipped to 0-255."""
         return 255 * self.scene.colours[self.hit.row].astype(np.float64)
 
     @property
     def sh_energy(self) -> list[float]:
-        """Sum of the squares of the SH-AC of each band."""
+        """Sum of squares of the SH-AC of each band."""
         own = self.scene.gaussians.f_rest[:, self.hit.row].reshape(3, -1).astype(np.float64)
         return [float(np.sum(own[:, band] ** 2)) for band in sh_bands(own.shape[1])]
 
@@ -145,7 +145,7 @@ class Picker:
     ----------
     scenes : sequence of Opened
     pruned : Pruned or None
-        What was removed from the first.
+        Pruned Gaussians of the first scene.
     """
 
     def __init__(self, scenes: Sequence[Opened], pruned: Pruned | None = None) -> None:
@@ -164,24 +164,24 @@ class Picker:
         layers: Collection[str] = ("splats",),
         look: Look = _PLAIN,
     ) -> Hit | None:
-        """The Gaussian that a pixel shows of a scene; None if there is none.
+        """The Gaussian of a scene shown at a pixel; None if there is none.
 
-        What is drawn on top comes first: points of what was pruned, if the layer is among `layers`,
-        and centres, if no splats are. Else it is the Gaussian of the largest weight.
+        Points on top take precedence: pruned points if that layer is in `layers`, and centres if
+        splats are not. Otherwise it is the Gaussian with the largest weight.
 
         Parameters
         ----------
         which : {0, 1}
-            The scene.
+            Index of the scene.
         pose : Pose
         size : tuple of two int
             Width and height of its picture, pixels.
         pixel : tuple of two float
-            Column and row in it, from its upper left corner.
+            Column and row in the picture, from its upper left corner.
         layers : collection of str
             Names in `LAYERS`.
         look : Look
-            What is not drawn is not picked.
+            Gaussians that it does not draw are not picked.
         """
         scene = self.scenes[which]
         if "pruned" in layers and self.pruned is not None and which == 0:
@@ -203,18 +203,18 @@ class Picker:
         return Hit(which, int(rows[most]), float(weights[most]))
 
     def describe(self, hit: Hit, pose: Pose) -> Picked:
-        """All that is known of a Gaussian, as seen from a pose.
+        """Collect all information about a Gaussian, as seen from a pose.
 
         Raises
         ------
         gs_codec.GsCodecError
-            If the file is no longer what was opened.
+            If the file has changed.
         """
         scene, row = self.scenes[hit.which], hit.row
         camera = as_camera(pose.camera(*pose.measured))
         contribution = Contribution(*gaussian_weight(scene.gaussians, camera, row), pose.measured)
         difference = self._match.difference(hit.which, row) if len(self.scenes) > 1 else None
-        if difference is not None:  # by its row in the file, too
+        if difference is not None:  # and by its row in the file
             other = self.scenes[1 - hit.which]
             difference = replace(difference, row=int(other.rows[difference.row]))
         reason, stored = "", int(scene.rows[row])
@@ -232,7 +232,7 @@ def _coded(scene: Opened, row: int) -> CodedGaussian:
 def _point_at(
     positions: NDArray, pose: Pose, size: tuple[int, int], pixel: tuple[float, float]
 ) -> int | None:
-    """The nearest to the camera of the points ``(n, 3)`` near a pixel."""
+    """Index of the point ``(n, 3)`` near a pixel that is nearest to the camera."""
     places, depth = pose.project(positions, *size)
     apart = np.abs(places - np.array(pixel)).max(axis=1)
     near = np.flatnonzero((apart <= _NEAR) & (depth > 0))

@@ -1,4 +1,4 @@
-"""Text on a picked Gaussian."""
+"""Texts about a picked Gaussian."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from gs_codec.config import ADAPTIVE_PROFILES
 from viewer.scenes.matched import Difference
 from viewer.scenes.picked import Contribution, Picked
 
-#: A heading, and rows of a name and a value.
+#: A heading, and its rows of name and value.
 Section = tuple[str, list[tuple[str, str]]]
 
-#: Domains of step sizes, of profiles `l`, `m`, `s` and of others where these differ.
+#: Domains of step sizes: for profiles `l`, `m` and `s`, and for the others if different.
 _DOMAINS = {
     "geometry": ("scene units",) * 2,
     "opacity": ("logit",) * 2,
@@ -21,16 +21,16 @@ _DOMAINS = {
     "rotation": ("sin half angle", "quaternion"),
 }
 
-#: What follows the bits of a stream that are shared, and what it means.
+#: Suffix after the bits of a shared stream, and its explanation.
 _SHARED = {"": "  ", "block": " b", "file": " f"}
 _SHARED_NOTE = "b: shared by its block, f: by the file", ""
 
-#: Most step sizes that are listed.
+#: Maximum number of step sizes listed.
 _LISTED = 4
 
 
 def picked_sections(picked: Picked, letters: Sequence[str] = "AB") -> list[Section]:
-    """Headings and rows that tell all of a picked Gaussian, with units."""
+    """Headings and rows with all information about a picked Gaussian, with units."""
     hit, scene = picked.hit, picked.scene
     row = "row, from 0", f"{scene.rows[hit.row]:,} of {scene.file_count:,}"
     sections: list[Section] = [(f"Gaussian of {letters[hit.which]}", [row, *_attributes(picked)])]
@@ -105,7 +105,7 @@ def _steps(picked: Picked) -> list[tuple[str, str]]:
 
 
 def _few(steps: Sequence[float]) -> str:
-    """Step sizes of channels: one if they are alike, their range if there are many."""
+    """Step sizes of channels: one if all are equal, the range if there are many."""
     texts = [f"{step:.2g}" for step in steps]
     if len(set(texts)) == 1:
         return texts[0]

@@ -1,4 +1,4 @@
-"""Camera poses that do not depend on the size of the picture."""
+"""Camera poses that do not depend on picture size."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.up import UPS
 from viewer.scenes.opened import thinned
 
-#: Focal length of the default camera, in heights of the frame: 60 degrees vertically.
+#: Focal length of the default camera, in frame heights: a vertical field of view of 60 degrees.
 _FOCAL = 0.866
 
-#: Its frame, pixels.
+#: Frame of the default camera, pixels.
 _FRAME = (600, 400)
 
 #: Wider frames are measured at this width, pixels, because the trainer shrinks photographs to it.
 _MEASURED_WIDTH = 1600
 
-#: Half the width of the region straight ahead, relative to depth.
+#: Half width of the region straight ahead, relative to depth.
 _AHEAD = 0.25
 
-#: Maximum number of centres to find it by.
+#: Maximum number of centres used to find the depth ahead.
 _SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A camera for pictures of any size; a picture shows its frame and what surrounds it.
+    """A camera for pictures of any size; a picture shows the frame and its surroundings.
 
     Attributes
     ----------
@@ -37,11 +37,11 @@ class Pose:
         World to camera; the camera's axes are right, down, forward.
     position : ndarray, shape (3,)
     focal : tuple of two float
-        Focal lengths, in heights of the frame.
+        Focal lengths, in frame heights.
     frame : tuple of two int
         Width and height of the camera's own picture, pixels.
     shift : tuple of two float
-        Offset of the principal point from the middle of the frame, in heights of the frame.
+        Offset of the principal point from the middle of the frame, in frame heights.
     """
 
     rotation: NDArray[np.float64]
@@ -52,7 +52,7 @@ class Pose:
 
     @property
     def measured(self) -> tuple[int, int]:
-        """Size at which quality is measured, pixels: that of the frame, at most 1,600 wide."""
+        """Size for measuring quality, pixels: that of the frame, at most 1,600 wide."""
         width, height = self.frame
         scale = min(1.0, _MEASURED_WIDTH / width)
         return round(scale * width), max(round(scale * height), 1)
@@ -117,7 +117,7 @@ def of_camera(camera: Camera) -> Pose:
 
 
 def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) -> Pose:
-    """A pose that sees most of a scene from above its front; `up` is a unit vector ``(3,)``."""
+    """A pose that shows most of a scene from above its front; `up` is a unit vector ``(3,)``."""
     finite = np.isfinite(positions).all(axis=1)
     solid = finite & (opacities > 0.3)
     seen = positions[solid if solid.any() else finite]
@@ -133,17 +133,17 @@ def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) ->
 
 
 def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose:
-    """An upright pose that looks from a position at a target; `up` is a unit vector ``(3,)``."""
+    """An upright pose at a position that looks at a target; `up` is a unit vector ``(3,)``."""
     return Pose(facing(np.subtract(target, position), up), np.asarray(position))
 
 
 def upright(pose: Pose, up: NDArray) -> Pose:
-    """The same pose, rolled so that `up` points up in the picture."""
+    """The same pose, rolled until `up` points up in the picture."""
     return replace(pose, rotation=facing(pose.rotation[2], up))
 
 
 def distance_ahead(pose: Pose, positions: NDArray) -> float:
-    """Median depth of the centres straight ahead; if there are none, distance to the median."""
+    """Median depth of centres straight ahead; if there are none, distance to the median."""
     some = positions[thinned(len(positions), _SAMPLES)].astype(np.float64)
     some = some[np.isfinite(some).all(axis=1)]
     x, y, depth = pose.rotation @ (some - pose.position).T

@@ -1,4 +1,4 @@
-"""The files that were opened last, in any window of this user."""
+"""Recently opened files, in any window of this user."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 from gs_codec.errors import GsCodecError
 from gs_codec.runtime.atomic import atomic_writer
 
-#: Maximum number of files that are remembered.
+#: Maximum number of remembered files.
 MOST = 8
 
-#: Maximum length of their list, bytes.
+#: Maximum length of the list's file, bytes.
 _BYTES = 1 << 16
 
 
@@ -22,7 +22,7 @@ def _list() -> Path:
 
 
 def recent_files() -> list[Path]:
-    """The files that were opened last, the newest first; those that are gone are left out."""
+    """Recently opened files, newest first; deleted ones are skipped."""
     try:
         with _list().open("rb") as file:
             names = json.loads(file.read(_BYTES))
@@ -33,7 +33,7 @@ def recent_files() -> list[Path]:
 
 
 def remember(path: Path) -> None:
-    """Put a file first in the list; a list that cannot be written stays as it is."""
+    """Put a file first in the list; ignored if the list cannot be written."""
     path = path.absolute()
     names = [str(path), *(str(each) for each in recent_files() if each != path)]
     try:

@@ -1,4 +1,4 @@
-"""Regions of a picture, drawn with the mouse, and the Gaussians in them."""
+"""Regions of a picture, drawn with the mouse, and the Gaussians inside them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from viewer.scenes.pose import Pose
 
 Pixel = tuple[float, float]
 
-#: What is drawn: a rectangle by two opposite corners, or any line that is closed.
+#: Shapes of regions: a rectangle by opposite corners, or a freehand line that is closed.
 REGIONS = ("box", "lasso")
 
-#: Least distance between successive corners of a lasso, pixels.
+#: Minimum distance between successive corners of a lasso, pixels.
 _STEP = 3
 
 
@@ -29,7 +29,7 @@ class Region:
     kind : str
         One of `REGIONS`.
     start : tuple of two float
-        Where the mouse went down, pixels.
+        Position where the mouse button went down, pixels.
     """
 
     def __init__(self, kind: str, start: Pixel) -> None:
@@ -37,7 +37,7 @@ class Region:
         self._path = [start]
 
     def extend(self, place: Pixel) -> None:
-        """Draw on to a place, pixels."""
+        """Extend the region to a position, pixels."""
         if self._kind == "box":
             self._path[1:] = [place]
         elif dist(place, self._path[-1]) >= _STEP:
@@ -59,7 +59,7 @@ def in_region(
     corners: Sequence[Pixel],
     drawn: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
-    """Which Gaussians have their centre in a region of a picture.
+    """Mask of the Gaussians whose centres are in a region of a picture.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def in_region(
     size : tuple of two int
         Width and height of the picture, pixels.
     corners : sequence of pairs of float
-        Corners of a polygon, pixels; one that crosses itself holds what it surrounds once.
+        Corners of a polygon, pixels; the even-odd rule applies if it crosses itself.
     drawn : ndarray, shape (N,), bool, or None
-        Those to select from; None for all.
+        Mask of Gaussians to select from; None for all.
 
     Returns
     -------
@@ -86,14 +86,14 @@ def in_region(
 
 
 def in_polygon(points: NDArray, corners: Sequence[Pixel]) -> NDArray[np.bool_]:
-    """Which points ``(n, 2)`` are in a polygon, by the even-odd rule."""
+    """Mask of the points ``(n, 2)`` inside a polygon, by the even-odd rule."""
     order = np.argsort(points[:, 1], kind="stable")
     x, y = points[order].T
     odd = np.zeros(len(points), bool)
     for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         if y0 == y1:
             continue
-        # Only the points between the ends of the edge, so that a long lasso is fast.
+        # Only points level with the edge, so that a long lasso is fast.
         level = slice(*np.searchsorted(y, sorted((y0, y1))))
         odd[level] ^= x[level] < x0 + (y[level] - y0) * ((x1 - x0) / (y1 - y0))
     inside = np.empty_like(odd)

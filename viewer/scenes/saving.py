@@ -1,4 +1,4 @@
-"""Save an edited scene in any format that is written."""
+"""Save an edited scene in any writable format."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.runtime.wording import counted, size_text
 from viewer.scenes.opened import Opened, Progress
 
-#: How ``gs-codec convert`` encodes by default.
+#: Default encoding of ``gs-codec convert``.
 _CONFIG = gs_codec.Config(extra="keep")
 
 
 def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> list[str]:
-    """Write what is left of a scene, as ``gs-codec convert`` writes it; whole or not at all.
+    """Write an edited scene like ``gs-codec convert``, atomically.
 
-    The Gaussians of a file are read from it again, so that what the viewer leaves out (comments,
-    further properties) is written too. Those of a cloud are written as `gs_codec.write` does.
+    The Gaussians of a file are read again, to include comments and properties that the viewer does
+    not keep. Those of a cloud are written by `gs_codec.write`.
 
     Parameters
     ----------
     scene : Opened
     path : Path
-        Its suffix selects the format, as for `gs_codec.convert_file`.
+        Its suffix selects the format, as in `gs_codec.convert_file`.
     progress : callable, optional
 
     Returns
     -------
     list of str
-        What was written, and a line for each thing that the format cannot hold.
+        A line on what was written, and one for each loss.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which Gaussians a range of a quantity, a reason, or a function of `gs_codec.edit` chooses."""
+"""Select Gaussians by a range of a quantity, a pruning reason, or a `gs_codec.edit` function."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gs_codec.edit.selection import attribute_names, attribute_values, in_box
 from gs_codec.edit.shares import SHARES, members
 from viewer.scenes.opened import Opened, Progress, Pruned
 
-#: Rules beside the shares of statistics.
+#: Names of rules other than the shares in statistics.
 _FLOATERS = "floaters"
 _APART = "outside the largest cluster"
 _PRUNED = "pruned by "
@@ -24,14 +24,13 @@ _PRUNED = "pruned by "
 def quantity(scene: Opened, name: str) -> NDArray:
     """A quantity ``(N,)`` of each Gaussian.
 
-    It is an attribute of `gs_codec.edit.select`, in the same unit, named as there or as
-    `gs_codec.edit.statistics` names it (``longest scale``); or ``SH energy``: the sum of squares of
-    all SH-AC.
+    `name` is an attribute of `gs_codec.edit.select` or `gs_codec.edit.statistics` (such as
+    ``longest scale``), in the same unit; or ``SH energy``, the sum of squares of all SH-AC.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If the scene has none of this name.
+        If the scene has no such quantity.
     """
     gaussians, name = scene.gaussians, name.replace(" ", "_")
     if name == "SH_energy":
@@ -42,13 +41,13 @@ def quantity(scene: Opened, name: str) -> NDArray:
 
 
 def in_range(scene: Opened, name: str, low: float, high: float) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` have a `quantity` from `low` to `high`, both included; no NaN."""
+    """Mask ``(N,)`` of Gaussians with a `quantity` from `low` to `high`, inclusive; not NaN."""
     values = quantity(scene, name)
     return (values >= low) & (values <= high)
 
 
 def rules(pruned: Pruned | None) -> list[str]:
-    """Names of the rules of `by_rule`, for a scene with a report or without one."""
+    """Names of the rules for `by_rule`, for a scene with or without a pruning report."""
     reasons = () if pruned is None else pruned.reasons
     return [*SHARES, _FLOATERS, _APART, *(f"{_PRUNED}{reason}" for reason in reasons)]
 
@@ -60,17 +59,18 @@ def by_rule(
     cameras: Sequence[Camera] | None = None,
     progress: Progress | None = None,
 ) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` a rule chooses.
+    """Mask ``(N,)`` of the Gaussians that a rule selects.
 
     Parameters
     ----------
     scene : Opened
     rule : str
-        A name of `rules`: a share of `gs_codec.edit.statistics`, what
-        `gs_codec.edit.remove_floaters` or `keep_largest_cluster` remove, or a reason for pruning.
+        A name from `rules`: a share from `gs_codec.edit.statistics`, the Gaussians that
+        `gs_codec.edit.remove_floaters` or `keep_largest_cluster` would remove, or a reason for
+        pruning.
     pruned : Pruned or None
     cameras : sequence of gs_codec's Camera, optional
-        As for `gs_codec.edit.remove_floaters`.
+        As in `gs_codec.edit.remove_floaters`.
     progress : callable, optional
     """
     if rule.startswith(_PRUNED) and pruned is not None:
@@ -83,5 +83,5 @@ def by_rule(
 
 
 def inside_box(scene: Opened, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` `gs_codec.edit.crop_box` keeps; raises as it does."""
+    """Mask ``(N,)`` of the Gaussians that `gs_codec.edit.crop_box` keeps; raises like it."""
     return in_box(scene.gaussians, low, high)

@@ -1,4 +1,4 @@
-"""Encodings of a scene that were tried: what was asked for, the files, and what views lose."""
+"""Trial encodings of a scene: settings, files, and measured quality of views."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.views.find import find_cameras
 from viewer.scenes.opened import Opened, Progress, open_scene
 
-#: What profiles `l`, `m` and `s` can be asked for: step sizes as multiples of the profile's, bytes,
-#: bits per Gaussian, or the loss of views in dB.
+#: Targets for profiles `l`, `m` and `s`: step sizes as multiples of the profile's, bytes, bits per
+#: Gaussian, or loss of views in dB.
 WISHES = ("steps", "size", "bits", "loss")
 
 
 @dataclass(frozen=True)
 class Asked:
-    """How a scene is to be encoded.
+    """Settings of a trial encoding.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class Asked:
     wish : str
         One of `WISHES`.
     value : float
-        Of the wish: a factor, bytes, bits, or dB.
+        Value of the target: a factor, bytes, bits, or dB.
     guided : bool
-        Whether cameras guide the encoder; they do for every ``loss``.
+        Whether cameras guide the encoder; always for ``loss``.
     """
 
     profile: str = "m"
@@ -59,7 +59,7 @@ class Asked:
 
     @property
     def config(self) -> gs_codec.Config:
-        """The encoder's configuration; properties beyond the layout are not shown, nor encoded."""
+        """The encoder's configuration; drops extra properties, which are not shown."""
         coarseness = self.value if self.wish == "steps" else 1.0
         return gs_codec.Config(
             self.profile,
@@ -70,7 +70,7 @@ class Asked:
 
     @property
     def rate(self) -> gs_codec.RateTarget | None:
-        """The encoder's target."""
+        """The encoder's rate target."""
         if self.wish == "size":
             return gs_codec.RateTarget(size=int(self.value))
         if self.wish == "bits":
@@ -78,31 +78,31 @@ class Asked:
         return gs_codec.RateTarget(psnr_drop=self.value) if self.wish == "loss" else None
 
     def plan(self, cameras: Sequence[gs_codec.Camera]) -> gs_codec.Plan | None:
-        """The encoder's views: `cameras`, or estimated ones if there are none."""
+        """The encoder's views: `cameras`, or estimated ones if empty."""
         if not self.guided and self.wish != "loss":
             return None
         return gs_codec.Plan(cameras=list(cameras) or "auto")
 
 
 def has_steps(profile: str) -> bool:
-    """Whether a profile has step sizes, which wishes and cameras change."""
+    """Whether a profile has step sizes, which targets and cameras can change."""
     return profile in ADAPTIVE_PROFILES
 
 
 @dataclass(frozen=True, eq=False)
 class Try:
-    """An encoding of a scene.
+    """A trial encoding of a scene.
 
     Attributes
     ----------
     number : int
-        From 1.
+        Number of the trial, from 1.
     asked : Asked
     path : Path
         A temporary file.
     report : gs_codec's EncodeReport
     quality : gs_codec's Comparison or None
-        Of held-out views against the source; None until measured.
+        Quality of held-out views against the source; None until measured.
     """
 
     number: int
@@ -113,7 +113,7 @@ class Try:
 
     @property
     def name(self) -> str:
-        """Its number, and what was asked for."""
+        """Its number and its settings."""
         return f"#{self.number} {self.asked}"
 
     @property
@@ -128,24 +128,24 @@ class Try:
 
 
 class Tries:
-    """A scene, and its encodings in temporary files.
+    """A scene and its trial encodings in temporary files.
 
-    `encode` and `measure` run in one background thread; the rest is of the window's thread.
+    `encode` and `measure` run in a background thread, everything else in the window's thread.
 
     Parameters
     ----------
     source : Opened
     folder : Path
-        Where files are made; who made it removes it.
+        Folder for the files; its creator removes it.
     cameras : sequence of gs_codec's Camera
-        Those that were given; estimated ones are used if there are none.
+        Given cameras; if empty, cameras are estimated.
     max_bytes : int, optional
-        As for `gs_codec.read`.
+        As in `gs_codec.read`.
 
     Attributes
     ----------
     all : list of Try
-        The earliest first.
+        All trials, earliest first.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class Tries:
         self._held_out: tuple[Sequence[gs_codec.Camera] | None, list[gs_codec.Camera]] = None, []
 
     def look_from(self, cameras: Sequence[gs_codec.Camera]) -> None:
-        """Use other cameras; what others measured is forgotten."""
+        """Use other cameras, and discard results measured with the previous ones."""
         if list(cameras) != list(self.cameras):
             self.cameras = cameras
             self.all = [replace(tried, quality=None) for tried in self.all]
@@ -173,7 +173,7 @@ class Tries:
         Raises
         ------
         gs_codec.GsCodecError
-            As `gs_codec.encode_file` does; or if the file changed after it was opened.
+            If `gs_codec.encode_file` fails, or the file has changed since it was opened.
         """
         self._begun += 1
         path = self.folder / f"{self._begun}.egs"
@@ -187,7 +187,7 @@ class Tries:
             raise
 
     def _write(self, path: Path, asked: Asked, progress: Progress | None) -> EncodeReport:
-        """Encode the file of the scene or, if it is not what is shown, what is."""
+        """Encode the file of the scene, or the shown scene if that differs from the file."""
         config, plan, rate = asked.config, asked.plan(self.cameras), asked.rate
         if self.source.is_stored:
             self.source.check_unchanged()
@@ -203,10 +203,10 @@ class Tries:
     def measure(
         self, tried: Try, opened: Opened | None = None, progress: Progress | None = None
     ) -> Comparison:
-        """Compare held-out views of a try and the source, as ``gs-codec compare`` does.
+        """Compare held-out views of a trial with the source, like ``gs-codec compare``.
 
-        Views are those of the cameras that are marked so, of all cameras if none is, or estimated.
-        `opened` is the try, if it is open.
+        Uses the cameras marked as held out; if none are, all cameras; without cameras, estimated
+        ones. `opened` is the decoded trial, if available.
 
         Raises
         ------
@@ -220,16 +220,16 @@ class Tries:
         return compare_views(first, opened.gaussians, self._held_out[1], progress=progress)
 
     def add(self, tried: Try) -> None:
-        """Keep a try, or the same try with its quality."""
+        """Add a trial, or update it with its quality."""
         self.all[tried.number - 1 : tried.number] = [tried]
 
     def save(self, tried: Try, path: Path) -> None:
-        """Copy the file of a try.
+        """Copy the file of a trial.
 
         Raises
         ------
         gs_codec.GsCodecError
-            If it cannot be written, or is not named ``.egs``.
+            If `path` cannot be written, or does not end in ``.egs``.
         """
         if path.suffix.lower() != ".egs":
             raise gs_codec.GsCodecError(f"{path}: expected a name that ends in .egs")

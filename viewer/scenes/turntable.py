@@ -1,4 +1,4 @@
-"""The camera path of a turntable: once around a scene, as its cameras were."""
+"""The camera path of a turntable: once around a scene, in the style of its cameras."""
 
 from __future__ import annotations
 
@@ -14,50 +14,51 @@ from viewer.scenes.opened import Opened, thinned
 from viewer.scenes.pose import Pose, distance_ahead, look_at, of_camera
 from viewer.scenes.viewpoints import Views
 
-#: Fewer cameras do not tell how a scene was captured.
+#: Minimum number of cameras from which to infer how a scene was captured.
 _TELLING = 8
 
-#: Cosine between where cameras look and the middle; outward if it is less for a quarter of them.
+#: Threshold of the cosine between viewing directions and the middle; the scene was captured looking
+#: outward if over a quarter of its cameras are below.
 _INWARD = 0.5
 
-#: Widest angle without cameras, degrees, of a scene that was captured from all around.
+#: Maximum gap between cameras, degrees, for a capture all around the scene.
 _GAP = 140.0
 
-#: Steepest view of the centre, degrees.
+#: Maximum steepness of a view of the centre, degrees.
 _STEEPEST = 80.0
 
-#: Steepest look around from inside, degrees.
+#: Maximum steepness of a look around from inside, degrees.
 _LEVEL = 20.0
 
-#: Share of the angles between cameras that a sway takes.
+#: Share of the cameras' range of angles that a sway covers.
 _SHARE = 0.8
 
-#: Minimum sway across and up, degrees.
+#: Minimum sway horizontally and vertically, degrees.
 _LEAST = (5.0, 2.5)
 
-#: Number of centres by which the room around a place is measured.
+#: Number of centres used to measure the free space around a position.
 _SAMPLES = 20_000
 
-#: Share of them that may be nearer.
+#: Share of them that may be nearer than that.
 _NEARER = 0.01
 
-#: Phases of a loop that are tried for its start.
+#: Number of phases of a loop tried for its start.
 _PHASES = 360
 
 
 class _Capture(NamedTuple):
-    """Where cameras are around the middle of what they look at.
+    """Positions of cameras around the middle of their subject.
 
     Attributes
     ----------
     poses : list of Pose
     middle, up : ndarray, shape (3,)
     axes : ndarray, shape (2, 3)
-        Level unit vectors.
+        Horizontal unit vectors.
     distance, azimuth, elevation : ndarray, shape (n,)
-        Of the cameras, from the middle; angles in radians.
+        Cameras as seen from the middle; angles in radians.
     inward : ndarray, shape (n,)
-        Cosine between where a camera looks and the middle, or down if that is nearer.
+        Cosine between a camera's viewing direction and the middle, or down if that is larger.
     """
 
     poses: list[Pose]
@@ -70,13 +71,13 @@ class _Capture(NamedTuple):
     inward: NDArray[np.float64]
 
     def direction(self, azimuth: float, elevation: float) -> NDArray[np.float64]:
-        """The unit vector of two angles."""
+        """The unit vector with an azimuth and elevation, radians."""
         level = np.cos(azimuth) * self.axes[0] + np.sin(azimuth) * self.axes[1]
         return np.cos(elevation) * level + np.sin(elevation) * self.up
 
     @property
     def widest_gap(self) -> tuple[float, float]:
-        """Angle between the two neighbours farthest apart, radians, and where cameras go on."""
+        """Largest angle between neighbouring cameras, radians, and the azimuth at its end."""
         azimuths = np.sort(self.azimuth)
         gaps = np.diff(azimuths, append=azimuths[0] + 2 * np.pi)
         widest = int(np.argmax(gaps))
@@ -86,22 +87,22 @@ class _Capture(NamedTuple):
 def turntable(
     scene: Opened, views: Views, up: NDArray, first: Pose | None, count: int
 ) -> tuple[list[Pose], str]:
-    """Poses once around a scene, and a text that says how they go.
+    """Poses once around a scene, and a description of the path.
 
-    The camera circles around the middle of what cameras look at; if these look outward, as in
-    rooms, it turns on the spot, where there is most room; if they are all on one side, it sways as
-    far as they go.
+    The camera circles around the middle of the cameras' subject. If cameras look outward, as in
+    rooms, it turns on the spot, at the camera with the most free space. If all cameras are on one
+    side, it sways within their range.
 
     Parameters
     ----------
     scene : Opened
     views : Views
-        The cameras that tell how the scene was captured.
+        Cameras from which to infer how the scene was captured.
     up : ndarray, shape (3,)
         Unit vector.
     first : Pose or None
-        A pose whose distance and height a circle keeps, and with which the path begins. By
-        default that of a typical camera.
+        First pose of the path; a circle keeps its distance and height. Default: that of a typical
+        camera.
     count : int
         At least 1.
     """
@@ -117,7 +118,7 @@ def turntable(
 def _path(
     scene: Opened, capture: _Capture, chosen: bool, first: Pose
 ) -> tuple[Callable[[float], Pose], str]:
-    """The pose at each part of a loop, from 0 to 1, and how it goes."""
+    """The pose at each phase of a loop, 0-1, and a description of the path."""
     if len(capture.poses) >= _TELLING:
         if np.quantile(capture.inward, 0.25) < _INWARD:
             return _panning(scene, capture, first), "a look around from inside, as cameras look out"
@@ -154,7 +155,7 @@ def _typical(capture: _Capture) -> Pose:
 
 
 def _circling(capture: _Capture, first: Pose, middle: NDArray) -> Callable[[float], Pose]:
-    """A circle about the up axis through the first pose, looking at the middle."""
+    """A circle around the up axis through the first pose, looking at the middle."""
     offset = first.position - middle
     distance = float(np.linalg.norm(offset))
     steepest = np.radians(_STEEPEST)
@@ -170,7 +171,7 @@ def _circling(capture: _Capture, first: Pose, middle: NDArray) -> Callable[[floa
 
 
 def _panning(scene: Opened, capture: _Capture, first: Pose) -> Callable[[float], Pose]:
-    """A turn on the spot, at the camera with most room around it."""
+    """A turn on the spot, at the camera with the most free space around it."""
     solid = scene.positions[scene.opacities > 0.3]
     solid = solid[np.isfinite(solid).all(axis=1)]
     solid = solid[thinned(len(solid), _SAMPLES)]
@@ -191,7 +192,7 @@ def _panning(scene: Opened, capture: _Capture, first: Pose) -> Callable[[float],
 
 
 def _swaying(capture: _Capture, first: Pose) -> Callable[[float], Pose]:
-    """An ellipse within the angles that cameras take, looking at the middle."""
+    """An ellipse within the range of the cameras' angles, looking at the middle."""
     gap, begin = capture.widest_gap
     covered = 2 * np.pi - gap
     low, high = np.quantile(capture.elevation, [0.1, 0.9])
@@ -209,12 +210,12 @@ def _swaying(capture: _Capture, first: Pose) -> Callable[[float], Pose]:
 
 
 def _like(first: Pose, pose: Pose) -> Pose:
-    """The pose with the lens and the frame of the first."""
+    """The pose with the lens and frame of the first."""
     return replace(first, rotation=pose.rotation, position=pose.position)
 
 
 def _nearest_phase(path: Callable[[float], Pose], first: Pose, size: float) -> float:
-    """The part of a loop that is most like the first pose."""
+    """The phase of a loop that is most similar to the first pose."""
     phases = np.arange(_PHASES) / _PHASES
 
     def apart(pose: Pose) -> float:

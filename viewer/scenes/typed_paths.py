@@ -1,4 +1,4 @@
-"""Paths that people type or paste into a dialog, and what a dialog lists and suggests."""
+"""Paths typed or pasted into a dialog, and the names that a dialog lists and suggests."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
 from gs_codec.runtime.atomic import check_writable
 
-#: Most files and folders of a folder that are listed.
+#: Maximum number of listed files and folders.
 MOST = 1000
 
-#: What leads to the folder above, in a list.
+#: List entry of the parent folder.
 UP = "../"
 
 
@@ -28,22 +28,22 @@ class Kind:
     ----------
     name : str
     suffixes : tuple of str
-        The first is that of names that are typed without one.
+        The first is added to names typed without a suffix.
     """
 
     name: str
     suffixes: tuple[str, ...] = ()
 
     def suffix_of(self, name: str) -> str:
-        """The longest suffix of the kind that a name has; "" without one."""
+        """The longest suffix of this kind that a name has; "" if none."""
         return max((s for s in self.suffixes if name.lower().endswith(s)), key=len, default="")
 
     def named(self, name: str, suffix: str) -> str:
-        """The name with another suffix of the kind."""
+        """The name with its suffix of this kind replaced."""
         return name[: len(name) - len(self.suffix_of(name))] + suffix
 
 
-#: Scenes that are read and written, and the other kinds of file that the window asks for.
+#: Scenes that can be read and written, and the other kinds of file that the window asks for.
 SCENES = Kind("3DGS scenes", SUFFIXES)
 SAVED_SCENES = Kind("3DGS scenes", tuple(suffix for suffix in WRITTEN if suffix[0] == "."))
 TRIES = Kind("gs_codec files", (".egs",))
@@ -55,15 +55,15 @@ FOLDERS = Kind("folders")
 
 
 def typed_path(text: str, folder: Path) -> Path:
-    """The path that a text means.
+    """Parse a typed path.
 
     Parameters
     ----------
     text : str
-        May be in quotes, begin with ``~``, or be the address of a local file (``file://``); only
-        the first line counts.
+        Only the first line is used. It may be quoted, begin with ``~``, or be the URL of a local
+        file (``file://``).
     folder : Path
-        What relative paths are relative to; if there is no such file, to the working directory.
+        Folder for relative paths; the working directory is used if the file does not exist there.
     """
     line = (text.strip().splitlines() or [""])[0].strip()
     if len(line) > 1 and line[0] == line[-1] and line[0] in "'\"":
@@ -76,12 +76,12 @@ def typed_path(text: str, folder: Path) -> Path:
 
 
 def check_readable(path: Path, kind: Kind) -> None:
-    """Check that a file, or a folder, can be opened.
+    """Check that a file or folder can be opened.
 
     Raises
     ------
     InvalidInput
-        If there is none, or it cannot be read.
+        If it does not exist or cannot be read.
     """
     what = "file" if kind.suffixes else "folder"
     if not os.path.lexists(path):
@@ -100,12 +100,12 @@ def check_readable(path: Path, kind: Kind) -> None:
 
 
 def to_write(path: Path, kind: Kind, suffix: str) -> Path:
-    """The path of a file to be written, with a suffix if it has none.
+    """The path of a file to write; adds a suffix if it has none.
 
     Raises
     ------
     InvalidInput
-        If its suffix is not one of the kind, or it cannot be written.
+        If the suffix does not belong to this kind, or the file cannot be written.
     """
     if not path.suffix:
         path = path.with_name(path.name + suffix)
@@ -121,10 +121,10 @@ def _either(kind: Kind) -> str:
 
 
 def listed(folder: Path, kind: Kind) -> list[str]:
-    """The folders in a folder, each with a slash at its end, and the files of a kind.
+    """The subfolders of a folder, each with a trailing slash, and its files of a kind.
 
-    Hidden ones are left out, those that no widget can show, and those after the first `MOST`; `UP`
-    comes first.
+    `UP` comes first. Omits hidden entries, names that widgets cannot show, and entries after the
+    first `MOST`.
 
     Raises
     ------
@@ -148,21 +148,21 @@ def listed(folder: Path, kind: Kind) -> list[str]:
 
 
 def is_shown(name: str) -> bool:
-    """Whether a widget can show a name: not if it is no text, as names on Linux may be."""
+    """Whether a widget can show a name; not if it is not Unicode, as names on Linux may be."""
     return printable(name) == name
 
 
 def suggested(folder: Path, scene: Path, suffix: str, mark: str = "") -> str:
-    """The name of a file that is made from a scene, one that the folder does not have.
+    """Suggest a new file name for a file made from a scene.
 
     Parameters
     ----------
     folder, scene : Path
-        Where it is to be; the file of the scene, an empty path if it has none.
+        Target folder; file of the scene, an empty path if it has none.
     suffix : str
-        Of the kind of file.
+        Suffix of the new file.
     mark : str
-        What comes before the suffix.
+        Text before the suffix.
     """
     stem = printable(SCENES.named(SAVED_SCENES.named(scene.name, ""), "")) or "scene"
     numbers = chain([""], (f"-{k}" for k in count(2)))

@@ -1,4 +1,4 @@
-"""A request to the viewer: scenes, cameras, and how to show them."""
+"""A request to the viewer: scenes, cameras, and display settings."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: Largest side of a picture, pixels.
+#: Maximum side of a picture, pixels.
 _MAX_SIDE = 1 << 14
 
 
 @dataclass(frozen=True)
 class Request:
-    """Scenes, and how to show them.
+    """Scenes and display settings.
 
     Attributes
     ----------
@@ -54,12 +54,12 @@ class Request:
     size : tuple of two int
         Width and height, pixels.
     max_bytes : int or None
-        As for `gs_codec.read`.
+        As in `gs_codec.read`.
     up : str or None
-        Which axis of the scene is up, of `gs_codec.cameras.up.UPS`.
+        Up axis of the scene, one of `gs_codec.cameras.up.UPS`.
     octree : OctreeChoice
     scale : str or None
-        One of `SCALES`, for the colours of centres; None is that of the quantity.
+        One of `SCALES`, for the colours of centres; None is the quantity's default.
     """
 
     a: PointCloud | str | Path | None = None
@@ -78,7 +78,7 @@ class Request:
     scale: str | None = None
 
     def check(self) -> None:
-        """Check everything that does not need opening a file.
+        """Run all checks that do not need a file opened.
 
         Raises
         ------
@@ -114,9 +114,9 @@ class Request:
             raise gs_codec.GsCodecError("no scene to show")
 
     def check_picture(self, name: str) -> None:
-        """Check also what has no effect in a picture, where no scene can be opened later.
+        """Also reject options that have no effect in a picture, and a missing scene.
 
-        `name` is that of the picture.
+        `name` is the name of the picture.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Request:
 
 
 def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:
-    """Layers from a comma-separated list; default: splats, and pruned if a report is given."""
+    """Layers from a comma-separated list; default: splats, and pruned with a report."""
     if text is None:
         return ("splats",) if pruned is None else ("splats", "pruned")
     return tuple(part.strip() for part in text.split(",") if part.strip())
@@ -176,14 +176,14 @@ def _check_among(name: str, wanted: Iterable[str], known: tuple[str, ...]) -> No
 
 
 def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
-    """The cameras to look from; of those chosen from the scene `count`, or all for `view`.
+    """The cameras to look from; `count` if they are chosen from the scene, all if `view` is set.
 
-    A warning is logged if it is not certain which way is up.
+    Logs a warning if the up axis is uncertain.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If they cannot be read, two have one photograph, or the requested view does not exist.
+        If cameras cannot be read, two share a photograph, or the requested view does not exist.
     """
     if request.cameras is None or request.chosen:
         views = choose_views(scene, request.up, count if request.view is None else COUNT)
@@ -200,7 +200,7 @@ def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
 
 
 def first_view(request: Request, views: Views) -> int:
-    """Index of the first view in `find_viewpoints`: the requested camera, or the first, if any."""
+    """Index in `find_viewpoints` of the requested camera; otherwise of the first camera, if any."""
     return views.first + (request.view or 0) if views.cameras else 0
 
 
@@ -210,6 +210,6 @@ def find_pruned(request: Request, scene: Opened) -> Pruned | None:
     Raises
     ------
     gs_codec.GsCodecError
-        If it cannot be read, or is for another scene.
+        If the report cannot be read, or is for another scene.
     """
     return None if request.pruned is None else read_pruned(request.pruned, scene)

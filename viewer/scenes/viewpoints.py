@@ -18,7 +18,7 @@ from viewer.scenes.pose import Pose, of_camera, overview, upright
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Cameras to look from, and what is up for them.
+    """Cameras to look from, and their up direction.
 
     Attributes
     ----------
@@ -26,8 +26,8 @@ class Views:
     up : ndarray, shape (3,), or None
         Unit vector; None if there are no cameras.
     chosen : bool
-        Whether cameras were chosen from the scene: the first is an overview, and all are rolled
-        until they are upright.
+        Whether cameras were chosen from the scene. The first is then an overview, and all are
+        rolled upright.
     up_certain : bool
         Whether `up` is certain.
     """
@@ -62,7 +62,7 @@ class Viewpoint:
         Name of the camera, or ``overview``.
     pose : Pose
     camera : Camera or None
-        gs_codec's camera, whose photograph it may have.
+        The camera, which may have a photograph.
     """
 
     name: str
@@ -71,18 +71,18 @@ class Viewpoint:
 
 
 def given_views(cameras: Sequence[gs_codec.Camera]) -> Views:
-    """Cameras that were given; at least one."""
+    """Views of given cameras; at least one."""
     return Views(cameras, up_of([camera.rotation for camera in cameras]))
 
 
 def choose_views(scene: Opened, up: str | None = None, count: int = COUNT) -> Views:
-    """Cameras chosen from the scene, as ``auto`` chooses them; none if no view shows anything.
+    """Cameras chosen from the scene, as by ``auto``; none if no view shows anything.
 
     Parameters
     ----------
     scene : Opened
     up : str, optional
-        Which axis is up, of `UPS`; by default what the scene tells.
+        Up axis, one of `UPS`; by default estimated from the scene.
     count : int
     """
     try:
@@ -95,7 +95,7 @@ def choose_views(scene: Opened, up: str | None = None, count: int = COUNT) -> Vi
 def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
     """The overview first, then the cameras.
 
-    With given cameras, the overview is from the one that shows most.
+    With given cameras, the overview is the pose of the camera that shows most, made upright.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
 def nearest_camera(
     cameras: Sequence[gs_codec.Camera], position: NDArray, forward: NDArray
 ) -> gs_codec.Camera:
-    """The camera that sees most nearly what is seen from a position in a direction.
+    """The camera with the most similar view to one from a position in a direction.
 
     Parameters
     ----------

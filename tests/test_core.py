@@ -168,6 +168,7 @@ def test_a_command_loads_what_it_needs(folder, line, ours, absent):
     names = {name.removeprefix("gs_codec.") for name in modules if name.startswith("gs_codec.")}
     assert [name for name in names if not any(fnmatch(name, each) for each in ours)] == []
     assert names.isdisjoint(NOT_DECODED)
+    assert len(names) <= 90
     packages = {name.partition(".")[0] for name in modules}
     assert packages.isdisjoint(absent | {"open3d", "sklearn", "pandas", "matplotlib", "plotly"})
     # numba imports scipy itself, but none of its submodules.

@@ -213,6 +213,7 @@ SOG = SceneFormat(
 #: PlayCanvas's PLY of packed properties, recognised by the header of a PLY.
 COMPRESSED_PLY = SceneFormat(
     name="compressed ply",
+    read=(".compressed.ply",),
     written={".compressed.ply": {}},
     writer=_ours("ply.packed", "pack_ply"),
     rounding="centres and scales rounded to 10 or 11 bits of a chunk's range, other values to 8 "

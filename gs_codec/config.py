@@ -361,9 +361,8 @@ class Config:
         With a paper profile, the entropy coder: ours (``rans``), or the paper's (``torchac``), a
         Python package (extra ``paper``) that decoding needs too. Default ``rans``.
     format : str
-        ``egs``, ``spz``, ``sog``, ``compressed.ply``, ``splat``, ``glb``, ``gltf``, ``usd``,
-        ``usda``, ``usdc`` or ``usdz``. Format of the file; the suffix of a file name must agree.
-        Formats other than ``egs`` support profiles ``l``, ``m`` and ``s``, but neither `depths` nor
+        Format of the file, named after its suffix, such as ``spz``; a file name must agree. Formats
+        other than ``egs`` support profiles ``l``, ``m`` and ``s``, but neither `depths` nor
         `block_size`. Default ``egs``.
     lod : bool
         With ``l``, ``m``, ``s``: add coarser levels with a quarter, a sixteenth ... of the

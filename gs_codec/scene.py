@@ -262,7 +262,7 @@ class Scene:
     def coordinates(self) -> str | None:
         """Directions of +x, +y, +z (``RDF``: right, down, forward); the last comment on it counts.
 
-        None without such a comment, as in the trainer's PLY. The `.spz` format has a fixed system.
+        None without such a comment, as in the trainer's PLY. Some formats have a fixed system.
         """
         return coordinates_of(self.comments)
 

@@ -36,8 +36,7 @@ def read(
 ) -> PointCloud:
     """Read a scene in any supported format, recognised by content.
 
-    Formats are PLY, `.egs`, `.splat`, `.ksplat`, `.spz`, SOG, glTF, USD, and checkpoints of gsplat
-    and splatfacto.
+    ``formats/FORMATS.md`` lists the formats.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ def read(
         Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with K = 0,
         3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``, ``scale (N,
         3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down, forward: a
-        scene that states another system, such as an `.spz`, is converted. Opacities of 0 and 1 and
+        scene that states another system is converted. Opacities of 0 and 1 and
         scales of 0, whose logits and logarithms are infinite, are replaced by finite numbers that
         render the same; a warning counts them.
 

@@ -233,8 +233,8 @@ def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None 
 
     Far Gaussians are the few whose distance from the median centre is at least four times the best
     cut. The best cut minimises log2 of the distance, plus one bit for each 1 % of Gaussians beyond
-    it. Most scenes have none. Writers of formats with a grid, such as ``.spz`` and ``.sog``, report
-    that they moved these Gaussians nearer.
+    it. Most scenes have none. Writers of formats with a grid report that they moved these Gaussians
+    nearer.
 
     Gaussians visible to cameras are kept unless isolated. With fewer than ten cameras, Gaussians
     inside the enlarged hull are kept, because other cameras might see them. Gaussians with a value

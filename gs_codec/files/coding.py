@@ -53,9 +53,7 @@ def encode_file(
     source : str or Path
         A file in a format supported by `read`.
     target : str or Path
-        Its suffix selects the format: ``.egs``, ``.spz``, ``.sog`` (or ``meta.json``, with its
-        files next to it), ``.compressed.ply``, ``.splat``, ``.glb``, ``.gltf``, ``.usd``,
-        ``.usda``, ``.usdc`` or ``.usdz``.
+        Its suffix selects the format; ``gs-codec encode --help`` lists them.
     config, plan, rate, progress
         As in `encode`; for a compressed source, or with actions, ratios are relative to the floats.
     actions : sequence of gs_codec.edit.Action

@@ -110,14 +110,13 @@ def convert_file(
     source : path, or sequence of paths
         Scenes; several are merged; see `gs_codec.edit.merge`.
     target : str or Path
-        Its suffix selects the format, one of `FORMATS`, ``.ply``, ``.pt`` (gsplat's checkpoint),
-        ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes), ``lod-meta.json`` (streamed SOG:
-        with coarser levels, its files next to it) or ``.ssog`` (a zip of the same).
+        Its suffix selects the format; ``gs-codec convert --help`` lists them.
     config : Config or str, optional
-        How to encode the target. The last four use only its options for extra properties and NaN.
+        How to encode the target. Formats of uncompressed floats use
+        only its options for extra properties and NaN.
     coordinates : str
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
-        formats with a fixed system, such as ``.spz``, always use that. ``RUB:RDF`` converts from
+        formats with a fixed system always use that. ``RUB:RDF`` converts from
         the first to the second, whatever the source states.
     chosen : ndarray, shape (N,), bool, optional
         Mask of the Gaussians to keep, in the order of the source; only for a single source.
@@ -134,10 +133,9 @@ def convert_file(
     overwrite : bool
         As in `encode_file`.
     by_profile : bool
-        Whether values that are already quantised, from ``.spz``, SOG, ``.splat``, ``.ksplat`` or
-        compressed PLY, are rounded to the steps of the profile in ``.spz`` and SOG. By default they
-        keep the precision of the output format, unless `config` is a profile name, or changes the
-        default profile or coarseness.
+        Whether values from a format that quantises are rounded to the steps of the profile. By
+        default they keep the precision of the output format, unless `config` is a profile name, or
+        changes the default profile or coarseness.
 
     Returns
     -------

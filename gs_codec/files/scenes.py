@@ -68,8 +68,8 @@ def write_scene(
 ) -> Written:
     """Write a scene in any supported output format.
 
-    If `finest`, `.spz` and SOG are written as finely as possible, whatever the profile; coarser
-    levels of detail still follow the profile.
+    If `finest`, it is written as finely as possible, whatever the profile; coarser levels of detail
+    still follow the profile.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def write_scene(
 def keeps_rounding(
     sources: Sequence[str | Path], suffix: str, config: Config, by_profile: bool
 ) -> bool:
-    """Whether quantised values keep the precision of `.spz` and SOG.
+    """Whether quantised values keep the precision of a format with step sizes.
 
     False if a profile or a coarseness is requested.
     """

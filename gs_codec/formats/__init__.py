@@ -1,1 +1,1 @@
-"""Formats of other programs: PLY, compressed PLY, `.splat`, `.spz`, SOG, glTF, USD, checkpoints."""
+"""Formats of scenes: `table` declares them, `registry` recognises and reads files."""

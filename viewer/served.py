@@ -74,7 +74,7 @@ class Page(ThreadingHTTPServer):
             self._free.release()
 
     def run(self) -> None:
-        """Tell the address, open a browser where there is a screen, and serve until Ctrl-C."""
+        """Print the address, open a browser if there is a screen, and serve until Ctrl-C."""
         print_text(f"{self.url}  (Ctrl-C stops the server)")
         with ExitStack() as stack:
             if _has_screen():

@@ -1,1 +1,1 @@
-"""The window: panes, panel, dialogs, mouse and keys."""
+"""The window: panes, panel, dialogs, mouse and keyboard."""

@@ -9,19 +9,19 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
-#: Numbers of the pictures that became textures.
+#: Numbers for the pictures that become textures.
 _NUMBERS = count()
 
-#: Bits of such a number in each channel of a colour.
+#: Bits of such a number stored in each channel of a colour.
 _BITS = 8
 
 
 class Backdrop:
-    """The picture behind all that a scene widget shows.
+    """The picture behind the contents of a scene widget.
 
-    Open3D 0.20 counts each texture that it makes of a picture as used once too often, and so never
-    frees it; and it takes a texture for that of any picture with the same content, although it was
-    updated to another one since.
+    Works around two bugs of Open3D 0.20. It counts one use too many of each texture made from a
+    picture, so it never frees the texture. It also reuses a texture for any picture with the
+    content that the texture had at first, even if that has been updated since.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Backdrop:
         self._size = size
         _make_distinct(image)
         texture = self._renderer.add_texture(image, True)
-        self._set(image)  # the same texture, used once more
+        self._set(image)  # the same texture, with one more use
         for _ in range(self._uses):
             self._renderer.remove_texture(texture)
 
@@ -57,14 +57,14 @@ def picture_of(image: NDArray) -> o3d.geometry.Image:
 
 
 def _make_distinct(image: o3d.geometry.Image) -> None:
-    """Make a picture unlike any before by the last bits of its first pixel, which nobody sees."""
+    """Make a picture unique in the lowest bits of its first pixel, which is invisible."""
     first, number = np.asarray(image)[0, 0].view(np.uint32), next(_NUMBERS)
     for k in range(len(first)):
         first[k] = first[k] >> _BITS << _BITS | number >> _BITS * k & (1 << _BITS) - 1
 
 
 def _uses(renderer: rendering.Renderer) -> int:
-    """How many uses Open3D counts for one of a texture."""
+    """Number of uses that Open3D counts for one use of a texture."""
     image = picture_of(np.zeros((1, 1, 3), np.float32))
     _make_distinct(image)
     texture = renderer.add_texture(image, True)

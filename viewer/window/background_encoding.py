@@ -1,4 +1,4 @@
-"""Encodes the first scene in the background, and shows what was tried."""
+"""Encode the first scene in the background, and show trial encodings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from viewer.window.loading import Loading
 from viewer.window.visits import Visits
 from viewer.window.worker import Cancelled, Stale
 
-#: Progress is shown at most this often, seconds: drawing the window takes time, too.
+#: Minimum interval between progress updates, seconds, because drawing the window takes time too.
 _PERIOD = 0.2
 
 
 class Encoding:
-    """The tries of a window, and the jobs that make and measure them.
+    """The trial encodings of a window, and the jobs that make and measure them.
 
     Parameters
     ----------
@@ -31,16 +31,16 @@ class Encoding:
     visits : Visits
     loading : Loading
     changed : callable
-        Called when `doing` is another.
+        Called when `doing` changes.
 
     Attributes
     ----------
     worker : Worker
-        Runs jobs that take long, so that pictures need not wait.
+        Runs long jobs, so that pictures need not wait.
     tries : Tries or None
-        None until something was encoded.
+        None until the first encoding.
     doing : tuple of str and float, or None
-        What is being done, and how much of the step is, 0-1; None if nothing is.
+        Current step and its progress, 0-1; None if idle.
     encodes : bool
         Whether a scene is being encoded.
     """
@@ -54,13 +54,13 @@ class Encoding:
         self.tries: Tries | None = None
         self.doing: tuple[str, float] | None = None
         self.encodes = False
-        # Neither edited nor turned.
+        # Trials as decoded, neither edited nor turned.
         self._opened: WeakKeyDictionary[Opened, int] = WeakKeyDictionary()
         self._pruned: Pruned | None = None
         self._files: tempfile.TemporaryDirectory[str] | None = None
 
     def encode(self, asked: Asked) -> None:
-        """Encode the first scene or, if that is a try, its source; the result becomes B."""
+        """Encode the first scene or, if it is a trial, its source; the result becomes B."""
         tries = self._begin()
 
         def job(stale: Stale) -> tuple[Try, Opened]:
@@ -87,7 +87,7 @@ class Encoding:
         self.worker.submit("encode", job, done, failed)
 
     def _begin(self) -> Tries:
-        """The tries of the scene that is shown; if it is another than before, none yet."""
+        """The trials of the scene shown; a new scene starts with none."""
         viewer = self._viewer
         scene, views = viewer.stage.scenes[0], self._visits.views
         cameras = () if views.chosen else views.cameras
@@ -102,9 +102,9 @@ class Encoding:
         return self.tries
 
     def _measure(self, opened: Opened | None = None) -> None:
-        """Measure held-out views of the newest try that was not measured, then of the others.
+        """Measure held-out views of the newest unmeasured trial, then of the other trials.
 
-        `opened` is the newest, if it is open.
+        `opened` is the newest trial, if it is open.
         """
         tries = self.tries
         left = [] if tries is None else [tried for tried in tries.all if tried.quality is None]
@@ -128,7 +128,7 @@ class Encoding:
         self.worker.submit("measure", job, done, failed)
 
     def cancel(self) -> None:
-        """Stop encoding or measuring; what is shown stays."""
+        """Stop encoding or measuring; the scenes shown stay."""
         for kind in ("encode", "measure"):
             self.worker.cancel(kind)
         self.encodes = False
@@ -139,7 +139,7 @@ class Encoding:
         self._changed()
 
     def _progress(self, stale: Stale, what: str) -> Progress:
-        """Progress of a job, which ends if it is no longer wanted."""
+        """Progress callback of a job; ends the job if its result is no longer wanted."""
         told = 0.0
 
         def progress(stage: str, done: int, total: int) -> None:
@@ -154,15 +154,15 @@ class Encoding:
 
         return progress
 
-    # What was tried
+    # Trial encodings
 
     @property
     def scenes(self) -> Sequence[Try | Opened]:
-        """The source, and then the tries; none if nothing was encoded."""
+        """The source, and then the trials; empty if nothing was encoded."""
         return [] if self.tries is None else [self.tries.source, *self.tries.all]
 
     def letters(self, number: int) -> str:
-        """In which panes one of `scenes` is shown: A, B, both, or none."""
+        """Panes that show one of `scenes`: A, B, both, or none."""
         shown = [self._opened.get(scene) for scene in self._viewer.stage.scenes]
         return "".join(letter for letter, k in zip("AB", shown, strict=False) if k == number)
 
@@ -187,13 +187,13 @@ class Encoding:
         viewer.worker.submit("load", job, put, viewer.fail)
 
     def _put(self, scenes: list[Opened]) -> None:
-        """Show scenes from the present pose, and what was pruned if A is the source."""
+        """Show scenes from the present pose; show pruned Gaussians if A is the source."""
         is_source = self.tries is not None and scenes[0] is self.tries.source
         pruned = self._pruned if is_source else None
         self._loading.show(scenes, self._visits.views, pruned, stay=True)
 
     def save(self, number: int, path: str) -> None:
-        """Write the file of a try, by its number."""
+        """Write the file of a trial, by its number."""
         viewer, tries = self._viewer, self.tries
         if tries is None:
             return
@@ -205,6 +205,6 @@ class Encoding:
         viewer.worker.submit("save", lambda stale: tries.save(tried, Path(path)), done, viewer.fail)
 
     def close(self) -> None:
-        """Remove the files."""
+        """Remove the temporary files."""
         if self._files is not None:
             self._files.cleanup()

@@ -1,4 +1,4 @@
-"""A picture in the window that reports what the mouse does on it."""
+"""A picture in the window that reports mouse events."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from viewer.window.backdrop import Backdrop
 
 
 class Canvas:
-    """A picture of the size of its widget.
+    """A picture as large as its widget.
 
     Parameters
     ----------
     window : gui.Window
     draw : callable
-        Called with width and height, pixels; returns a picture ``(H, W, 3)``, float32, 0-1.
+        Called with width and height in pixels; returns a picture ``(H, W, 3)``, float32, 0-1.
     mouse : callable
         Called with a mouse event.
 
@@ -44,10 +44,10 @@ class Canvas:
         window.add_child(self.widget)
 
     def move_to(self, rect: gui.Rect) -> None:
-        """Set its place in the window; to hide it, its size is `HIDDEN`."""
+        """Set its position in the window; a size of `HIDDEN` hides it."""
         before = self.widget.frame
         if (before.x, before.y) != (rect.x, rect.y):
-            # If only the position changed, Open3D would draw the scene at the old position.
+            # Open3D would draw the scene at the old position if only the position changed.
             self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)
         self.widget.frame = rect
         if self._size != (rect.width, rect.height):
@@ -55,7 +55,7 @@ class Canvas:
             self.redraw()
 
     def redraw(self) -> None:
-        """Draw the picture anew."""
+        """Redraw the picture."""
         if min(self._size) > 0:
             self._backdrop.show(self._draw(*self._size))
 

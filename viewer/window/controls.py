@@ -1,4 +1,4 @@
-"""What the panel and the keys change."""
+"""The settings that the panel and the keys change."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from viewer.window.saved import Saved
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
-#: Fields of view that differ by less are the same, degrees.
+#: Fields of view are equal within this tolerance, degrees.
 _SAME_ANGLE = 0.01
 
 
 class Controls(Host, Protocol):
-    """A window, for its panel and its keys."""
+    """A window, as seen by its panel and keys."""
 
     visits: Visits
     saved: Saved
@@ -35,9 +35,9 @@ class Controls(Host, Protocol):
     dock: Dock
 
     def help(self) -> None:
-        """List the keys."""
+        """Show the list of keys."""
 
-    # What is shown
+    # Display settings
 
     def refresh(self) -> None:
         """Update panes, dock and panel to the choice."""
@@ -45,7 +45,7 @@ class Controls(Host, Protocol):
         self.refresh_panel()
 
     def refresh_panel(self) -> None:
-        """Update dock and panel, the panes being as they should be."""
+        """Update dock and panel; the panes are up to date."""
         self.dock.refresh()
         self.panel.refresh()
 
@@ -65,7 +65,7 @@ class Controls(Host, Protocol):
         self.set_colouring(COLOURINGS[index])
 
     def set_logarithmic(self, logarithmic: bool) -> None:
-        """Set whether the scale of the present colours of centres is logarithmic."""
+        """Set whether the current colours of centres use a logarithmic scale."""
         self.choice.scales[self.choice.colouring] = SCALES[logarithmic]
         self.refresh()
 
@@ -75,13 +75,13 @@ class Controls(Host, Protocol):
         self.stage.show_octree()
 
     def set_exact(self, exact: bool) -> None:
-        """Set whether splats are drawn by gs_codec's rasteriser on a graphics card, too."""
+        """Set whether gs_codec's rasteriser draws splats even with a graphics card."""
         self.choice.exact = exact
         self.refresh()
 
     def set_appearance(self, appearance: Appearance) -> None:
         """Change how splats are drawn."""
-        # A slider also reports what it is set to.
+        # Sliders also report values set by the program.
         if appearance != self.choice.appearance:
             self.choice.appearance = appearance
             self.stage.restyle()
@@ -97,11 +97,11 @@ class Controls(Host, Protocol):
         self.set_mode(MODES[(MODES.index(self.choice.mode) + 1) % len(MODES)])
 
     def set_wipe(self, wipe: float) -> None:
-        """Move the wipe."""
+        """Move the wipe line."""
         self.stage.wipe_to(wipe)
 
     def flip(self) -> None:
-        """Show the other of two scenes, in one view."""
+        """Show the other of two scenes, in flip mode."""
         choice = self.choice
         choice.mode, choice.front = "flip", 1 - choice.front if choice.mode == "flip" else 0
         self.refresh()
@@ -117,22 +117,22 @@ class Controls(Host, Protocol):
         """Show the next of `DOCKS` below the panes."""
         self.set_dock(self.dock.next())
 
-    # Where one looks from
+    # Camera
 
     def set_flying(self, flying: bool) -> None:
-        """Make drags look around, or turn about the point ahead."""
+        """Set whether drags look around or orbit the point ahead."""
         self.choice.flying = flying
         self.panel.refresh()
 
     def set_field_of_view(self, degrees: float) -> None:
         """Set the vertical field of view of the frame."""
         pose = self.stage.pose
-        # A slider also reports what it is set to.
+        # Sliders also report values set by the program.
         if pose is not None and abs(degrees - field_of_view(pose)) > _SAME_ANGLE:
             self.stage.steer(with_field_of_view(pose, degrees))
 
     def frame_all(self) -> None:
-        """Go back, or nearer, until all of the scene is seen."""
+        """Move back or nearer until the whole scene is visible."""
         if self.stage.pose is not None:
             scene = self.stage.scenes[0]
             self.stage.look_from(*framing(self.stage.pose, scene.positions, scene.opacities))
@@ -144,7 +144,7 @@ class Controls(Host, Protocol):
         self.files.ask_save("Save a picture", PICTURES, self.save)
 
     def save(self, path: str) -> None:
-        """Write a picture of what is shown, drawn in software."""
+        """Write a picture of the current view, drawn in software."""
         stage, mode, wipe = self.stage, self.choice.mode, self.choice.wipe
         if stage.pose is None:
             return

@@ -1,4 +1,4 @@
-"""Dialogs of the window."""
+"""Dialogs of the window, and the handling of Esc."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from open3d.visualization import gui
 
 from gs_codec.errors import printable
 
-#: Longest line of a dialog, characters.
+#: Maximum line length of a dialog, characters.
 _WIDTH = 76
 
-#: Frames after a dialog until its text field takes no more keys.
+#: Number of frames after a dialog until its text field stops taking keys.
 _FRAMES = 4
 
 
 class Modal:
-    """The dialog of a window, and Esc: while a dialog is open, only it gets keys.
+    """The dialog of a window, and the handling of Esc. An open dialog gets all keys.
 
     Open3D asks to close the window whenever Esc goes down, repeats or goes up, before it reports
     the key.
@@ -28,7 +28,8 @@ class Modal:
     ----------
     dialog : gui.Dialog or None
     cancels : list of callable
-        What Esc may end before it closes the window; each tells whether it ended anything.
+        Functions that Esc calls before it closes the window; each returns whether it ended
+        anything.
     theme : gui.Theme
     """
 
@@ -52,7 +53,7 @@ class Modal:
     ) -> None:
         """Show a dialog with actions for Enter and Esc; without `escape`, Esc closes it.
 
-        While it is open, each tick of the window calls `work`, which tells whether to draw.
+        While it is open, each tick of the window calls `work`, which returns whether to draw.
         """
         self.dialog, self._enter, self._escape = dialog, enter, escape or self.close_dialog
         self._work = work
@@ -65,7 +66,7 @@ class Modal:
         self._window.close_dialog()
 
     def key(self, event: gui.KeyEvent) -> bool:
-        """Handle a key event; tell whether the dialog took it."""
+        """Handle a key event; return whether the dialog took it."""
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:
             self._escaping = down
@@ -73,13 +74,13 @@ class Modal:
                 self._asked = not any(cancel() for cancel in self.cancels)
         if self.dialog is None:
             return False
-        # While a text is edited, Open3D reports only that a key goes up.
+        # While a text is edited, Open3D reports only key releases.
         if event.key == gui.KeyName.ENTER and not down and self._enter is not None:
             self._enter()
         return True
 
     def close(self) -> bool:
-        """Whether the window may close when asked to; if a dialog is open, close that instead."""
+        """Whether the window may close when asked to; closes an open dialog instead."""
         if self.dialog is not None:
             self._escape()
             self._escaping = True
@@ -87,18 +88,18 @@ class Modal:
         if self._escaping:
             self._escaping = False
             return False
-        # Whether it was Esc, which may end something else, is reported next.
+        # Esc or the window's close button: Open3D reports the key only afterwards.
         self._asked = not self._closing
         return self._closing
 
     def tick(self) -> bool:
-        """Let the dialog work, and tell whether the window is to be drawn.
+        """Let the dialog work; return whether to draw the window.
 
-        Close the window if it was asked to, and Esc ended nothing instead.
+        Closes the window if asked to, unless Esc ended something instead.
         """
         if self._asked:
             self._asked, self._closing = False, True
-            # Not at once: Open3D is going through its windows.
+            # Deferred, because Open3D is iterating over its windows.
             gui.Application.instance.post_to_main_thread(self._window, self._window.close)
         self._fading = max(self._fading - 1, 0)
         worked = self._work is not None and self._work()
@@ -106,12 +107,12 @@ class Modal:
 
     @property
     def room(self) -> tuple[int, int]:
-        """Width and height that a dialog may take, pixels."""
+        """Maximum width and height of a dialog, pixels."""
         size = self._window.size
         return size.width, size.height
 
     def lay_out(self) -> None:
-        """Give the dialog the size that it needs now."""
+        """Resize the dialog to its contents."""
         self._window.set_needs_layout()
 
 
@@ -123,7 +124,7 @@ def show_message(window: Modal, title: str, text: str, closed: Callable[[], None
 
 
 def _box(window: Modal, title: str, text: str) -> tuple[gui.Dialog, gui.Vert]:
-    """A dialog with a title and a text, and the box for more widgets."""
+    """A dialog with a title and a text, and a box for more widgets."""
     em = window.theme.font_size
     dialog = gui.Dialog(title)
     box = gui.Vert(0.5 * em, gui.Margins(em, em, em, em))
@@ -134,7 +135,7 @@ def _box(window: Modal, title: str, text: str) -> tuple[gui.Dialog, gui.Vert]:
 
 
 def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
-    """Add a button in the middle of a row."""
+    """Add a button, centred in its row."""
     button = gui.Button(text)
     button.set_on_clicked(action)
     row = gui.Horiz()
@@ -147,7 +148,7 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
 def ask_among(
     window: Modal, title: str, text: str, choices: Sequence[tuple[str, Callable[[], None]]]
 ) -> None:
-    """Ask to choose one of several actions, each a button, or none."""
+    """Ask the user to choose one of several actions, each a button, or none."""
     dialog, box = _box(window, title, text)
     for name, action in choices:
 
@@ -170,14 +171,14 @@ def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[in
 
 
 def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
-    """Ask which of some files to open."""
+    """Ask which of several files to open."""
     told = "Recent files" if paths else "No recent files."
     choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
     ask_among(window, "Recent", told, choices)
 
 
 def shortened(path: str, most: int) -> str:
-    """The end of a path, at most so many characters."""
+    """The end of a path, at most `most` characters."""
     path = printable(path)
     return path if len(path) <= most else "..." + path[3 - most :]
 
@@ -192,7 +193,7 @@ def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
 def folded(text: str, width: int) -> list[str]:
     """The lines of a text, wrapped to at most `width` characters.
 
-    What is not printable is escaped: widgets refuse names that are not Unicode.
+    Unprintable characters are escaped, because widgets reject names that are not Unicode.
     """
     lines = (
         textwrap.wrap(printable(line), width, break_on_hyphens=False) for line in text.splitlines()

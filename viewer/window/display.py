@@ -1,4 +1,4 @@
-"""Find out what can draw a window; Open3D would end the process if nothing can."""
+"""Find a device that can draw a window; without one, Open3D would end the process."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _CPU = 4
 #: Byte offset of the type in VkPhysicalDeviceProperties.
 _TYPE_AT = 16
 
-#: More bytes than this structure has.
+#: Size of a buffer larger than this structure.
 _PROPERTIES = 4096
 
 
 class NoDisplay(gs_codec.GsCodecError):
-    """There is no display to show a window on, or no device to draw it."""
+    """No display for a window, or no device to draw it."""
 
 
 def find_device() -> Literal["gpu", "cpu"]:
-    """Whether a window is drawn by a graphics card or in software.
+    """Find out whether a graphics card or software draws windows.
 
     Raises
     ------

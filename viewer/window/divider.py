@@ -1,4 +1,4 @@
-"""The line between the two halves of a wipe, which the mouse drags."""
+"""The line between the two halves of a wipe, which can be dragged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from open3d.visualization import gui
 from viewer.pictures.picture import LINE_COLOUR
 from viewer.window.canvas import Canvas
 
-#: Number of dots that show that the line can be dragged.
+#: Number of dots that mark the line as draggable.
 _DOTS = 5
 
 #: Size of a dot, pixels.

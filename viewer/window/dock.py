@@ -1,4 +1,4 @@
-"""What is shown below the panes: qualities of views, pictures of views, or a histogram."""
+"""The dock below the panes: quality per view, thumbnails of views, or a histogram."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from viewer.window.view_survey import Survey
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
-#: Share of the window's height.
+#: Share of the window's height that it takes.
 _SHARE = 0.25
 
 #: Maximum height, pixels.
@@ -27,14 +27,14 @@ _HIGHEST = 170
 
 
 class Dock:
-    """A chart below the panes.
+    """The dock with a chart, below the panes.
 
     Parameters
     ----------
     viewer : Host
     visits : Visits
     selected : callable
-        Called with the quantity and a range of its values that was dragged in a histogram.
+        Called with a quantity and the range of its values dragged in a histogram.
 
     Attributes
     ----------
@@ -56,18 +56,18 @@ class Dock:
 
     @property
     def height(self) -> int:
-        """What it takes of the window, pixels."""
+        """Height of the dock, pixels."""
         if self._viewer.choice.dock == "nothing":
             return 0
         return min(int(_SHARE * self._viewer.window.content_rect.height), _HIGHEST)
 
     def lay_out(self, rect: gui.Rect, corner: gui.Rect) -> None:
-        """Put it into a part of the window; if nothing is shown, at a corner."""
+        """Place it in a part of the window; if nothing is shown, in a corner."""
         hidden = gui.Rect(corner.x, corner.y, *HIDDEN)
         self.canvas.move_to(rect if rect.height > 0 else hidden)
 
     def refresh(self) -> None:
-        """Update it to the choice and to the scenes."""
+        """Update the dock to the choice and the scenes."""
         viewer = self._viewer
         shown, scenes = viewer.choice.dock, viewer.stage.scenes
         views = [each.name for each in self._visits.viewpoints]
@@ -101,7 +101,7 @@ class Dock:
         return QualityChart(views[first:], measured, here)
 
     def _histogram(self, name: str) -> Chart:
-        """The histogram of an attribute; statistics of scenes are found once."""
+        """The histogram of an attribute; statistics of scenes are cached."""
         scenes = self._viewer.stage.scenes
         self._statistics = {s: self._statistics[s] for s in scenes if s in self._statistics}
         missing = [scene for scene in scenes if scene not in self._statistics]
@@ -129,7 +129,7 @@ class Dock:
     def _draw(self, width: int, height: int) -> NDArray:
         return self.chart.draw(width, height)
 
-    # The mouse
+    # Mouse
 
     def _mouse(self, event: gui.MouseEvent) -> None:
         kind, frame = gui.MouseEvent.Type, self.canvas.widget.frame
@@ -151,7 +151,7 @@ class Dock:
                 self._visits.go_to(view)
 
     def _range(self, chart: HistogramChart, event: gui.MouseEvent, x: float) -> None:
-        """Mark the range that is dragged; select it at its end."""
+        """Mark the range being dragged; select it at the end of the drag."""
         kind, width = gui.MouseEvent.Type, self.canvas.widget.frame.width
         if event.type == kind.BUTTON_DOWN:
             self._held = x
@@ -165,17 +165,17 @@ class Dock:
                 self._selected(chart.scenes[0].name, *chart.chosen)
 
     def mark(self, name: str, low: float, high: float) -> None:
-        """Mark the range of a quantity that is selected, if its histogram is shown."""
+        """Mark the selected range of a quantity, if its histogram is shown."""
         chart = self.chart
         if isinstance(chart, HistogramChart) and chart.scenes[0].name == name:
             self.chart = replace(chart, chosen=(low, high))
             self.canvas.redraw()
 
     def unmark(self) -> None:
-        """Mark no range: something else is selected."""
+        """Remove the mark, because something else was selected."""
         if isinstance(self.chart, HistogramChart):
             self.chart = replace(self.chart, chosen=None)
 
     def next(self) -> str:
-        """What is shown after the present."""
+        """The next choice of `DOCKS` after the current one."""
         return DOCKS[(DOCKS.index(self._viewer.choice.dock) + 1) % len(DOCKS)]

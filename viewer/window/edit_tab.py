@@ -1,4 +1,4 @@
-"""The tab of edits: selecting, hiding, deleting, saving."""
+"""The edit tab: selecting, hiding, deleting, saving."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from viewer.window.widgets import Widgets, choose
 
 
 class EditTab:
-    """Tools and steps with the scene that is edited.
+    """Tools and steps for the edited scene.
 
     Attributes
     ----------
     widget : gui.Widget
     buttons : dict of str to gui.Button
-        By their text, and those of tools by the tool.
+        Buttons by text; those of tools by tool.
     scene, rule : gui.Combobox
     low, high : gui.VectorEdit
         Corners of the box to crop to.
@@ -42,7 +42,7 @@ class EditTab:
         self.widget.add_child(self._unsaved)
 
     def _add_tools(self) -> None:
-        """What drags in panes do."""
+        """Tools for drags in panes."""
         tips = (
             "Drags move the camera.",
             "Drags select by boxes (X).",
@@ -55,7 +55,7 @@ class EditTab:
         self.widget.add_child(gui.Label("shift adds, ctrl removes"))
 
     def _add_steps(self) -> None:
-        """Steps with the selection."""
+        """Steps that use the selection."""
 
         def does(step: Callable[[Edits], None]) -> Callable[[], None]:
             return lambda: self._editor.do(step)
@@ -93,7 +93,7 @@ class EditTab:
         )
 
     def _row(self, *made: tuple[str, Callable[[], None], str]) -> None:
-        """A row of buttons: text, action, tip."""
+        """A row of buttons, each with text, action and tooltip."""
         for text, action, tip in made:
             self.buttons[text] = self._widgets.button(text, action, tip)
         self._widgets.row(self.widget, *(self.buttons[text] for text, _, _ in made))

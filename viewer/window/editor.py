@@ -1,4 +1,4 @@
-"""Selecting and editing the scenes of a window: tools, steps, saving."""
+"""Selecting in and editing the scenes of a window: tools, steps, saving."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from viewer.window.pane import Pane
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
-#: What a drag in a pane does: the first moves the camera, the others draw a region.
+#: Tools for drags in a pane: the first moves the camera, the others draw a region.
 TOOLS = ("navigate", *REGIONS)
 
 
 class Editor:
-    """The edits of the scenes of a window, and the tool that draws regions.
+    """Edits of the scenes of a window, and the tool that draws regions.
 
     Parameters
     ----------
@@ -43,11 +43,11 @@ class Editor:
     tool : str
         One of `TOOLS`.
     all : list of Edits
-        Of the scenes that are shown.
+        Edits of the scenes shown.
     number : int
-        Which scene is edited: 0 or 1.
+        Index of the edited scene: 0 or 1.
     worker : Worker
-        What selects and saves; pictures are drawn meanwhile.
+        Runs selecting and saving, so that pictures can be drawn meanwhile.
     """
 
     def __init__(self, viewer: Host, visits: Visits, dock: Dock) -> None:
@@ -61,7 +61,7 @@ class Editor:
         self.worker = viewer.worker.another()
 
     def put(self, scenes: Sequence[Opened]) -> None:
-        """Take on the scenes that are shown; those that were there keep their edits."""
+        """Set the scenes shown; scenes shown before keep their edits."""
         self._pane = self._region = None
         known = {edits.scene: edits for edits in self.all}
         self.all = [known.get(scene) or Edits(scene) for scene in scenes]
@@ -70,17 +70,17 @@ class Editor:
 
     @property
     def edits(self) -> Edits | None:
-        """The edits of the scene that is edited; None without one."""
+        """Edits of the edited scene; None if there is none."""
         return self.all[self.number] if self.all else None
 
     @property
     def unsaved(self) -> list[int]:
-        """Which scenes have edits that are not saved."""
+        """Indices of scenes with unsaved edits."""
         return [k for k, edits in enumerate(self.all) if edits.unsaved]
 
     @property
     def rules(self) -> list[str]:
-        """The rules by which Gaussians of the scene can be selected."""
+        """Rules for selecting Gaussians of the edited scene."""
         return rules(self._viewer.stage.pruned if self.number == 0 else None)
 
     def set_number(self, number: int) -> None:
@@ -88,17 +88,17 @@ class Editor:
         self.number = number
         self._viewer.panel.refresh()
 
-    # The tool
+    # Tool
 
     def set_tool(self, tool: str) -> None:
-        """Choose a tool of `TOOLS`; a second time, go back to the first."""
+        """Choose a tool of `TOOLS`; the same tool again switches back to the first."""
         self._drop()
         self.tool = TOOLS[0] if tool == self.tool else tool
         self._viewer.stage.mouse.tool = None if self.tool == TOOLS[0] else self
         self._viewer.panel.refresh()
 
     def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
-        """Begin to draw a region in a pane; see `Tool`."""
+        """Begin drawing a region in a pane; see `Tool`."""
         self._drop()
         added = event.is_modifier_down(gui.KeyModifier.SHIFT)
         removed = event.is_modifier_down(gui.KeyModifier.CTRL)
@@ -106,7 +106,7 @@ class Editor:
         self._pane, self._region = pane, Region(self.tool, at)
 
     def move(self, at: Place) -> None:
-        """Draw on, as far as the pane goes."""
+        """Extend the region, within the pane."""
         stage, pane, region = self._viewer.stage, self._pane, self._region
         if pane is None or region is None or stage.pose is None:
             return
@@ -119,7 +119,7 @@ class Editor:
         pane.show_lines("region", [line], stage.pose, *stage.picture_size)
 
     def end(self) -> None:
-        """Select what is in the region; a click alone selects nothing."""
+        """Select the Gaussians in the region; a click alone selects nothing."""
         stage, pane, region = self._viewer.stage, self._pane, self._region
         self._drop()
         if pane is None or region is None or stage.pose is None or pane not in stage.visible:
@@ -131,7 +131,7 @@ class Editor:
         self.do(lambda edits: edits.select(chosen, self._how))
 
     def _drop(self) -> None:
-        """Drop the region that is being drawn, if any."""
+        """Drop the unfinished region, if any."""
         stage = self._viewer.stage
         if self._pane is not None and stage.pose is not None:
             self._pane.show_lines("region", [], stage.pose, *stage.picture_size)
@@ -140,7 +140,7 @@ class Editor:
     # Steps
 
     def do(self, step: Callable[[Edits], None]) -> None:
-        """Do a step with the scene that is edited, and show what came of it."""
+        """Apply a step to the edited scene, and show the result."""
         edits = self.edits
         if edits is None:
             return
@@ -152,7 +152,7 @@ class Editor:
         self.show()
 
     def show(self) -> None:
-        """Show the edits in the panes and in the panel."""
+        """Show the edits in the panes and the panel."""
         stage = self._viewer.stage
         for number, edits in enumerate(self.all):
             if stage.scenes[number] is not edits.scene:
@@ -167,17 +167,17 @@ class Editor:
             self._viewer.stage.show_selected(number, edits.selected)
 
     def select_range(self, name: str, low: float, high: float) -> None:
-        """Select by a range of a quantity, both ends included; see `in_range`."""
+        """Select by a range of a quantity, inclusive; see `in_range`."""
         self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high)))
         self._dock.mark(name, low, high)
 
     def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
-        """Delete what is outside a box."""
+        """Delete the Gaussians outside a box."""
         self.do(lambda edits: edits.keep(inside_box(edits.scene, low, high), "crop"))
 
     @property
     def box(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-        """Lowest and highest coordinates ``(3,)`` of what is selected; None if nothing is."""
+        """Lowest and highest coordinates ``(3,)`` of the selection; None if it is empty."""
         edits = self.edits
         if edits is None:
             return None
@@ -213,7 +213,7 @@ class Editor:
     # Saving
 
     def ask_save(self, then: Callable[[], None] = lambda: None) -> None:
-        """Ask where to save the scene that is edited, and save it; then do something."""
+        """Ask where to save the edited scene, save it, and then call `then`."""
         if self.edits is not None:
             self._viewer.files.ask_save(
                 "Save the scene",
@@ -224,7 +224,7 @@ class Editor:
             )
 
     def save(self, path: str, then: Callable[[], None] = lambda: None) -> None:
-        """Save the scene that is edited, in the background; the suffix selects the format."""
+        """Save the edited scene in the background; the suffix selects the format."""
         edits, viewer, target = self.edits, self._viewer, Path(path)
         if edits is None:
             return
@@ -243,12 +243,12 @@ class Editor:
         self.worker.submit("save scene", write, done, viewer.fail)
 
     def ask_unsaved(self, numbers: Sequence[int], then: Callable[[], None]) -> bool:
-        """Ask what to do with unsaved edits of these scenes, if there are any, before `then`.
+        """Ask what to do with unsaved edits of these scenes, if any, before calling `then`.
 
         Returns
         -------
         bool
-            Whether it asks; if not, `then` is not called.
+            Whether it asked; if not, `then` is not called.
         """
         asked = [k for k in numbers if k in self.unsaved]
         if not asked:

@@ -1,4 +1,4 @@
-"""The dialog that asks for a file to open or to save, or for a folder."""
+"""A dialog that asks for a file to open or save, or for a folder."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ from viewer.window.x11 import BACKSPACE, Keyboard
 #: Width of the dialog, in font sizes.
 _WIDTH = 34.0
 
-#: Characters of a line for each font size of width.
+#: Characters per line for each font size of width.
 _CHARACTERS = 2.0
 
 #: Maximum number of rows in the list.
 _ROWS = 12
 
-#: Height of everything else in the dialog, in rows.
+#: Height of the rest of the dialog, in rows.
 _OTHERS = 11
 
-#: Frames until a text field stops being edited.
+#: Number of frames until a text field stops being edited.
 _ENDS = 2
 
-#: Frames until it takes a key.
+#: Number of frames until a text field takes a key.
 _TAKES = 1
 
-#: Lines for what is wrong.
+#: Number of lines for error messages.
 _LINES = 3
 
 _RED = gui.Color(1.0, 0.45, 0.4)
 
 
 class Asked(NamedTuple):
-    """What a dialog asks for.
+    """A request to the dialog.
 
     Attributes
     ----------
     title : str
     kind : Kind
     folder : Path
-        What it lists at first.
+        First folder to list.
     saves : bool
-        Whether a file is to be written.
+        Whether the file is to be written.
     name : str
-        The name that is suggested.
+        Suggested name.
     """
 
     title: str
@@ -69,19 +69,19 @@ class Asked(NamedTuple):
 
 
 class FileDialog:
-    """A list of files, and a field for a path.
+    """A list of files and a text field for a path.
 
-    A click puts a name into the field, a double click or Enter opens it. What is wrong with a path
-    is said in the dialog. A file is replaced only when that is asked for a second time.
+    A click copies a name into the field; a double click or Enter opens it. Errors appear in the
+    dialog. An existing file is overwritten only after confirmation: Save must be pressed twice.
 
     Parameters
     ----------
     modal : Modal
     asked : Asked
     then : callable
-        Gets the path.
+        Called with the path.
     ended : callable
-        Called when the dialog has ended, before `then`.
+        Called when the dialog is closed, before `then`.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class FileDialog:
         self._modal, self._asked, self._then, self._ended = modal, asked, then, ended
         self._keyboard = Keyboard()
         self._steps: Iterator[bool] = iter(())
-        # What is put into the field, until it takes keys; whether the next key replaces that.
+        # Text being put into the field until it takes keys; whether the next key replaces it.
         self._typed: str | None = None
         self._selected = self._edited = False
         self._folder = asked.folder
@@ -124,7 +124,7 @@ class FileDialog:
         self._go_to(asked.folder)
 
     def _buttons(self, em: float) -> gui.Horiz:
-        """The format, and what ends the dialog."""
+        """The format, and the buttons that close the dialog."""
         row = gui.Horiz(0.5 * em)
         kind = self._asked.kind
         self.format = gui.Combobox()
@@ -151,11 +151,11 @@ class FileDialog:
         self._ended()
 
     def release(self) -> None:
-        """Listen to no keys any more."""
+        """Stop listening to keys."""
         self._keyboard.close()
 
     def accept(self) -> None:
-        """Take the path in the field, if it can be taken; a folder is listed."""
+        """Accept the path in the field if it is valid; list it if it is a folder."""
         asked, text = self._asked, self.field.text_value
         path = typed_path(text, self._folder)
         chosen = not asked.kind.suffixes and (not text.strip() or path == self._folder)
@@ -176,7 +176,7 @@ class FileDialog:
         self._then(str(path))
 
     def _checked(self, path: Path) -> Path:
-        """The path to take; `InvalidInput` if it cannot be."""
+        """The path to accept; `InvalidInput` if it is not valid."""
         if self._asked.saves:
             if not self.field.text_value.strip():
                 raise InvalidInput("type a name")
@@ -200,7 +200,7 @@ class FileDialog:
         self._put(self._asked.name, selected=True)
 
     def _picked(self, name: str, twice: bool) -> None:
-        """Take a name of the list into the field; at a double click, open it."""
+        """Copy a name from the list into the field; on a double click, open it."""
         if name.endswith("/") and twice:
             self._go_to(self._folder / name)
         elif name != UP and (self._asked.kind.suffixes == () or not name.endswith("/")):
@@ -209,19 +209,19 @@ class FileDialog:
                 self._steps = self._accept_soon()
 
     def _format_chosen(self, suffix: str, _: SupportsInt) -> None:
-        """Give the name in the field another suffix."""
+        """Change the suffix of the name in the field."""
         kind, name = self._asked.kind, self.field.text_value
         if name:
             self._put(kind.named(name, suffix))
 
     def _say(self, text: str) -> None:
-        """Say what is wrong, and go on with the text."""
+        """Show an error, and keep editing the text."""
         self._put(self.field.text_value)
         lines = folded(shortened(text, (_LINES - 1) * self._line), self._line)
         self.said.text = "\n".join([*lines, ""][:_LINES])
 
     def _forget(self) -> None:
-        """The path is another: what was said of the last one is over."""
+        """Clear the error and the confirmation, because the path has changed."""
         self._replaced = None
         self.accepts.text = "Save" if self._asked.saves else "Open"
         self.said.text = (_LINES - 1) * "\n"
@@ -229,12 +229,12 @@ class FileDialog:
     # Keys
 
     def _enter(self) -> None:
-        """Take the path at Enter, where `_work` does not see keys."""
+        """Accept the path on Enter, if `_work` cannot see keys."""
         if not self._keyboard.listens:
             self.accept()
 
     def _work(self) -> bool:
-        """Do what keys ask for; see `Modal.show_dialog`."""
+        """Handle pressed keys; see `Modal.show_dialog`."""
         for pressed in self._keyboard.pressed():
             if pressed.enters:
                 self._steps = self._accept_soon()
@@ -245,28 +245,29 @@ class FileDialog:
         return bool(next(self._steps, False))
 
     def _accept_soon(self) -> Iterator[bool]:
-        """Take the path when the field has what was typed before."""
+        """Accept the path once the field contains everything typed before."""
         yield from _ENDS * [True]
         if self._typed is not None:
             self.field.text_value = self._typed
         self.accept()
 
     def _put(self, text: str, selected: bool = False) -> None:
-        """Put a text into the field, and let keys go there; the next replaces it if `selected`."""
+        """Put a text into the field and focus it; the next key replaces it if `selected`."""
         self._typed, self._selected = text, selected
         self._forget()
         self._steps = self._settle()
 
     def _type(self, text: str) -> None:
-        """Add to the text that is put into the field."""
+        """Append to the text being put into the field."""
         before = "" if self._selected else self._typed or ""
         self._typed = before[:-1] if text == BACKSPACE else before + text
         self._selected = False
 
     def _settle(self) -> Iterator[bool]:
-        """Let the field take the text, and then all keys, once no more are on their way.
+        """Wait until the field has the text and no more keys are pending, then let it take keys.
 
-        While it is edited, it keeps its own text. Tab lets keys go to it, and selects its text.
+        A field being edited ignores new text, so editing is ended first. Tab focuses the field and
+        selects its text.
         """
         text = None
         while text != self._typed:
@@ -283,7 +284,7 @@ class FileDialog:
         self._typed = None
 
     def _press(self, key: str) -> Iterator[bool]:
-        """Let the field see a key go down and up."""
+        """Send a press and release of a key to the field."""
         yield from _TAKES * [True]
         self._keyboard.send(key, True)
         try:
@@ -293,7 +294,7 @@ class FileDialog:
 
 
 class Files:
-    """Asks for files, first in the folder of the scene, then in that of the last file.
+    """Asks for files: at first in the folder of the scene, later in that of the last file.
 
     Parameters
     ----------
@@ -320,7 +321,7 @@ class Files:
         mark: str = "",
         scene: Path | None = None,
     ) -> None:
-        """Ask where to write a file made from the scene shown, or another; see `suggested`."""
+        """Ask where to write a file made from the scene shown, or from `scene`; see `suggested`."""
         source = self._shown if scene is None else scene
         folder = self._folder(source)
         name = suggested(folder, source, kind.suffixes[0], mark)
@@ -328,7 +329,7 @@ class Files:
 
     @property
     def _shown(self) -> Path:
-        """The file of the first scene."""
+        """Path of the first scene's file."""
         scenes = self._stage.scenes
         return scenes[0].path if scenes else Path()
 

@@ -1,4 +1,4 @@
-"""What the parts of a window use of it and of each other."""
+"""The interfaces of the window and panel for other parts of the window."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from viewer.window.worker import Worker
 
 
 class Status(Protocol):
-    """The panel, for those who report to it."""
+    """The panel, for parts that report to it."""
 
     @property
     def doing(self) -> str:
-        """What the window is doing and how far it is; empty if nothing that is waited for."""
+        """Current activity and its progress, as text; empty if idle."""
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
@@ -35,7 +35,7 @@ class Status(Protocol):
 
 
 class Host(Protocol):
-    """The window of a part."""
+    """The window, for its parts."""
 
     request: Request
     choice: Choice
@@ -53,4 +53,4 @@ class Host(Protocol):
         """Update panes, dock and panel to the choice."""
 
     def refresh_panel(self) -> None:
-        """Update dock and panel, the panes being as they should be."""
+        """Update dock and panel; the panes are up to date."""

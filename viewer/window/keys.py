@@ -1,4 +1,4 @@
-"""The keys of the window."""
+"""Keys of the window."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from viewer.scenes.choice import LAYERS
 from viewer.scenes.edits import Edits
 from viewer.window.controls import Controls
 
-#: Distance by which a key moves the wipe, relative to the width.
+#: Step of the wipe line for a key, relative to the width.
 _WIPE = 0.02
 
-#: Axes of the camera (right, down, forward) along which keys fly; how much faster with shift.
+#: Flight directions of keys along the camera's axes (right, down, forward), and the factor for
+#: shift.
 _THRUSTS = {
     ord("w"): (0, 0, 1),
     ord("s"): (0, 0, -1),
@@ -33,9 +34,9 @@ _CONTROL = int(gui.KeyName.LEFT_CONTROL), int(gui.KeyName.RIGHT_CONTROL)
 
 
 class Key(NamedTuple):
-    """A key, and what it does in a viewer; without code, what the mouse or several keys do.
+    """A key and its action in a viewer; without code, an entry for the mouse or several keys.
 
-    Help lists those that have a name. With shift, a key does `shifted`, if it has that.
+    Help lists entries with a name. With shift, a key runs `shifted`, if set.
     """
 
     name: str
@@ -52,7 +53,7 @@ def _wipe(way: int) -> Callable[[Controls], object]:
 
 
 def _edit(letter: str, what: str, step: Callable[[Edits], None]) -> Key:
-    """A key that, with ctrl, does a step with the scene that is edited."""
+    """A key that, with ctrl, applies a step to the edited scene."""
     code = ord(letter.lower())
     return Key(f"ctrl + {letter}", what, code, lambda viewer: viewer.editor.do(step), control=True)
 
@@ -141,12 +142,12 @@ _KEYS = {(key.code, key.control): key for key in KEYS}
 
 
 def help_text() -> str:
-    """What keys and mouse do, a line for each."""
+    """A line for each action of keys and mouse."""
     return "\n".join(f"{key.name}: {key.what}" for key in KEYS if key.name)
 
 
 class Keys:
-    """Handles the keys of a window, and knows which are held.
+    """Handles the keys of a window, and tracks which are held.
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ class Keys:
         self._held: set[int] = set()
 
     def event(self, event: gui.KeyEvent) -> bool:
-        """Handle a key event; tell whether it was for anything."""
+        """Handle a key event; return whether it had any effect."""
         down, key = event.type == gui.KeyEvent.Type.DOWN, int(event.key)
         (self._held.add if down else self._held.discard)(key)
         if self._viewer.modal.key(event):
@@ -167,7 +168,7 @@ class Keys:
         return down and self.press(key, bool(self._held.intersection(_CONTROL)))
 
     def press(self, key: int, control: bool = False) -> bool:
-        """Do the action of a key; tell whether it has one."""
+        """Run the action of a key; return whether it has one."""
         known = _KEYS.get((key, control))
         action = known and ((self.shifted and known.shifted) or known.action)
         if action is not None:
@@ -181,7 +182,7 @@ class Keys:
 
     @property
     def thrust(self) -> NDArray[np.float64] | None:
-        """Where the keys that are held fly to, along the camera's axes; None if they do not."""
+        """Flight direction of the held keys, along the camera's axes; None if none is held."""
         if self._held.intersection(_CONTROL):
             return None
         thrust = np.zeros(3)

@@ -23,7 +23,7 @@ def line_mesh(
     width : float
         Pixels.
     lens : sequence of four float
-        Focal lengths and principal point, as `Pose.lens` gives them.
+        Focal lengths and principal point, from `Pose.lens`.
     """
     starts = np.concatenate(lines).astype(np.float64)
     ends = np.concatenate([np.roll(line, -1, axis=0) for line in lines])
@@ -31,7 +31,7 @@ def line_mesh(
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along *= 0.5 * width / np.where(length > 0, length, np.inf)
     across = along[:, ::-1] * (-1, 1)
-    # Each side reaches half a width beyond its ends, so that corners are closed.
+    # Each side extends half a width beyond its ends, so that corners are closed.
     first, last = starts - along, ends + along
     quads = np.stack([first + across, first - across, last - across, last + across], axis=1)
     fx, fy, cx, cy = lens

@@ -1,4 +1,4 @@
-"""Loading of scenes, cameras, photographs and reports into the window."""
+"""Load scenes, cameras, photographs and reports into the window."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from viewer.window.worker import Stale
 
 
 class Loading:
-    """Loads files in the background, and shows them when they are there.
+    """Loads files in the background, then shows them.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Loading:
         self._viewer, self._visits, self._editor = viewer, visits, editor
 
     def begin(self) -> None:
-        """Load what was requested."""
+        """Load everything requested on the command line."""
         viewer, request = self._viewer, self._viewer.request
 
         def read(stale: Stale) -> tuple[list[Opened], Views, Pruned | None]:
@@ -51,7 +51,7 @@ class Loading:
         viewer.worker.submit("load", read, done, self._failed)
 
     def _preview(self, stale: Stale, scenes: list[Opened]) -> None:
-        """Show centres from above, until it is known where to look from; part of a job."""
+        """Show centres from above until the first view is known; part of a job."""
         viewer = self._viewer
 
         def show(_: float) -> None:
@@ -66,7 +66,7 @@ class Loading:
         self._viewer.fail(error)
 
     def _first_views(self, stale: Stale, scenes: list[Opened]) -> Views:
-        """The cameras to begin with; part of the job that loads scenes."""
+        """The first cameras; part of the job that loads scenes."""
         viewer = self._viewer
         if viewer.request.chosen:
             told = "choosing the first view ..."
@@ -74,7 +74,7 @@ class Loading:
         return find_views(viewer.request, scenes[0])
 
     def open(self, path: str, pane: int | None = None) -> None:
-        """Open a file as the first scene, the second, or in place of one of two (0 or 1).
+        """Open a file as the first scene, the second, or in place of scene `pane` (0 or 1).
 
         If two scenes are open and `pane` is None, a dialog asks which one to replace.
         """
@@ -114,9 +114,9 @@ class Loading:
     def show(
         self, scenes: list[Opened], views: Views, pruned: Pruned | None, stay: bool = False
     ) -> None:
-        """Show opened scenes instead of the present ones; from the same pose to `stay`.
+        """Show opened scenes instead of the present ones; `stay` keeps the pose.
 
-        Asks first if that drops edits that are not saved.
+        Asks first if unsaved edits would be lost.
         """
         viewer = self._viewer
         viewer.panel.say("")
@@ -131,12 +131,12 @@ class Loading:
         else:
             stage.put(scenes, pruned)
         self._editor.put(scenes)
-        if not same:  # else keep the present pose
+        if not same:  # otherwise keep the present pose
             self._visits.put(views, first_view(viewer.request, views))
         viewer.refresh()
 
     def turn(self) -> None:
-        """Convert B from the other coordinate system, or back; for files that do not state it."""
+        """Convert B between ``RUB`` and ``RDF``; for files that do not state their system."""
         viewer = self._viewer
         if len(viewer.stage.scenes) < 2:
             return
@@ -151,7 +151,7 @@ class Loading:
         viewer.worker.submit("load", lambda stale: turned(whole), done, viewer.fail)
 
     def open_cameras(self, path: str) -> None:
-        """Look from the cameras of a file; photographs of others are no longer shown."""
+        """Look from the cameras of a file, and remove photographs of others."""
         viewer = self._viewer
         scene = viewer.stage.scenes[0]
         request = replace(viewer.request, cameras=path, view=None, images=None)
@@ -165,7 +165,7 @@ class Loading:
         viewer.worker.submit("load", lambda stale: find_views(request, scene), done, viewer.fail)
 
     def open_photographs(self, folder: str) -> None:
-        """Show the photographs in a folder beside the scenes, each with its camera."""
+        """Show the photographs in a folder next to the scenes, each with its camera."""
         viewer = self._viewer
         if viewer.request.chosen:
             viewer.fail(gs_codec.GsCodecError("photographs: need cameras from a file"))
@@ -174,7 +174,7 @@ class Loading:
         self._visits.go_to(max(self._visits.number, self._visits.views.first))
 
     def open_report(self, path: str) -> None:
-        """Show what a report says was pruned from the first scene; its file or folder."""
+        """Show the pruned Gaussians of the first scene, from a report's file or folder."""
         viewer = self._viewer
         scene = viewer.stage.scenes[0]
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
@@ -186,12 +186,12 @@ class Loading:
         viewer.worker.submit("load", lambda stale: read_pruned(folder, scene), done, viewer.fail)
 
     def ask_open(self, pane: int | None = None) -> None:
-        """Ask for a scene's file, and open it as by `open`."""
+        """Ask for a scene's file, and call `open`."""
         title = "Open a scene" if pane is None else f"Open {'AB'[pane]}"
         self._viewer.files.ask_open(title, SCENES, partial(self.open, pane=pane))
 
     def ask_recent(self) -> None:
-        """Ask which of the files that were opened last to open."""
+        """Ask which of the recently opened files to open."""
         dialogs.ask_recent(self._viewer.modal, recent_files(), self.open)
 
     def ask_cameras(self) -> None:
@@ -203,7 +203,7 @@ class Loading:
         self._ask("Folder of the photographs", FOLDERS, self.open_photographs)
 
     def ask_report(self) -> None:
-        """Ask for the report of what was pruned from the first scene, and show it."""
+        """Ask for a pruning report of the first scene, and show it."""
         self._ask("Report of the Gaussians pruned from A", REPORTS, self.open_report)
 
     def _ask(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
@@ -214,6 +214,6 @@ class Loading:
 
 
 def _remember(scene: Opened) -> None:
-    """Remember a scene that was read from a file."""
+    """Add a scene's file to the recently opened ones."""
     if scene.file_bytes is not None:
         remember(scene.path)

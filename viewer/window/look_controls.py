@@ -1,4 +1,4 @@
-"""Controls of how splats are drawn."""
+"""Controls for the appearance of splats."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from viewer.window.widgets import Widgets
 #: Range of the vertical field of view, degrees.
 _ANGLES = (10, 120)
 
-#: Range of the factor on the axes of splats.
+#: Range of the factor for the axes of splats.
 _SCALES = (0.05, 2.0)
 
 
 class LookControls:
-    """Field of view, SH degree, scale and least opacity of splats, and background.
+    """Field of view, SH degree, scale and minimum opacity of splats, and background.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class LookControls:
         widgets.row(parent, self.plain)
 
     def refresh(self) -> None:
-        """Set them to what the viewer shows."""
+        """Update the controls from the viewer."""
         stage, appearance = self._viewer.stage, self._viewer.choice.appearance
         if stage.pose is not None:
             self.angle.double_value = field_of_view(stage.pose)

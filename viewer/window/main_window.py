@@ -31,18 +31,19 @@ from viewer.window.visits import Visits
 from viewer.window.widgets import monospace
 from viewer.window.worker import Worker
 
-#: Longest step of a flight, seconds, after frames that took long.
+#: Maximum time step of a flight, seconds, after slow frames.
 _STEP = 0.2
 
 
 class Viewer(Controls):
-    """A window that shows one scene, or two.
+    """A window that shows one or two scenes.
 
     Parameters
     ----------
     request : Request
     device : {"gpu", "cpu"}
-        What draws the window; splats are drawn by Open3D's shader or by gs_codec's rasteriser.
+        Device that draws the window: splats are drawn by Open3D's shader on a GPU, or by gs_codec's
+        rasteriser.
 
     Attributes
     ----------
@@ -59,10 +60,10 @@ class Viewer(Controls):
     keys : Keys
     notice : Notice
     modal : Modal
-        The dialog that is open, if one is.
+        The open dialog, if any, and Esc.
     files : Files
     message : tuple of str or None
-        Title and text of the dialog that is open.
+        Title and text of the open dialog.
     """
 
     def __init__(self, request: Request, device: Literal["gpu", "cpu"] = "cpu") -> None:
@@ -73,7 +74,7 @@ class Viewer(Controls):
         if request.scale is not None:
             self.choice.scales[request.colouring] = request.scale
         self.message: tuple[str, str] | None = None
-        # Else pictures of ever other sizes leave gaps in the process's memory.
+        # Otherwise changing picture sizes would fragment the heap.
         release_large_when_freed()
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
@@ -177,15 +178,15 @@ class Viewer(Controls):
         width = self.visits.lay_out(space, panes, self.stage.caption_height, hidden)
         self.stage.lay_out(space.x, space.y, width, space.height)
         self.notice.lay_out(space, context)
-        # Open3D waits for the device before it draws a picture that was asked for, and then does
-        # not skip the frame. After a skipped one the interface could still use the old pictures of
-        # widgets when these change their sizes again, and Open3D would abort.
+        # Requesting a picture makes Open3D wait for the device, so it does not skip the frame.
+        # After a skipped frame, the interface could still use old pictures of widgets while these
+        # are resized again, and Open3D would abort.
         self._unseen.scene.render_to_image(lambda _: None)
 
     # Files
 
     def help(self) -> None:
-        """List the keys."""
+        """Show the list of keys."""
         self.tell("Keys", help_text())
 
     def _close(self) -> bool:

@@ -1,4 +1,4 @@
-"""The mouse on the panes: it navigates, clicks, and draws with a tool."""
+"""Mouse events on the panes: navigation, clicks, and drags with a tool."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ _STILL = 3
 #: Maximum time between the clicks of a double click, seconds.
 _DOUBLE = 0.4
 
-#: A pixel of a pane's picture.
+#: A position in a pane's picture, pixels.
 Place = tuple[float, float]
 
 
 class Tool(Protocol):
-    """What takes drags with the left button while it is chosen; places are pixels of a picture."""
+    """Handles drags with the left button while it is chosen. Positions are pixels of a picture."""
 
     def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
-        """Begin a drag; `event` has the keys that are held."""
+        """Begin a drag; `event` has the modifier keys."""
 
     def move(self, at: Place) -> None:
-        """Go on."""
+        """Continue the drag."""
 
     def end(self) -> None:
-        """End it."""
+        """End the drag."""
 
 
 class Steered(Protocol):
-    """The stage whose panes the mouse is on; see `viewer.window.stage.Stage`."""
+    """The stage whose panes get mouse events; see `viewer.window.stage.Stage`."""
 
     pose: Pose | None
     choice: Choice
@@ -54,13 +54,13 @@ class Steered(Protocol):
         """The pixel of a pane's picture at a pixel of the window."""
 
     def steer(self, pose: Pose) -> None:
-        """Look from a pose that moves on."""
+        """Look from a pose that keeps moving."""
 
 
 class Mouse:
-    """Events of the mouse on panes.
+    """Handles mouse events on panes.
 
-    Open3D's own mouse control is not used, because it works from a camera that only Open3D can set.
+    Open3D's own mouse control is not used, because its camera cannot be set from outside.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Mouse:
         self._last = (0.0, 0, 0)
 
     def attach(self, pane: Pane) -> None:
-        """Take the events of a pane."""
+        """Handle the mouse events of a pane."""
         pane.widget.set_on_mouse(partial(self._event, pane))
 
     def _event(self, pane: Pane, event: gui.MouseEvent) -> gui.Widget.EventCallbackResult:

@@ -1,4 +1,4 @@
-"""Navigation: turn about a point ahead, look around, shift, move nearer, fly."""
+"""Navigation: orbit the point ahead, look around, shift, zoom, fly."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from numpy.typing import NDArray
 
 from viewer.scenes.pose import Pose
 
-#: Angle of a drag as long as the picture is high, radians.
+#: Angle of a drag over the height of the picture, radians.
 _TURN = np.pi
 
-#: Steepest view up or down that turning reaches, radians.
+#: Maximum elevation when turning, radians.
 _STEEPEST = np.radians(89)
 
-#: Components of unit vectors shorter than this have no reliable direction.
+#: Projections of unit vectors that are shorter than this have no reliable direction.
 _LEVEL = 1e-6
 
-#: Factor on the distance for one step of the wheel.
+#: Factor for the distance per step of the wheel.
 _NEARER = 0.9
 
-#: Least distance, relative to the first; at it, the wheel also moves the point ahead.
+#: Minimum distance, relative to the first; below it, the wheel also moves the point ahead.
 _LEAST = 0.02
 
-#: Minimum opacity of the centres that a frame has to show.
+#: Minimum opacity of the centres that framing shows.
 _SEEN = 0.1
 
-#: Quantiles of their coordinates that it shows.
+#: Quantiles of their coordinates that framing shows.
 _MOST_OF = (0.02, 0.98)
 
 
-#: What a drag does: turn about the point ahead, look around from where the camera is, or shift it.
+#: Kinds of drag: orbit the point ahead, look around from the camera's position, or shift it.
 DragKind = Literal["turn", "look", "shift"]
 
 
@@ -56,10 +56,9 @@ class Navigator:
     Attributes
     ----------
     up : ndarray, shape (3,)
-        Unit vector about which the view turns; the horizon keeps its slope.
+        Unit vector around which the view turns; the horizon keeps its slope.
     distance : float
-        Distance to the point straight ahead, about which the camera turns and towards which it
-        moves.
+        Distance to the point straight ahead, which the camera orbits and moves towards.
     """
 
     def __init__(self) -> None:
@@ -68,7 +67,7 @@ class Navigator:
         self._drag: _Drag | None = None
 
     def aim(self, distance: float) -> None:
-        """Set the distance of the point ahead; ends a drag."""
+        """Set the distance of the point ahead, and end any drag."""
         self.distance, self._least = distance, _LEAST * distance
         self._drag = None
 
@@ -81,7 +80,7 @@ class Navigator:
         self._drag = None
 
     def drag(self, x: int, y: int, width: int, height: int) -> Pose | None:
-        """The pose for a mouse at ``x, y`` in a picture of this size; None without a drag."""
+        """The pose for the mouse at ``x, y`` in a picture of this size; None without a drag."""
         held = self._drag
         if held is None:
             return None
@@ -90,17 +89,18 @@ class Navigator:
         right, down = (x - held.x) / height, (y - held.y) / height
         if held.kind == "turn":
             return self.turned(held.pose, right, down, self.distance)
-        # What is in the middle of the picture follows the mouse.
+        # The point in the middle of the picture follows the mouse.
         angle = height / held.pose.lens(width, height)[1] / _TURN
         return self.turned(held.pose, -angle * right, -angle * down, 0.0)
 
     def turned(self, pose: Pose, right: float, down: float, distance: float) -> Pose:
-        """The pose turned about the point at a distance by a drag, in heights of the picture."""
+        """The pose turned around the point at a distance by a drag, in picture heights."""
         ahead, up = pose.rotation[2], self.up
         across = np.cross(ahead, up)
         steep = np.linalg.norm(across) < _LEVEL
         across = pose.rotation[0] if steep else across / np.linalg.norm(across)
-        # Split the drag along and across the horizon, so that a rolled camera follows the mouse.
+        # Split the drag along and across the horizon, so that the view of a rolled camera follows
+        # the mouse.
         drag = right * pose.rotation[0] + down * pose.rotation[1]
         slope = np.arcsin(np.clip(ahead @ up, -1, 1))
         wanted = slope - _TURN * (drag @ np.cross(ahead, across))
@@ -113,13 +113,13 @@ class Navigator:
         )
 
     def shifted(self, pose: Pose, right: int, down: int, width: int, height: int) -> Pose:
-        """The pose shifted so that the point ahead follows a drag, pixels of the picture."""
+        """The pose shifted so that the point ahead follows a drag in pixels of the picture."""
         lens = pose.intrinsics(width, height)
         moved = right / lens[0, 0] * pose.rotation[0] + down / lens[1, 1] * pose.rotation[1]
         return replace(pose, position=pose.position - self.distance * moved)
 
     def nearer(self, pose: Pose, steps: float) -> Pose:
-        """The pose moved nearer by steps of the wheel; ends a drag."""
+        """The pose moved nearer by steps of the wheel; ends any drag."""
         self._drag = None
         left = self.distance * _NEARER**steps
         position = pose.position + (self.distance - left) * pose.rotation[2]
@@ -134,7 +134,7 @@ class Navigator:
 
 
 def focused(pose: Pose, pixel: tuple[float, float], depth: float, size: tuple[int, int]) -> Pose:
-    """The pose shifted so that what is at a pixel, at a depth, comes to the picture's middle."""
+    """The pose shifted so that the point at a pixel and depth moves to the picture's middle."""
     fx, fy, _, _ = pose.lens(*size)
     offset = (pixel[0] - size[0] / 2) / fx, (pixel[1] - size[1] / 2) / fy
     shift = depth * (offset[0] * pose.rotation[0] + offset[1] * pose.rotation[1])
@@ -144,7 +144,7 @@ def focused(pose: Pose, pixel: tuple[float, float], depth: float, size: tuple[in
 def framing(pose: Pose, positions: NDArray, opacities: NDArray) -> tuple[Pose, float]:
     """The pose moved until its frame shows the scene, and the distance of the scene's middle.
 
-    The few far centres, and those that are hardly seen, may be outside.
+    Far and nearly transparent centres may be outside.
     """
     some = np.isfinite(positions).all(axis=1) & (opacities >= _SEEN)
     centres = positions[some if some.any() else slice(None)].astype(np.float64)
@@ -160,7 +160,7 @@ def framing(pose: Pose, positions: NDArray, opacities: NDArray) -> tuple[Pose, f
 
 
 def field_of_view(pose: Pose) -> float:
-    """The angle from the lower to the upper side of the frame, degrees."""
+    """The vertical field of view of the frame, degrees."""
     return float(np.degrees(2 * np.arctan(0.5 / pose.focal[1])))
 
 

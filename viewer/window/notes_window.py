@@ -1,4 +1,4 @@
-"""A small window with notes, beside a window of Open3D that has no room for them."""
+"""A small window with notes, next to a window of Open3D that has no room for them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from PIL import Image
 
 from viewer.window.backdrop import picture_of
 
-#: Open3D's flag of windows that stay before others.
+#: Open3D's flag for windows that stay on top.
 _TOPMOST = 2
 
 #: Distance from the corner of the other window, pixels.
@@ -19,14 +19,14 @@ _MENU = 32
 
 
 class NotesWindow:
-    """A window that shows a picture, at the lower left of another window."""
+    """A window with a picture, at the lower left of another window."""
 
     def __init__(self) -> None:
         self._window: gui.Window | None = None
 
     @property
     def frame(self) -> gui.Rect | None:
-        """Where it is on the screen; None if it is not open."""
+        """Its frame on the screen; None if it is not open."""
         return None if self._window is None else self._window.os_frame
 
     def show(self, picture: Image.Image, beside: gui.Rect) -> None:

@@ -1,4 +1,4 @@
-"""A line over the panes: what the window waits for, or what may be done while it shows nothing."""
+"""A line over the panes, on what the window waits for, or how to begin while it is empty."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from open3d.visualization import gui
 from gs_codec.runtime import compiling
 from viewer.window.host import Host
 
-#: Minimum time of compiling that the line reports, seconds.
+#: Minimum compile time that is shown, seconds.
 _SHORT = 0.5
 
-#: The line stays for this time after it, seconds.
+#: Time that the line stays after compiling, seconds.
 _STAYS = 1.0
 
-#: What an empty window says.
+#: Text of an empty window.
 _EMPTY = "Press O to open a scene, H for a list of keys."
 
 
 class Notice:
-    """The line; in the middle while no scene is shown, else in the lower left corner.
+    """The line: in the middle while no scene is shown, otherwise in the lower left corner.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Notice:
         self._seconds, self._seen, self._ticked = 0.0, -_STAYS, time.monotonic()
 
     def tick(self) -> bool:
-        """Update the line; tell whether it is another one."""
+        """Update the line; return whether it changed."""
         now = time.monotonic()
         seconds = compiling.elapsed()
         if seconds is not None:
@@ -50,7 +50,7 @@ class Notice:
 
     @property
     def compiles(self) -> bool:
-        """Whether kernels are compiled, or were until a moment ago."""
+        """Whether kernels are being compiled, or were until a moment ago."""
         return self._ticked - self._seen < _STAYS
 
     def _text(self) -> str:
@@ -60,7 +60,7 @@ class Notice:
         return "" if shows else panel.doing or _EMPTY
 
     def lay_out(self, space: gui.Rect, context: gui.LayoutContext) -> None:
-        """Put it into the space of the panes."""
+        """Place the line in the space of the panes."""
         size = self.label.calc_preferred_size(context, gui.Widget.Constraints())
         wide, high = min(size.width, space.width), min(size.height, space.height)
         x, y = space.x, space.get_bottom() - high

@@ -1,4 +1,4 @@
-"""The octree layer of a window: its cells are found in the background while the slider moves."""
+"""The octree layer of a window; cells are found in the background."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from viewer.window.worker import Stale, Worker
 
 
 class OctreeLayer:
-    """Shows the cells of the panes' scenes, or hides them.
+    """Shows or hides the octree cells of the panes' scenes.
 
-    A drawing that was begun is shown, though the slider has moved on: otherwise none would appear
-    while it moves. Then the newest choice is drawn.
+    A result is shown even if the slider has moved meanwhile; otherwise none would appear during a
+    move. Then cells are found for the newest choice.
 
     Parameters
     ----------
     worker : Worker
     changed : callable
-        Called when other cells are shown.
+        Called when the cells shown change.
     failed : callable
         Called with the exception of a failed job.
 
     Attributes
     ----------
     legend : Legend or None
-        Of the cells that are shown.
+        Legend of the cells shown.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class OctreeLayer:
         self.put([])
 
     def put(self, panes: Sequence[Pane], cubes: int = 0, points: int = 0) -> None:
-        """Show cells in other panes, in which none are shown yet: at most so many of a kind."""
+        """Use other panes, with no cells yet: at most `cubes` cubes or `points` points."""
         self._worker.cancel("octree")
         self._panes, self._most = list(panes), (cubes, points)
         self._octree: Octree | None = None
@@ -52,7 +52,7 @@ class OctreeLayer:
         self.legend: Legend | None = None
 
     def show(self, choice: OctreeChoice | None) -> None:
-        """Show the cells so, or hide them."""
+        """Show the cells of a choice, or hide them."""
         self._wanted = choice
         if choice is None:
             self._show([None] * len(self._panes), None)
@@ -60,7 +60,7 @@ class OctreeLayer:
             self._start(choice)
 
     def _start(self, choice: OctreeChoice) -> None:
-        """Start finding cells; the tree is made once for each scene."""
+        """Start finding cells; the tree is built once per scene."""
         panes, most, octree = self._panes, self._most, self._octree
 
         def find(stale: Stale) -> tuple[Octree, list[Cubes | Points]]:

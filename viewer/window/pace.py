@@ -1,29 +1,30 @@
-"""When pictures are drawn, and how fine: drafts while something moves, in full when it rests."""
+"""When to draw pictures, and how fine: drafts during motion, full pictures at rest."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-#: Seconds without a move after which it rests, if nobody says so before.
+#: Time without motion after which the scene is at rest, unless reported earlier, seconds.
 REST = 0.25
 
-#: Maximum time of a draft, seconds.
+#: Target time for a draft, seconds.
 _BUDGET = 0.1
 
-#: Drafts become coarser after this many slower ones in a row.
+#: Drafts become coarser after this many in a row over the target time.
 _SLOW = 2
 
-#: Drafts become finer after this many in a row that take less than a third of it.
+#: Drafts become finer after this many in a row under a third of the target time.
 _QUICK = 3
 
-#: A full picture that takes less is drawn without a draft before it, seconds.
+#: If a full picture takes less time than this, it is drawn without a draft first, seconds.
 _AT_ONCE = 0.4
 
-#: Sizes of drafts and the Gaussians they are of, each step about half the work of the one before.
+#: Draft levels: divisor of the picture's sides, and one Gaussian in how many; each halves the work
+#: of the previous one, roughly.
 _STEPS = ((1, 1), (2, 1), (2, 2), (2, 4), (2, 8), (3, 8), (3, 16), (4, 16), (6, 32))
 
-#: Minimum number of Gaussians in a draft: with fewer, the pixels take the time.
+#: Minimum number of Gaussians in a draft; with fewer, the pixels dominate the time.
 _FEWEST = 50_000
 
 #: Maximum number of Gaussians in the first draft.
@@ -32,16 +33,16 @@ _FIRST = 300_000
 
 @dataclass(frozen=True)
 class Step:
-    """How fine a picture is.
+    """Fineness of a picture.
 
     Attributes
     ----------
     shrink : int
-        Its sides are divided by this.
+        Divisor of the picture's sides.
     every : int
-        It is of one Gaussian in so many.
+        One in this many Gaussians is drawn.
     full : bool
-        Whether it is the picture that stays.
+        Whether it is the full picture, not a draft.
     """
 
     shrink: int
@@ -53,10 +54,10 @@ FULL = Step(1, 1, full=True)
 
 
 class Pace:
-    """Decides what is drawn next. Times are in seconds, of any clock that does not go back.
+    """Decides what to draw next. Times are in seconds, from any monotonic clock.
 
-    It draws one picture after another: a draft is always finished, since otherwise none would be
-    seen during a long move, and the next one is of the pose at that time.
+    One picture is drawn at a time. A draft is always finished; otherwise a long move would show
+    none. The next picture uses the pose at that time.
     """
 
     def __init__(self) -> None:
@@ -69,7 +70,7 @@ class Pace:
         self._drawing: Step | None = None
 
     def put(self, count: int) -> None:
-        """Draw scenes of so many Gaussians from now on."""
+        """Start with scenes of `count` Gaussians in total."""
         most = max(count // _FEWEST, 1)
         steps = [Step(shrink, min(every, most)) for shrink, every in _STEPS]
         self._steps = list(dict.fromkeys(steps))
@@ -79,20 +80,20 @@ class Pace:
         self._full_seconds, self._drawing = math.inf, None
 
     def move(self, now: float) -> None:
-        """Something moves: the pictures are out of date, and more moves may follow."""
+        """Record motion: the pictures are out of date, and more motion may follow."""
         self._moved_at, self._drafted, self._filled = now, False, False
 
     def rest(self) -> None:
-        """Nothing moves any more."""
+        """Record that the motion has ended."""
         self._moved_at = None
 
     @property
     def resting(self) -> bool:
-        """Whether the full picture is drawn, or nothing is to be drawn."""
+        """Whether the full picture is done, or there is nothing to draw."""
         return self._filled and self._drawing is None
 
     def next(self, now: float) -> Step | None:
-        """What to begin to draw now; None if nothing is."""
+        """The step to start drawing now; None if there is none."""
         if self._drawing is not None and (not self._drawing.full or self._filled):
             return None
         if self._filled:
@@ -107,7 +108,7 @@ class Pace:
         return self._drawing
 
     def done(self, step: Step, seconds: float) -> None:
-        """A picture took so long."""
+        """Record that a picture is done, and the time it took."""
         self._drawing = None
         if step.full:
             self._full_seconds = seconds
@@ -120,5 +121,5 @@ class Pace:
             self._slow = self._quick = 0
 
     def drop(self) -> None:
-        """The picture that was begun is not drawn, or not shown."""
+        """Record that the picture in progress is abandoned."""
         self._drawing = None

@@ -1,4 +1,4 @@
-"""Pictures of the panes, drawn in the background, and the quality measured after them."""
+"""Pictures of the panes, drawn in the background, and the quality measured afterwards."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Painted(Protocol):
 
     @property
     def shown(self) -> Shown:
-        """What to draw."""
+        """Settings for drawing."""
 
     @property
     def by_hand(self) -> bool:
-        """Whether splats are drawn by gs_codec's rasteriser."""
+        """Whether gs_codec's rasteriser draws splats."""
 
     @property
     def visible(self) -> list[Pane]:
@@ -46,17 +46,17 @@ class Painted(Protocol):
 
     @property
     def columns(self) -> list[Columns]:
-        """Of each visible pane."""
+        """Columns of each visible pane."""
 
     def see(self, pose: Pose) -> None:
-        """Let the panes look from a pose."""
+        """Make the panes look from a pose."""
 
 
 class Painter:
-    """Draws the pictures of a stage's panes: drafts while something moves, in full at rest.
+    """Draws the pictures of a stage's panes: drafts during motion, full pictures at rest.
 
-    Pictures have a thread of their own, so that they need not wait for what takes long. What is
-    measured is drawn in the window's thread for that, always by the exact renderer.
+    Pictures have their own thread, so they need not wait for long jobs. Pictures to be measured are
+    always drawn by the exact renderer, in the window's worker thread.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Painter:
     Attributes
     ----------
     until : callable or None
-        Nothing is drawn until it returns True.
+        Drawing waits until it returns True.
     """
 
     def __init__(
@@ -83,43 +83,43 @@ class Painter:
         self.until: Callable[[], bool] | None = None
 
     def put(self, scenes: list[Opened]) -> None:
-        """Draw other scenes; no picture is on the panes."""
+        """Draw other scenes; the panes start without pictures."""
         self._worker.cancel("picture")
         self._stage.worker.cancel("measure")
         self._pace.put(sum(scene.count for scene in scenes))
         self._measured, self._painted = (None, ""), False
 
     def move(self) -> None:
-        """Draw anew; more moves may follow."""
+        """Redraw; more motion may follow."""
         self._pace.move(time.monotonic())
 
     def rest(self) -> None:
-        """Nothing moves any more: draw in full."""
+        """Redraw in full, because the motion has ended."""
         self._pace.rest()
 
     @property
     def waits(self) -> bool:
-        """Whether nothing is to be drawn yet."""
+        """Whether drawing has to wait."""
         return self.until is not None and not self.until()
 
     @property
     def resting(self) -> bool:
-        """Whether the full pictures are on the panes."""
+        """Whether the panes show full pictures."""
         return self._pace.resting and not self.waits
 
     @property
     def leads(self) -> bool:
-        """Whether the panes look from where their pictures do, and so follow these."""
+        """Whether the panes' poses follow their pictures."""
         return self._painted and self._stage.by_hand
 
     @property
     def quality(self) -> str:
-        """PSNR and SSIM of B against A in the frame of the present view; empty until measured."""
+        """PSNR and SSIM of B against A in the frame of the current view; empty until measured."""
         pose, text = self._measured
         return text if pose is self._stage.pose else ""
 
     def tick(self, pose: Pose) -> bool:
-        """Begin the next picture, if it is time; tell whether one was begun."""
+        """Start the next picture if it is due; return whether one was started."""
         step = None if self.waits else self._pace.next(time.monotonic())
         if step is None:
             return False
@@ -137,7 +137,7 @@ class Painter:
         return True
 
     def _draw(self, step: Step, shown: Shown, wanted: list[bool], pose: Pose) -> None:
-        """Draw the pictures of the visible panes, of those that want one."""
+        """Draw the pictures of the visible panes that want one."""
         stage, views = self._stage, self._stage.views
         visible, columns, (_, height) = list(stage.visible), stage.columns, stage.size
         width, high = max(columns[0][2] // step.shrink, 1), max(height // step.shrink, 1)
@@ -147,7 +147,7 @@ class Painter:
             for pane, cut, want in zip(visible, columns, wanted, strict=True):
                 if stale():
                     return None
-                # Errors have a scale: those that stay are of exact pictures.
+                # Final error pictures come from exact renders, because errors have a scale.
                 exact = step.full and shown.shows_error(pane.scene)
                 every = 0 if exact else step.every
                 image = None
@@ -172,7 +172,7 @@ class Painter:
         self._worker.submit("picture", draw, done, failed)
 
     def _show(self, pose: Pose, panes: list[Pane], pictures: list[NDArray | None]) -> None:
-        """Put pictures on panes, which look from where they were drawn."""
+        """Put pictures on panes, and make the panes look from the pictures' pose."""
         self._painted = any(image is not None for image in pictures)
         self._stage.see(pose)
         for pane, image in zip(panes, pictures, strict=True):
@@ -180,7 +180,7 @@ class Painter:
         self._stage.window.post_redraw()
 
     def _measure(self, pose: Pose) -> None:
-        """Start measuring B in the frame of the present view, unless that is done."""
+        """Start measuring B in the frame of the current view, unless already measured."""
         stage, views = self._stage, self._stage.views
         scenes = list(stage.scenes)
         if len(scenes) < 2 or self._measured[0] is pose:
@@ -197,7 +197,7 @@ class Painter:
 
 
 def _cut(image: NDArray, cut: Columns, shrink: int) -> NDArray[np.float32]:
-    """The part of a picture that a pane shows."""
+    """Crop a picture to the part that a pane shows."""
     start, stop, _, left = cut
     first = min(left // shrink, image.shape[1] - 1)
     return image[:, first : first + max((stop - start) // shrink, 1)]

@@ -1,4 +1,4 @@
-"""A pane of the window: one scene drawn by Open3D, over a picture of its splats."""
+"""A pane of the window: a scene drawn by Open3D, in front of a picture of its splats."""
 
 from __future__ import annotations
 
@@ -31,43 +31,43 @@ from viewer.window.lines import line_mesh
 #: Near plane, relative to the farthest depth of the scene.
 _NEAR = 1e-4
 
-#: Far plane, likewise.
+#: Far plane, relative to the same depth.
 _BEYOND = 1.1
 
-#: Size of a hidden picture, pixels. Pictures are made this small instead of being removed, because
-#: Open3D would draw them all the same.
+#: Size of a hidden picture, pixels. Pictures are shrunk instead of removed, because Open3D would
+#: still draw removed ones.
 HIDDEN = 1, 1
 
 #: Depth of the frame's outline, relative to the near plane.
 _OUTLINED = 1.5
 
-#: Depths of dark and light lines, likewise.
+#: Depths of dark and light lines, relative to the near plane.
 _LINED = (1.4, 1.3)
 
-#: How far the middle of the outline is inside the frame: half of its width, pixels.
+#: Inset of the outline's centre line in the frame: half its width, pixels.
 _IN = 0.75
 
-#: Sizes of points by their name; of others `POINT_SIZE`.
+#: Point sizes by name; `POINT_SIZE` for others.
 _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
 
-#: Frames until the pane changes its size for an instant, after splats were removed from it: without
-#: this, Open3D would go on showing them instead of anything else.
+#: Number of frames after removing splats until the pane is resized for an instant; otherwise Open3D
+#: would keep showing only the splats.
 _STUCK = 4
 
-#: Size of cameras, relative to their median distance from their centre.
+#: Size of drawn cameras, relative to their median distance from their middle.
 _FRUSTUM = 0.05
 
-#: RGB of cameras.
+#: RGB of drawn cameras.
 _FRUSTUM_COLOUR = (1.0, 0.6, 0.0)
 
-#: Most tiles of the picture that Open3D's splat shader lets a splat cover: all of them.
+#: Maximum tiles per splat in Open3D's splat shader; large enough for all tiles.
 _MOST_TILES = 1 << 16
 
-#: Open3D's splat shader does not support SH degree 3.
+#: Maximum SH degree of Open3D's splat shader.
 _MAX_DEGREE = 2
 
 
-#: What Open3D draws.
+#: Geometries that Open3D can draw.
 Geometry = o3d.geometry.Geometry3D | o3d.t.geometry.Geometry
 
 
@@ -81,9 +81,9 @@ class Pane:
     Attributes
     ----------
     scene : Opened
-        What it shows, once there is something.
+        The scene shown; unset until the first.
     points : dict
-        Points that may be shown, by name.
+        Points that can be shown, by name.
     """
 
     def __init__(self, window: gui.Window) -> None:
@@ -91,7 +91,7 @@ class Pane:
         self.widget.scene = rendering.Open3DScene(window.renderer)
         self.widget.scene.show_skybox(False)
         view = self.widget.scene.view
-        # Off: colours stay unchanged, and frames take half the time.
+        # Off: keeps colours unchanged, and halves the time of a frame.
         view.set_post_processing(False)
         view.set_antialiasing(False)
         self._backdrop = Backdrop(window, self.widget)
@@ -102,7 +102,7 @@ class Pane:
         self._show_background()
 
     def put(self, scene: Opened) -> None:
-        """Show another scene, of which nothing is shown yet."""
+        """Show another scene, initially with no layers."""
         self.show_splats(None)
         self.widget.scene.clear_geometry()
         self.scene = scene
@@ -125,7 +125,7 @@ class Pane:
         camera.set_projection(intrinsics, _NEAR * far, far, frame.width, frame.height)
 
     def outline(self, pose: Pose, width: int, height: int) -> None:
-        """Draw a line around the camera's frame, in front of everything; sizes as for `look`."""
+        """Draw a line around the camera's frame, in front of everything; sizes as in `look`."""
         framed, lens = pose.framed(width, height), pose.lens(width, height)
         if self._outlined != (framed, lens):
             self._outlined = framed, lens
@@ -138,9 +138,9 @@ class Pane:
     def show_lines(
         self, name: str, lines: list[NDArray], pose: Pose, width: int, height: int
     ) -> None:
-        """Draw closed lines ``(n, 2)``, light on dark, in front of everything, or none.
+        """Draw closed lines ``(n, 2)``, light on dark, in front of everything, or remove them.
 
-        They are in pixels of a picture, whose size is as for `look`.
+        Lines are in pixels of a picture; its size is as in `look`.
         """
         for depth, (thickness, colour) in zip(_LINED, LINES, strict=True):
             each = f"{name} at {depth}"
@@ -151,20 +151,20 @@ class Pane:
                 self._bring_near(each, pose, depth)
 
     def _bring_near(self, name: str, pose: Pose, depth: float) -> None:
-        """Put a geometry of the camera's axes at a depth, relative to the near plane."""
+        """Place a geometry, given in the camera's axes, at a depth relative to the near plane."""
         near = self.widget.scene.camera.get_near()
         nearby = np.diag([depth * near] * 3 + [1.0])
         transform = np.linalg.inv(pose.extrinsics) @ nearby
         self.widget.scene.set_geometry_transform(name, transform)
 
     def set_background(self, colour: tuple[float, float, float]) -> None:
-        """Set the colour behind everything, RGB 0-1."""
+        """Set the background colour, RGB 0-1."""
         if colour != self._background:
             self._background = colour
             self._show_background()
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
-        """Show a picture of the pane's size behind everything, or remove it."""
+        """Show a picture of the pane's size as the background, or remove it."""
         if self.widget.scene.has_geometry("draft"):
             self._replace("draft", None)
         if picture is None and self._picture is None:
@@ -175,7 +175,7 @@ class Pane:
     def _show_background(self) -> None:
         picture = self._picture
         if picture is None:
-            # Open3D takes a colour as sRGB, but shows pictures as they are.
+            # Open3D interprets a colour as sRGB, but shows pictures unchanged.
             picture = np.full((1, 1, 3), self._background, np.float32)
         self._backdrop.show(picture)
 
@@ -189,7 +189,7 @@ class Pane:
         self._replace(name, (cloud, material))
 
     def show_cells(self, cells: Cubes | Points | None) -> None:
-        """Show cells of the octree, or hide them."""
+        """Show or hide cells of the octree."""
         if isinstance(cells, Cubes):
             drawn = (
                 cube_geometry(cells) if cells.filled else box_geometry(cells.boxes, cells.colours)
@@ -207,7 +207,7 @@ class Pane:
         self._replace("boxes", box_geometry(boxes, colours))
 
     def show_splats(self, look: Look | None) -> None:
-        """Draw the splats with Open3D's own shader, or stop doing so."""
+        """Draw the splats with Open3D's shader, or stop drawing them."""
         known, self._splats = self._splats, look
         drawn = self.widget.scene.has_geometry("splats")
         if look is None:
@@ -220,7 +220,7 @@ class Pane:
             self._stuck = _STUCK
 
     def tick(self) -> bool:
-        """Get rid of splats that were removed; tell whether the window is to be drawn."""
+        """Clear removed splats from the screen; return whether to draw the window."""
         if not self._stuck:
             return False
         self._stuck -= 1
@@ -273,7 +273,7 @@ def cube_geometry(
 def box_geometry(
     boxes: NDArray, colours: NDArray
 ) -> tuple[o3d.geometry.LineSet, rendering.MaterialRecord]:
-    """The edges of boxes ``(n, 2, 3)`` in colours ``(n, 3)``, and a material that shows these."""
+    """The edges of boxes ``(n, 2, 3)`` in colours ``(n, 3)``, with a material that shows them."""
     corners, edges = box_lines(boxes)
     lines = o3d.geometry.LineSet(
         o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(edges)
@@ -286,19 +286,19 @@ def box_geometry(
 
 
 def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
-    """A material of one colour, RGB as it is to be seen.
+    """A material of one displayed RGB colour.
 
-    No texture: with one, Mesa's software driver takes seconds or minutes for thin triangles.
+    It has no texture: with one, Mesa's software driver takes seconds or minutes for thin triangles.
     """
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
-    # Open3D takes this colour as sRGB, but output without post-processing stays linear.
+    # Open3D interprets this colour as sRGB, but output without post-processing stays linear.
     material.base_color = (*np.power(colour, 1 / 2.2), 1.0)
     return material
 
 
 def camera_lines(cameras: Sequence[Camera]) -> o3d.geometry.LineSet:
-    """The frames of gs_codec's cameras, each with lines from where it is."""
+    """The frames of cameras, each with lines from its position."""
     places = np.array([camera.position for camera in cameras])
     reach = float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
     lines = o3d.geometry.LineSet()
@@ -313,12 +313,12 @@ def camera_lines(cameras: Sequence[Camera]) -> o3d.geometry.LineSet:
 
 
 def draws_splats(device: str) -> bool:
-    """Whether Open3D draws splats on a device: its shader is new, and slow without a GPU."""
+    """Whether Open3D draws splats on a device; its shader is new, and slow without a GPU."""
     return device == "gpu" and hasattr(rendering.MaterialRecord, "gaussian_splat_sh_degree")
 
 
 def splat_cloud(scene: Opened, look: Look) -> o3d.t.geometry.PointCloud:
-    """The cloud of the Gaussians drawn for Open3D's splat shader, which needs unit quaternions."""
+    """The cloud of the drawn Gaussians for Open3D's splat shader, which needs unit quaternions."""
     mask = which_drawn(scene, look)
     if mask is None:
         cloud = scene.cloud.clone()
@@ -338,7 +338,7 @@ def splat_material(scene: Opened, appearance: Appearance) -> rendering.MaterialR
     material.shader = "gaussianSplat"
     degree = min(scene.sh_degree, appearance.sh_degree, _MAX_DEGREE)
     material.gaussian_splat_sh_degree = degree
-    # Or larger splats would be left out.
+    # Otherwise larger splats would be skipped.
     material.gaussian_splat_max_tiles_per_splat = _MOST_TILES
     return material
 
@@ -348,9 +348,9 @@ def _tensor(array: NDArray) -> o3d.core.Tensor:
 
 
 def _box(positions: NDArray, lengths: NDArray) -> tuple[NDArray, NDArray]:
-    """Lowest and highest coordinates of the finite centres, but far ones.
+    """Lowest and highest coordinates of the finite centres, without far ones.
 
-    With these, the near plane would be beyond all the others.
+    With far centres, the near plane would be beyond all others.
     """
     kept = np.isfinite(positions).all(axis=1)
     finite = positions[kept]

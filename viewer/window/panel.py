@@ -1,4 +1,4 @@
-"""The panel beside the scenes: what the window is doing, tabs, legends."""
+"""The panel next to the scenes: current activity, tabs, legends."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EMS = 21
 _COLUMNS = 38
 
 
-#: Values of a legend.
+#: Number of values in a legend.
 _VALUES = 5
 
 
@@ -82,7 +82,7 @@ class Panel:
             viewer.window.add_child(part)
 
     def lay_out(self, rect: gui.Rect, context: gui.LayoutContext) -> None:
-        """Put it into a part of the window."""
+        """Place the panel in a part of the window."""
         bottom = rect.get_bottom()
         for part, at_bottom in ((self._legend.widget, True), (self._head, False)):
             high = part.calc_preferred_size(context, gui.Widget.Constraints()).height
@@ -92,7 +92,8 @@ class Panel:
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
         frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
-        # Open3D may go to the first tab after a layout, and goes to another in the next frame only.
+        # Open3D may select the first tab after a layout, and selects another one only in the next
+        # frame.
         front = self.tabs.selected_tab_index
         if front == self._coming:
             self._coming = None
@@ -101,7 +102,7 @@ class Panel:
 
     @property
     def doing(self) -> str:
-        """What the window is doing and how far it is; empty if nothing that is waited for."""
+        """Current activity and its progress, as text; empty if idle."""
         if not self._loading.visible:
             return ""
         return f"{' '.join(self.status.text.split())} {100 * self.progress.value:.0f} %"
@@ -132,13 +133,13 @@ class Panel:
 
 
 class _Legends:
-    """The colour bar, and below it a row for each legend."""
+    """The colour bar, with a row for each legend below it."""
 
     def __init__(self, em: float, margins: gui.Margins) -> None:
         self.widget = gui.Vert(0.25 * em, margins)
         bar = np.full((int(0.7 * em), 256, 4), 255, np.uint8)
         bar[..., :3] = np.rint(255 * Legend("", ()).bar(bar.shape[1], bar.shape[0]))
-        # Hidden instead of removed: see HIDDEN in pane.py.
+        # Hidden instead of removed; see HIDDEN in pane.py.
         self._bars = [picture_of(bar * np.uint8(seen)) for seen in (False, True)]
         self._bar = gui.ImageWidget(self._bars[False])
         self._bar.ui_image.scaling = gui.UIImage.Scaling.ANY
@@ -155,7 +156,7 @@ class _Legends:
 
 
 class _LegendRow:
-    """A legend: values below the colour bar, or kinds in their colours; and its title."""
+    """A legend: its title, and values below the colour bar or kinds in their colours."""
 
     def __init__(self, em: float) -> None:
         self.widget = gui.Vert(0.1 * em)
@@ -178,7 +179,7 @@ class _LegendRow:
 
 
 class _Marks:
-    """The marks of a legend, at most so many, from left to right."""
+    """The marks of a legend, from left to right."""
 
     def __init__(self, most: int) -> None:
         self.widget = gui.Horiz()

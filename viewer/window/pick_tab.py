@@ -1,4 +1,4 @@
-"""The tab on the Gaussian that is picked."""
+"""The tab for the picked Gaussian."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NOTHING = "Click a pixel to pick the Gaussian\nthat contributes most to it."
 
 
 class PickTab:
-    """All that is known of the Gaussian that is picked.
+    """All information about the picked Gaussian.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class PickTab:
 
 
 def _row(name: str, value: str) -> list[str]:
-    """A name to the left and a value to the right, below it if there is no room beside."""
+    """A name on the left and a value on the right; below it if there is no room."""
     if len(name) + len(value) < _COLUMNS:
         return [name + value.rjust(_COLUMNS - len(name))]
     return [name, value.rjust(_COLUMNS)]

@@ -1,4 +1,4 @@
-"""Picking: a click into a pane finds a Gaussian, marks it, and finds out about it."""
+"""Picking: a click into a pane finds a Gaussian, marks it and describes it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from viewer.window.worker import Stale
 
 
 class Picking:
-    """The Gaussian that is picked.
+    """The picked Gaussian.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class Picking:
     ----------
     hit : Hit or None
     picked : Picked or None
-        What is known of it, once that has been found.
+        Information about it, once collected.
     """
 
     def __init__(self, viewer: Host) -> None:
@@ -33,7 +33,7 @@ class Picking:
         viewer.modal.cancels.append(self.clear)
 
     def click(self, pane: Pane, at: Place) -> None:
-        """Pick what a pixel of a pane's picture shows; where nothing is, pick nothing."""
+        """Pick the Gaussian at a pixel of a pane's picture; clear the pick if there is none."""
         stage, picker = self._viewer.stage, self._current()
         which, pose, size = stage.panes.index(pane), stage.pose, stage.picture_size
         if pose is None:
@@ -56,7 +56,7 @@ class Picking:
         self._viewer.worker.submit("pick", find, done, self._viewer.fail)
 
     def clear(self) -> bool:
-        """Pick nothing; tell whether anything was picked."""
+        """Clear the pick; return whether there was one."""
         before, self.hit, self.picked = self.hit, None, None
         if before is not None:
             self._viewer.worker.cancel("describe")
@@ -65,14 +65,14 @@ class Picking:
         return before is not None
 
     def follow(self) -> None:
-        """Find out what the Gaussian adds to the view, once it rests elsewhere."""
+        """Update the Gaussian's contribution when the view comes to rest at another pose."""
         self._current()
         stage = self._viewer.stage
         if self.hit is not None and stage.resting and stage.pose is not self._pose:
             self._describe()
 
     def _current(self) -> Picker:
-        """The picker of the scenes that are shown; what is picked of others is forgotten."""
+        """The picker of the scenes shown; drops picks of other scenes."""
         stage = self._viewer.stage
         of = self._picker.scenes, self._picker.pruned
         if of != (tuple(stage.scenes), stage.pruned):

@@ -1,4 +1,4 @@
-"""The tab of rates: how to encode, what was tried, and what it gave."""
+"""The rate tab: encoding settings, trial encodings and their results."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from viewer.window.controls import Controls
 from viewer.window.dialogs import folded, shortened
 from viewer.window.widgets import Widgets
 
-#: Wishes as the tab names them.
+#: Labels of the targets.
 _WISHES = ("steps, times the profile's", "size, MB", "bits / Gaussian", "loss of views, dB")
 
-#: Range of step sizes, in units of the profile's.
+#: Range of step sizes, relative to the profile's.
 _STEPS = (0.25, 4.0)
 
-#: Range of losses, dB.
+#: Range of losses of views, dB.
 _LOSSES = (0.01, 1.0)
 
-#: Range of sizes, as shares of the raw scene's.
+#: Range of file sizes, as shares of the raw size.
 _SHARES = (1 / 200, 1 / 4)
 
-#: Initial step sizes, share of the raw size, and loss, dB.
+#: Initial target values: step sizes, share of the raw size, and loss in dB.
 _STEP = 1.0
 _SHARE = 1 / 20
 _LOSS = 0.05
 
-#: Values that differ by less, relatively, are the same: widgets round to float32.
+#: Relative tolerance for equal values, because widgets round to float32.
 _SAME = 1e-5
 
-#: Characters in a line.
+#: Width of a line, characters.
 _COLUMNS = 38
 
-#: Lines in the list.
+#: Number of lines in the list.
 _LINES = 9
 
 
 @dataclass
 class _Scale:
-    """A wish's value in the unit of the tab, and the ends of its slider."""
+    """A target's value in the unit of the tab, and the range of its slider."""
 
     value: float
     low: float
@@ -55,12 +55,12 @@ class _Scale:
 
     @property
     def within(self) -> float:
-        """The value that the slider shows."""
+        """The value clamped to the slider's range."""
         return min(max(self.value, self.low), self.high)
 
 
 class RateTab:
-    """How to encode, and the list of what was tried.
+    """Encoding settings, and the list of trials.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class RateTab:
     start, stop, as_a, as_b, save : gui.Button
     list : gui.ListView
     lines : list of str
-        Of the list: the source, and each try, the newest first.
+        Lines of the list: the source, then the trials, newest first.
     """
 
     def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
@@ -90,7 +90,7 @@ class RateTab:
         self._below.add_child(self._numbers)
 
     def _add_request(self, widgets: Widgets) -> None:
-        """Controls of how to encode."""
+        """Controls for encoding settings."""
         self.profile = widgets.choice(
             self._upper, "profile", PROFILE_CHOICES, lambda _: self.refresh()
         )
@@ -116,7 +116,7 @@ class RateTab:
         self._below.add_child(self.progress)
 
     def _add_tries(self, widgets: Widgets) -> None:
-        """The list of what was tried."""
+        """The list of trials."""
         self.list = gui.ListView()
         self.list.set_max_visible_items(_LINES)
         self.list.set_on_selection_changed(self._select)
@@ -128,12 +128,12 @@ class RateTab:
 
     @property
     def told(self) -> str:
-        """The numbers of the chosen try."""
+        """Numbers of the selected trial."""
         return str(self._numbers.text)
 
     @property
     def asked(self) -> Asked:
-        """What the controls ask for."""
+        """Settings chosen by the controls."""
         profile, wish = self.profile.selected_text, WISHES[self.wish.selected_index]
         if not has_steps(profile):
             return Asked(profile)
@@ -141,14 +141,14 @@ class RateTab:
         return Asked(profile, wish, value, self.guided.checked or wish == "loss")
 
     def set_value(self, value: SupportsFloat) -> None:
-        """Ask for a value of the wish."""
+        """Set the target's value."""
         scale = self._scales.get(WISHES[self.wish.selected_index])
         if scale is not None and not math.isclose(float(value), scale.value, rel_tol=_SAME):
             scale.value = float(value)
             self.refresh()
 
     def _slide(self, value: SupportsFloat) -> None:
-        """Ask for a value of the slider, which also reports what it is set to."""
+        """Set the target's value from the slider, which also reports values set by the program."""
         scale = self._scales.get(WISHES[self.wish.selected_index])
         if scale is not None and not math.isclose(float(value), scale.within, rel_tol=_SAME):
             self.set_value(value)
@@ -164,7 +164,7 @@ class RateTab:
         )
 
     def _select(self, _: str, twice: bool) -> None:
-        """Choose what the list has selected; at a double click, show it as B."""
+        """Select an entry of the list; on a double click, show it as B."""
         place = self.list.selected_index
         if 0 <= place < len(self._places):
             self._chosen = self._places[place]
@@ -183,7 +183,7 @@ class RateTab:
         self._viewer.window.post_redraw()
 
     def _refresh_request(self) -> None:
-        """Update the controls of how to encode to the scene, and to each other."""
+        """Update the controls to the scene, and to each other."""
         scenes = self._viewer.stage.scenes
         if not scenes:
             return
@@ -201,7 +201,7 @@ class RateTab:
         self.slider.double_value = scale.within
 
     def _find_scales(self, scene: Opened) -> None:
-        """Ends of the slider for a scene; what was asked for stays."""
+        """Set slider ranges for a scene; chosen values are kept."""
         raw = scene.raw_bytes
         units = {"size": raw / 1e6, "bits": 8 * raw / max(scene.count, 1)}
         found = {name: _Scale(_SHARE * u, *(s * u for s in _SHARES)) for name, u in units.items()}
@@ -211,7 +211,7 @@ class RateTab:
         self._scales = found
 
     def _refresh_tries(self) -> None:
-        """Update the list, the newest try first after the source, and the numbers."""
+        """Update the list (the source, then the newest trial first) and the numbers."""
         encoding = self._viewer.encoding
         entries = list(encoding.scenes)
         if len(entries) != len(self._places):
@@ -230,7 +230,7 @@ class RateTab:
         self._numbers.text = self._numbers_of(chosen) if isinstance(chosen, Try) else ""
 
     def _numbers_of(self, tried: Try) -> str:
-        """The numbers of a try."""
+        """Numbers of a trial."""
         report, quality, stage = tried.report, tried.quality, self._viewer.stage
         rows = [
             ("file", size_text(report.file_bytes)),
@@ -252,7 +252,7 @@ class RateTab:
         return "\n".join(lines)
 
     def _kind(self) -> str:
-        """Which views are measured, in words."""
+        """Description of the measured views."""
         views = self._viewer.visits.views
         if views.chosen:
             return "estimated views"
@@ -274,6 +274,6 @@ def _line(entry: Try | Opened) -> str:
 
 
 def _short(size: int) -> str:
-    """Bytes with a unit, in three digits or whole."""
+    """A size in bytes with a unit: three digits, or whole."""
     number, unit = size_text(size).split()
     return f"{float(number):{'.3g' if float(number) < 999.5 else '.0f'}} {unit}"

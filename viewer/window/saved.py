@@ -1,4 +1,4 @@
-"""Poses that the user keeps: a path to fly along, which a film can follow."""
+"""Poses saved by the user: a path to fly along, which films can follow."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from viewer.scenes.typed_paths import POSES
 from viewer.window.host import Host
 from viewer.window.worker import Stale
 
-#: Time of a flight from one pose to the next, seconds.
+#: Duration of a flight between successive poses, seconds.
 _LEG = 2.0
 
-#: Poses a second of a flight.
+#: Poses per second of a flight.
 _RATE = 30
 
 
 class Saved:
-    """The poses kept, in order.
+    """The saved poses, in order.
 
     Parameters
     ----------
@@ -39,24 +39,24 @@ class Saved:
         self._last: Pose | None = None
 
     def keep(self) -> None:
-        """Keep the present pose, after the others."""
+        """Save the current pose after the others."""
         pose = self._viewer.stage.pose
         if pose is not None:
             self.poses.append(pose)
             self._viewer.panel.refresh()
 
     def drop(self) -> None:
-        """Drop the pose kept last."""
+        """Remove the pose saved last."""
         del self.poses[-1:]
         self._viewer.panel.refresh()
 
     @property
     def text(self) -> str:
-        """How many poses are kept."""
+        """Text with the number of saved poses."""
         count = len(self.poses)
         return f"path: {counted(count, 'pose')}" if count else "path: no poses yet"
 
-    # The flight
+    # Flight
 
     @property
     def flying(self) -> bool:
@@ -64,7 +64,7 @@ class Saved:
         return bool(self._flight)
 
     def fly(self) -> None:
-        """Fly along the poses; if that is going on, stop."""
+        """Fly along the poses; stop if already flying."""
         if self.flying or len(self.poses) < 2:
             self._flight = []
             return
@@ -77,7 +77,7 @@ class Saved:
         viewer.worker.submit("fly", lambda stale: flythrough(poses, count), done, viewer.fail)
 
     def tick(self) -> bool:
-        """Go on with the flight, until its end or until the camera is moved otherwise."""
+        """Continue the flight until its end, or until the camera is moved otherwise."""
         if not self.flying:
             return False
         stage = self._viewer.stage
@@ -106,7 +106,7 @@ class Saved:
             viewer.panel.say(f"{Path(path).name} saved")
 
     def open(self, path: str) -> None:
-        """Keep the poses of a file of cameras instead of the present ones."""
+        """Replace the saved poses by those of a file of cameras."""
         viewer = self._viewer
 
         def read(stale: Stale) -> list[Pose]:
@@ -123,5 +123,5 @@ class Saved:
         self._viewer.files.ask_save("Save the path", POSES, self.write, "-path")
 
     def ask_open(self) -> None:
-        """Ask for a file of cameras, and keep its poses."""
+        """Ask for a file of cameras, and load its poses."""
         self._viewer.files.ask_open("Open a path", POSES, self.open)

@@ -1,4 +1,4 @@
-"""The tab of scenes: files, layers, colours, numbers."""
+"""The scene tab: files, layers, colours, numbers."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class SceneTab:
     ----------
     widget : gui.Widget
     boxes : dict of str to gui.Checkbox
-        By layer.
+        Checkboxes by layer.
     colouring, cells, mode : gui.Combobox
     logarithmic : gui.Checkbox
-        Whether the scale of the colours is.
+        Whether the colour scale is logarithmic.
     depth : gui.Slider
     exact : gui.Checkbox
-        Shown where a graphics card draws.
+        Shown only if a graphics card draws.
     """
 
     def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
@@ -101,7 +101,7 @@ class SceneTab:
             widgets.row(self._upper, *buttons)
 
     def _add_octree(self, widgets: Widgets) -> None:
-        """Controls of the octree, which show with it."""
+        """Controls of the octree, visible while its layer is on."""
         viewer = self._viewer
         self._octree = gui.Vert(0.25 * widgets.em)
         self._upper.add_child(self._octree)

@@ -1,4 +1,4 @@
-"""The panes of a window: their layout, common pose, and pictures."""
+"""The panes of a window: layout, common pose, and pictures."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from viewer.window.painter import Columns, Painter
 from viewer.window.pane import HIDDEN, Pane, draws_splats
 from viewer.window.worker import Stale, Worker
 
-#: Most centres that a pane shows, by device.
+#: Maximum number of centres in a pane, by device.
 _MOST = {"gpu": 5_000_000, "cpu": 250_000}
 
-#: Most cells of the octree that it shows as cubes: each is twelve triangles.
+#: Maximum number of octree cells shown as cubes (twelve triangles each), by device.
 _CUBES = {"gpu": MOST_CUBES, "cpu": 12_000}
 
-#: Most centres that are shown until there is a picture.
+#: Maximum number of centres shown before the first picture.
 _DRAFT = 100_000
 
-#: Least height of the captions above the panes, pixels: Open3D draws label backgrounds this high.
+#: Minimum height of the captions above the panes, pixels: that of label backgrounds in Open3D.
 _CAPTION = 32
 
 
 class Stage:
-    """Panes, side by side or in one view, that look from the same pose.
+    """Panes with a common pose, side by side or in one view.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Stage:
     worker : Worker
     choice : Choice
     device : {"gpu", "cpu"}
-        What draws splats: Open3D's shader, or gs_codec's rasteriser.
+        Device that draws splats: with Open3D's shader, or with gs_codec's rasteriser.
     changed : callable
         Called when a picture or measurement is ready.
     failed : callable
@@ -60,20 +60,20 @@ class Stage:
     ----------
     scenes, panes : list
     views : dict
-        What draws each scene, and its last pictures.
+        Drawer of each scene, with its last pictures.
     pruned : Pruned or None
     drawn : dict of Opened to ndarray, shape (N,), bool
-        Which Gaussians are drawn, of scenes that have hidden ones.
+        Masks of drawn Gaussians, for scenes that have hidden ones.
     pose : Pose or None
-        Where one looks from.
+        The current pose.
     seen : Pose or None
-        Where the panes look from: while splats are drawn by hand, they follow the pictures.
+        The pose of the panes; follows the pictures if gs_codec's rasteriser draws.
     painter : Painter
     navigator : Navigator
     captions : list of gui.Label
         The captions above the panes.
     divider : Canvas
-        The line of a wipe.
+        The wipe line.
     mouse : Mouse
     """
 
@@ -102,10 +102,12 @@ class Stage:
             window.add_child(label)
         self.divider = make_divider(window, self._slide)
         self.mouse = Mouse(self, clicked, focused)
-        # Both at once: Open3D cannot remove them, and goes to the first tab when it gets one.
+        # Created together: Open3D cannot remove them, and adding one later would select the first
+        # tab.
         self._both = [Pane(window) for _ in range(2)]
         for pane in self._both:
-            # Open3D does not clear what no widget covers: an empty window would keep old dialogs.
+            # One stays visible: Open3D does not clear areas without a widget, so an empty window
+            # would keep old dialogs.
             pane.widget.visible = pane is self._both[0]
             window.add_child(pane.widget)
             self.mouse.attach(pane)
@@ -136,7 +138,7 @@ class Stage:
                 pane.show_points("draft", points)
 
     def replace(self, number: int, scene: Opened) -> None:
-        """Show a scene after an edit of it, from the same pose."""
+        """Replace a scene by its edited version, from the same pose."""
         self._keep([*self.scenes[:number], scene, *self.scenes[number + 1 :]])
         self.panes[number].put(scene)
         self._octree.put(self.panes, _CUBES[self.device], self._most)
@@ -144,11 +146,11 @@ class Stage:
         self.refresh()
 
     def _keep(self, scenes: list[Opened]) -> list[Opened]:
-        """Stop what draws other scenes than these, and forget them; return those before."""
+        """Stop and forget drawers of scenes other than these; return the previous scenes."""
         self.worker.cancel("centres")
         self.worker.cancel("focus")
         before, self.scenes = self.scenes, list(scenes)
-        # Not changed in place, because a job may still add to them.
+        # Replaced, not modified, because a job may still add to it.
         self.drawn = {each: self.drawn[each] for each in scenes if each in self.drawn}
         self.views = {each: self.views[each] for each in scenes if each in self.views}
         self._coloured = self._marked = None
@@ -157,19 +159,19 @@ class Stage:
         return before
 
     def put_pruned(self, pruned: Pruned | None) -> None:
-        """Show what a report says was pruned from the first scene."""
+        """Show the Gaussians that a report lists as pruned from the first scene."""
         self.pruned = pruned
         if pruned is not None:
             self.panes[0].points["pruned"] = pruned_centres(self.scenes[0], pruned, self._most)
 
     def show_selected(self, number: int, selected: NDArray[np.bool_]) -> None:
-        """Show which Gaussians ``(N,)`` of a scene are selected."""
+        """Show the selected Gaussians of a scene, by their mask ``(N,)``."""
         pane = self.panes[number]
         pane.show_points("selected", selected_centres(pane.scene, selected, self._most))
 
     @property
     def shown(self) -> Shown:
-        """What to draw."""
+        """Settings for drawing."""
         choice = self.choice
         return Shown(
             tuple(choice.layers),
@@ -185,16 +187,16 @@ class Stage:
 
     @property
     def quality(self) -> str:
-        """PSNR and SSIM of B against A in the frame of the present view; empty until measured."""
+        """PSNR and SSIM of B against A in the frame of the current view; empty until measured."""
         return self.painter.quality
 
     @property
     def legends(self) -> list[Legend]:
-        """The legends of the layers shown."""
+        """Legends of the layers shown."""
         layers, coloured = self.choice.layers, self._coloured
         known: list[Legend | None] = []
         if "centres" in layers and coloured and _same_colours(coloured, self.shown):
-            # They are the same wherever the quantity is known.
+            # Equal in all panes where the quantity is known.
             legends = [pane.points["centres"].legend for pane in self.panes]
             known += [legend for legend in legends if legend is not None][:1]
         if "error" in layers and len(self.scenes) > 1:
@@ -204,12 +206,12 @@ class Stage:
 
     @property
     def by_hand(self) -> bool:
-        """Whether splats are drawn by gs_codec's rasteriser."""
+        """Whether gs_codec's rasteriser draws splats."""
         return "splats" in self.choice.layers and not self.by_shader
 
     @property
     def by_shader(self) -> bool:
-        """Whether splats are drawn by Open3D's shader."""
+        """Whether Open3D's shader draws splats."""
         return self.has_shader and not self.choice.exact
 
     @property
@@ -219,7 +221,7 @@ class Stage:
 
     @property
     def resting(self) -> bool:
-        """Whether the full pictures of this pose are shown."""
+        """Whether full pictures of the current pose are shown."""
         return self.pose is None or self.painter.resting
 
     @property
@@ -247,19 +249,19 @@ class Stage:
         self.arrange()
 
     def draw_only(self, drawn: dict[Opened, NDArray[np.bool_]]) -> None:
-        """Draw only the Gaussians of these masks; scenes without one are drawn whole."""
+        """Draw only the Gaussians in these masks; scenes without a mask are drawn whole."""
         before, self.drawn = self.drawn, drawn
         if any(before.get(each) is not drawn.get(each) for each in self.scenes):
             self.restyle()
 
     def restyle(self) -> None:
-        """Update the panes to the appearance, and to which Gaussians are drawn; more may follow."""
+        """Update the panes to the appearance and the drawn Gaussians; more updates may follow."""
         self._dress()
         self.painter.move()
         self.window.post_redraw()
 
     def _dress(self) -> None:
-        """Update what depends on the appearance, but for the pictures."""
+        """Update everything that depends on the appearance, except pictures."""
         shown, layers = self.shown, self.choice.layers
         for pane in self.panes:
             by_shader = self.by_shader and "splats" in layers
@@ -270,12 +272,12 @@ class Stage:
             self._colour_centres()
 
     def show_octree(self) -> None:
-        """Update the octree alone to the choice."""
+        """Update only the octree to the choice."""
         octree, layers = self.choice.octree, self.choice.layers
         self._octree.show(octree.among(layers) if "octree" in layers else None)
 
     def _colour_centres(self) -> None:
-        """Start colouring centres, unless they have the chosen colours."""
+        """Start colouring centres, unless they already have the chosen colours."""
         shown, panes, most = self.shown, list(self.panes), self._most
         if self._coloured is not None and _same_centres(self._coloured, shown):
             return
@@ -299,14 +301,14 @@ class Stage:
     # Layout and cameras
 
     def look_from(self, pose: Pose, distance: float | None = None) -> None:
-        """Look from another pose, at the distance of what is ahead, or another."""
+        """Look from another pose; the point ahead is at `distance`, by default unchanged."""
         self.pose = pose
         ahead = distance_ahead(pose, self.scenes[0].positions) if distance is None else distance
         self.navigator.aim(ahead)
         self.arrange()
 
     def focus(self, pane: Pane, at: Place) -> None:
-        """Bring what is at a pixel of a pane's picture to the middle."""
+        """Move the point at a pixel of a pane's picture to the middle."""
         views, scene, pose, size = self.views, pane.scene, self.pose, self.picture_size
         look = self.shown.look(scene)
         if pose is None:
@@ -331,7 +333,7 @@ class Stage:
         self.window.post_redraw()
 
     def lay_out(self, left: int, top: int, width: int, height: int) -> None:
-        """Put the panes into a part of the window, each below its caption."""
+        """Place the panes in a part of the window, each below its caption."""
         line = self.caption_height
         below, high = top + line, max(height - line, 1)
         if self.size != (width, high):
@@ -350,7 +352,7 @@ class Stage:
             label.visible = k < len(visible)
             if label.visible:
                 start, stop = columns[k][:2]
-                # Most characters: a longer text would be wrapped.
+                # Maximum characters; longer text would be wrapped.
                 most = 2 * (stop - start) // self.window.theme.font_size
                 label.text = f" {names[visible[k]]}"[:most]
                 label.frame = gui.Rect(left + start, top, stop - start, line)
@@ -367,17 +369,17 @@ class Stage:
         return max(_CAPTION, int(1.5 * self.window.theme.font_size))
 
     def _slide(self, x: int) -> None:
-        """Move the line of a wipe to a column of the window."""
+        """Move the wipe line to a column of the window."""
         self.wipe_to((x - self._left) / self.size[0])
 
     def wipe_to(self, wipe: float) -> None:
-        """Move the line of a wipe, 0-1."""
+        """Move the wipe line, 0-1."""
         self.choice.wipe = min(max(wipe, 0.0), 1.0)
         self.arrange()
 
     @property
     def columns(self) -> list[Columns]:
-        """Of each visible pane."""
+        """Columns of each visible pane."""
         count, width = len(self.visible), self.size[0]
         if count == 2 and self.choice.mode == "wipe":
             stop, start = wipe_line(self.choice.wipe, width)
@@ -397,19 +399,19 @@ class Stage:
             pane.show_lines("mark", lines, self.seen, wide, height)
 
     def see(self, pose: Pose) -> None:
-        """Let the panes look from a pose."""
+        """Make the panes look from a pose."""
         if self.seen is not pose:
             self.seen = pose
             self._look()
 
     def mark(self, marked: tuple[Opened, int] | None) -> None:
-        """Mark a Gaussian of a scene in all panes, or none."""
+        """Mark a Gaussian of a scene in all panes, or remove the mark."""
         self._marked = marked
         self._look()
         self.window.post_redraw()
 
     def steer(self, pose: Pose) -> None:
-        """Look from a pose that moves on."""
+        """Look from a pose that keeps moving."""
         self.pose = pose
         self.painter.move()
         if not self.painter.leads:
@@ -417,7 +419,7 @@ class Stage:
 
     @property
     def picture_size(self) -> tuple[int, int]:
-        """Width and height of the picture of each pane, of which a wipe shows parts, pixels."""
+        """Width and height of each pane's picture, pixels; a wipe shows parts of it."""
         return self.columns[0][2], self.size[1]
 
     def place(self, pane: Pane, x: int, y: int) -> Place:
@@ -428,12 +430,12 @@ class Stage:
         return x - pane.widget.frame.x + left + 0.5, y - pane.widget.frame.y + 0.5
 
     def tick(self) -> bool:
-        """Draw what has changed; tell whether the window is to be drawn."""
+        """Draw changes; return whether to draw the window."""
         if self.pose is None:
             return False
         looked = self._laid_out
         if looked:
-            # Open3D sets its own near and far planes when the size of a pane changes.
+            # Open3D resets near and far planes when the size of a pane changes.
             self._laid_out = False
             self._look()
         stuck = [pane.tick() for pane in self.panes]
@@ -441,7 +443,7 @@ class Stage:
 
 
 def _same_colours(before: Shown, after: Shown) -> bool:
-    """Whether centres are coloured by the same quantity and scale."""
+    """Whether centres have the same colouring and scale."""
     return (before.colouring, before.scale) == (after.colouring, after.scale)
 
 

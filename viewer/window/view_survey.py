@@ -1,4 +1,4 @@
-"""What is found out about all views, one after another, while the window rests."""
+"""Results for all views, computed one by one while the window is idle."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _HIGH = 150
 
 
 class Survey:
-    """PSNR of B against A in every view, and small pictures of A.
+    """PSNR of B against A in every view, and thumbnails of A.
 
-    Views are done one by one, so that pictures of the window need not wait.
+    Views are processed one by one, so that pictures of the window need not wait.
 
     Parameters
     ----------
     viewer : Host
     visits : Visits
     changed : callable
-        Called when there is one more.
+        Called after each result.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Survey:
         self.pictures: dict[int, NDArray] = {}
 
     def ask(self, what: str, wanted: bool) -> None:
-        """Begin with ``decibels`` or ``pictures``, or leave off; what is found stays."""
+        """Start computing ``decibels`` or ``pictures``, or stop; results are kept."""
         self._forget()
         (self._wanted.add if wanted else self._wanted.discard)(what)
         if not wanted:
@@ -56,7 +56,7 @@ class Survey:
             self._next(what)
 
     def _forget(self) -> None:
-        """Forget what was found of other scenes, or from other viewpoints."""
+        """Drop results of other scenes or viewpoints."""
         scenes = tuple(self._viewer.stage.scenes)
         poses = [each.pose for each in self._visits.viewpoints]
         if scenes != self._of or poses != self._poses:
@@ -67,7 +67,7 @@ class Survey:
                 self._viewer.worker.cancel(f"survey {what}")
 
     def _next(self, what: str) -> None:
-        """Do the next view, if one is left."""
+        """Process the next view, if any."""
         scenes, poses = self._of, self._poses
         first = self._visits.views.first if what == "decibels" else 0
         left = [k for k in range(first, len(poses)) if k not in getattr(self, what)]
@@ -91,7 +91,7 @@ class Survey:
     def _find(
         self, what: str, job: Callable[[Stale], Result], put: Callable[[Result], None]
     ) -> None:
-        """Find something about a view, and go on with the next."""
+        """Compute a result for a view, then continue with the next."""
 
         def done(value: Result) -> None:
             put(value)

@@ -1,4 +1,4 @@
-"""The tab of the view: where one looks from, and the list of cameras."""
+"""The view tab: navigation and the list of cameras."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from viewer.window.dialogs import folded, shortened
 from viewer.window.look_controls import LookControls
 from viewer.window.widgets import Widgets, choose
 
-#: Orders of the list of cameras.
+#: Sort orders of the list of cameras.
 _ORDERS = ("number", "name", "PSNR")
 
 
@@ -25,7 +25,7 @@ class ViewTab:
     look : LookControls
     list : gui.ListView
     path : list of gui.Button
-        What is done with the poses that are kept.
+        Buttons for the saved poses.
     """
 
     def __init__(self, viewer: Controls, widgets: Widgets) -> None:
@@ -57,7 +57,7 @@ class ViewTab:
         self.places: list[int] = []
 
     def _add_path(self, widgets: Widgets) -> None:
-        """The poses that are kept."""
+        """Controls for the saved poses."""
         saved = self._viewer.saved
         self._kept = gui.Label("")
         self._below.add_child(self._kept)

@@ -1,4 +1,4 @@
-"""Visits to viewpoints, and the photograph of the one visited last."""
+"""Viewpoints of a window, and the photograph of the one visited last."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from viewer.window.host import Host
 from viewer.window.pane import HIDDEN
 from viewer.window.worker import Stale
 
-#: What the panel says where the up axis is not certain.
+#: Text for the panel if the up axis is uncertain.
 _UNSURE = "The up axis is uncertain: press U to choose another."
 
 
 class Visits:
-    """The viewpoints of a window, and where one is.
+    """The viewpoints of a window, and the current one.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ class Visits:
     ----------
     views : Views
     viewpoints : list of Viewpoint
-        The overview, and cameras.
+        The overview and the cameras.
     number : int
         Index of the viewpoint visited last.
     photographed : bool
-        Whether a photograph is shown beside the scenes.
+        Whether a photograph is shown next to the scenes.
     photograph : gui.ImageWidget
     """
 
@@ -52,14 +52,15 @@ class Visits:
         viewer.window.add_child(self._caption)
 
     def put(self, views: Views, first: int) -> None:
-        """Go to other views of the first scene, beginning with viewpoint `first`."""
+        """Use other views of the first scene, starting with viewpoint `first`."""
         viewer = self._viewer
         viewer.worker.cancel("cameras")
         self.views = views
         viewer.choice.up = viewer.request.up or views.ups[0]
         self._find()
         self.go_to(first)
-        # Choosing views takes seconds; if the rasteriser draws, do it after the first full picture.
+        # Choosing views takes seconds; if the rasteriser draws, it happens after the first full
+        # picture.
         self._more_views = views.chosen and len(views.cameras) == 1
         if not views.up_certain:
             self._say_up()
@@ -67,7 +68,7 @@ class Visits:
             self.choose_more()
 
     def choose_more(self) -> None:
-        """Choose other views of the scene after the overview, which does not change."""
+        """Choose further views of the scene after the overview, which is kept."""
         if not self._more_views:
             return
         self._more_views = False
@@ -95,7 +96,7 @@ class Visits:
         viewer.stage.navigator.up = self.views.up_axis(up)
 
     def _say_up(self) -> None:
-        """Say so if it is not certain what is up."""
+        """Show a message if the up axis is uncertain."""
         unsure = not self.views.up_certain and self._viewer.choice.up == BY_CAMERAS
         self._viewer.panel.say(_UNSURE if unsure else "")
 
@@ -109,12 +110,12 @@ class Visits:
             self.go_to(self.number if self._viewer.request.chosen else 0)
 
     def next_up(self) -> None:
-        """Take the next up axis."""
+        """Select the next up axis."""
         names = self.views.ups
         self.set_up(names[(names.index(self._viewer.choice.up) + 1) % len(names)])
 
     def go(self, step: int) -> None:
-        """Go to the next or previous viewpoint."""
+        """Go `step` viewpoints forward or back."""
         if self.viewpoints:
             self.go_to((self.number + step) % len(self.viewpoints))
 
@@ -143,7 +144,7 @@ class Visits:
 
     @property
     def where(self) -> str:
-        """Text that describes the present viewpoint."""
+        """Text that describes the current viewpoint."""
         count = len(self.viewpoints) - 1
         text = f"overview; {counted(count, 'view')}"
         if self.number:
@@ -153,7 +154,7 @@ class Visits:
         return f"moved away from {text} (R returns)" if self.moved else text
 
     def tick(self) -> None:
-        """Tell the panel when the pose has moved away from a viewpoint, or is back."""
+        """Update the panel when the pose has left a viewpoint or returned to it."""
         if self.moved != self._was_moved:
             self._was_moved = self.moved
             self._viewer.refresh_panel()
@@ -177,10 +178,10 @@ class Visits:
         viewer.window.set_needs_layout()
 
     def lay_out(self, rect: gui.Rect, panes: int, line: int, hidden: gui.Rect) -> int:
-        """Put the photograph beside `panes` panes; return the width that is left for these.
+        """Place the photograph next to `panes` panes; return the width left for the panes.
 
-        `line` is the height of its caption, pixels; a photograph that is not shown is put at the
-        corner of `hidden`, behind the panel, because Open3D makes it larger than `HIDDEN`.
+        `line` is the height of its caption, pixels; a hidden photograph is put at the corner of
+        `hidden`, behind the panel, because Open3D makes it larger than `HIDDEN`.
         """
         self.photograph.frame = gui.Rect(hidden.x, hidden.y, *HIDDEN)
         self._caption.visible = self.photographed

@@ -1,4 +1,4 @@
-"""Widgets as the panel has them, each with what it calls."""
+"""Widgets of the panel, each with a callback."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from open3d.visualization import gui
 
 
 class Widgets:
-    """Makes widgets of one look.
+    """Makes widgets in a common style.
 
     Parameters
     ----------
@@ -20,13 +20,14 @@ class Widgets:
         self.em = em
 
     def column(self) -> gui.Widget:
-        """What a tab holds."""
+        """The content of a tab."""
         return gui.ScrollableVert(0.3 * self.em, self._margins)
 
     def tab(self) -> tuple[gui.Widget, gui.Widget, gui.Widget]:
-        """What a tab with sliders holds, its upper part, and what scrolls below that.
+        """A tab with sliders: the whole, its fixed upper part and its scrolling part.
 
-        Sliders belong to the upper part: in what scrolls, Open3D draws them without a track.
+        Sliders belong in the fixed part, because Open3D draws them without a track in scrolling
+        parts.
         """
         upper = gui.Vert(0.3 * self.em, self._margins)
         below = self.column()
@@ -40,7 +41,7 @@ class Widgets:
         return gui.Margins(0.5 * self.em, 0.5 * self.em, 0.5 * self.em, 0.5 * self.em)
 
     def row(self, parent: gui.Widget, *children: gui.Widget) -> gui.Horiz:
-        """Widgets beside each other, added to a parent."""
+        """Widgets side by side, added to a parent."""
         row = gui.Horiz(0.3 * self.em)
         for child in children:
             row.add_child(child)
@@ -56,7 +57,7 @@ class Widgets:
         return button
 
     def checkbox(self, text: str, checked: Callable[[bool], None]) -> gui.Checkbox:
-        """A box to check; `checked` is told whether it is."""
+        """A checkbox; `checked` is called with its state."""
         box = gui.Checkbox(text)
         box.set_on_checked(checked)
         return box
@@ -69,7 +70,7 @@ class Widgets:
         chosen: Callable[[int], None],
         *beside: gui.Widget,
     ) -> gui.Combobox:
-        """A labelled choice, and others beside it, in a parent; `chosen` is told the index."""
+        """A labelled combo box, and other widgets next to it; `chosen` is called with the index."""
         box = gui.Combobox()
         for name in names:
             box.add_item(name)
@@ -78,7 +79,7 @@ class Widgets:
         return box
 
     def _lowered(self, text: str) -> gui.Widget:
-        """A label on the line of the text of a choice beside it."""
+        """A label aligned with the text of a combo box next to it."""
         below = gui.Vert(0, gui.Margins(0, 0.2 * self.em, 0, 0))
         below.add_child(gui.Label(text))
         return below
@@ -91,7 +92,7 @@ class Widgets:
         moved: Callable[[float], None],
         whole: bool = False,
     ) -> gui.Slider:
-        """A labelled slider, added to a parent; `moved` is told its value."""
+        """A labelled slider, added to a parent; `moved` is called with its value."""
         slider = gui.Slider(gui.Slider.INT if whole else gui.Slider.DOUBLE)
         slider.set_limits(*limits)
         slider.set_on_value_changed(lambda value: moved(float(value)))
@@ -100,14 +101,14 @@ class Widgets:
         return slider
 
     def grid(self, parent: gui.Widget) -> gui.VGrid:
-        """Rows of two, such as labels and sliders, added to a parent."""
+        """A grid of two columns, such as labels and sliders, added to a parent."""
         grid = gui.VGrid(2, 0.3 * self.em)
         parent.add_child(grid)
         return grid
 
 
 def choose(box: gui.Combobox, names: Sequence[str], index: int) -> None:
-    """Set the names of a choice, if they are others, and which is chosen."""
+    """Set the names in a combo box, if they have changed, and its selection."""
     if [box.get_item(k) for k in range(box.number_of_items)] != list(names):
         box.clear_items()
         for name in names:

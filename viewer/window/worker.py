@@ -1,4 +1,4 @@
-"""Run jobs in a background thread; of each kind only the newest counts."""
+"""Run jobs in a background thread; a new job replaces earlier ones of its kind."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TypeVar
 
 from viewer.scenes.opened import Progress
 
-#: Tells a job whether its result is still wanted: True if not.
+#: Returns True if the job's result is no longer wanted.
 Stale = Callable[[], bool]
 
-#: Takes a function without arguments and makes the window's thread call it.
+#: Takes a function without arguments, and makes the window's thread call it.
 Post = Callable[[Callable[[], None]], None]
 
 Result = TypeVar("Result")
@@ -42,7 +42,7 @@ class Worker:
         threading.Thread(target=self._run, daemon=True).start()
 
     def another(self) -> Worker:
-        """A further thread, for jobs that these must not wait for; it ends with this one."""
+        """Another thread, for jobs that must not wait for these; it ends with this one."""
         self._others.append(Worker(self._post))
         return self._others[-1]
 
@@ -69,7 +69,7 @@ class Worker:
             self._waiting.pop(kind, None)
 
     def progress(self, stale: Stale, show: Callable[[float], None]) -> Progress:
-        """A callback by which a job reports progress, 0-1; it ends the job if it is stale."""
+        """A callback for a job's progress, 0-1; ends the job if it is stale."""
 
         def progress(stage: str, done: int, total: int) -> None:
             if stale():
@@ -80,17 +80,17 @@ class Worker:
 
     @property
     def kinds(self) -> set[str]:
-        """The kinds of the jobs that wait or run."""
+        """Kinds of the waiting and running jobs."""
         with self._changed:
             return {*self._waiting, *filter(None, [self._running])}
 
     @property
     def busy(self) -> bool:
-        """Whether any job waits or runs."""
+        """Whether any job is waiting or running."""
         return bool(self.kinds)
 
     def end(self) -> None:
-        """Let the thread end after its current job, and further ones too."""
+        """Let this thread and further ones end after their current jobs."""
         with self._changed:
             self._ended = True
             self._waiting.clear()
@@ -116,8 +116,8 @@ class Worker:
         return self._ended or self._wanted[kind] != number
 
     def _give(self, stale: Stale, call: Callable[[], None]) -> None:
-        """Pass on what a job found."""
-        # The window may be gone when a job ends after it.
+        """Pass on a job's result."""
+        # The window may be gone when a job ends later.
         if not self._ended:
             self._post(lambda: None if stale() else call())
 

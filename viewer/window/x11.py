@@ -1,4 +1,4 @@
-"""What Open3D does not tell of the keyboard, asked from X11: keys in text fields, the clipboard."""
+"""Keyboard input from X11 that Open3D does not report: keys in text fields, the clipboard."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import time
 from typing import NamedTuple
 
-#: Numbers of X.h and keysymdef.h.
+#: Constants from X.h and keysymdef.h.
 _KEY_PRESS = 2
 _KEY_RELEASE = 3
 _SELECTION = 31
@@ -20,16 +20,16 @@ _CONTROL = 4
 _POINTER_ROOT = 1
 _KEYS = {"Tab": 0xFF09, "End": 0xFF57, "Return": 0xFF0D, "KP_Enter": 0xFF8D, "Insert": 0xFF63}
 
-#: What the key types that removes a character.
+#: Text of the backspace key.
 BACKSPACE = "\b"
 
-#: Keys that paste, with the one held.
+#: Key and modifier combinations that paste.
 _PASTES = {(ord("v"), _CONTROL), (ord("V"), _CONTROL), (_KEYS["Insert"], _SHIFT)}
 
 #: Maximum length of pasted text, bytes.
 _MOST = 1 << 16
 
-#: Maximum wait for the program that has the text, seconds.
+#: Maximum wait for the program that owns the clipboard, seconds.
 _PATIENCE = 0.5
 
 
@@ -56,9 +56,9 @@ class Pressed(NamedTuple):
     Attributes
     ----------
     text : str
-        What it types, or a backspace; empty if neither.
+        Text that it types, or a backspace; empty if neither.
     enters, pastes : bool
-        Whether it is Enter; whether it pastes.
+        Whether it is Enter, and whether it pastes.
     """
 
     text: str
@@ -67,9 +67,9 @@ class Pressed(NamedTuple):
 
 
 class Keyboard:
-    """The keyboard of this process's window that has the focus.
+    """The keyboard, for this process's window with the focus.
 
-    `listens` is False where that is not known, as without X11.
+    `listens` is False if that window is unknown, for example without X11.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class Keyboard:
 
     @property
     def listens(self) -> bool:
-        """Whether a window has the focus, and its keys are known."""
+        """Whether a window has the focus and its keys can be read."""
         if self._display and not self._window:
             window = self._focused()
             if window and self._number(window, b"_NET_WM_PID") == os.getpid():
@@ -91,13 +91,13 @@ class Keyboard:
         return bool(self._window)
 
     def close(self) -> None:
-        """Close the connection; it listens no more."""
+        """Close the connection; `listens` is False from then on."""
         if self._display:
             self._x11.XCloseDisplay(self._display)
         self._display, self._window = None, 0
 
     def pressed(self) -> list[Pressed]:
-        """The keys that were pressed since the last call."""
+        """The keys pressed since the last call."""
         if not self.listens:
             return []
         x11, found, event = self._x11, [], _Event()
@@ -120,7 +120,7 @@ class Keyboard:
         return Pressed(text if text.isprintable() or text == BACKSPACE else "", enters, pastes)
 
     def send(self, key: str, down: bool) -> None:
-        """Let the window see a key of `_KEYS` go down or up."""
+        """Send a press or release of a key in `_KEYS` to the window."""
         if not self.listens:
             return
         x11, event = self._x11, _Event()
@@ -133,13 +133,13 @@ class Keyboard:
         x11.XFlush(self._display)
 
     def _focused(self) -> int:
-        """The window that gets keys."""
+        """The window with the keyboard focus."""
         x11, window, other = self._x11, ctypes.c_ulong(), ctypes.c_int()
         x11.XGetInputFocus(self._display, ctypes.byref(window), ctypes.byref(other))
         root = x11.XDefaultRootWindow(self._display)
         if window.value not in (_POINTER_ROOT, root):
             return window.value
-        # No window manager: the window under the pointer.
+        # Without a window manager, the window under the pointer.
         names, numbers = [ctypes.c_ulong() for _ in range(2)], [ctypes.c_int() for _ in range(5)]
         x11.XQueryPointer(self._display, root, *map(ctypes.byref, (*names, *numbers)))
         return names[1].value
@@ -149,7 +149,7 @@ class Keyboard:
         return int.from_bytes(found[:4], sys.byteorder)
 
     def _property(self, window: int, name: bytes) -> bytes:
-        """The value of a property of a window; of 32 bits each, these are C's long."""
+        """The value of a window's property; items of 32 bits are returned as C longs."""
         x11 = self._x11
         kind, form, count, left, value = (
             ctypes.c_ulong(), ctypes.c_int(), ctypes.c_ulong(), ctypes.c_ulong(), ctypes.c_void_p(),
@@ -167,7 +167,7 @@ class Keyboard:
         return data
 
     def clipboard(self) -> str:
-        """The text in the clipboard; empty without one."""
+        """The text in the clipboard; empty if none."""
         if not self._display:
             return ""
         x11, event = self._x11, _Event()
@@ -188,7 +188,7 @@ class Keyboard:
 
 @functools.cache
 def _library() -> ctypes.CDLL | None:
-    """Xlib; None where windows are not of X11."""
+    """Xlib; None if windows do not use X11."""
     name = ctypes.util.find_library("X11") if sys.platform.startswith("linux") else None
     if name is None:
         return None

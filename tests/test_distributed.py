@@ -379,6 +379,22 @@ def test_dask_that_is_not_installed_is_named(folder):
     assert err == "gs-codec: error: dask: needs distributed; pip install 'gs-codec[cluster]'\n"
 
 
+def test_one_process_needs_no_dask(tmp_path):
+    path = saved(tmp_path / "a.ply", random_scene(3000, 0, seed=3))
+    expected, _ = whole(path, tmp_path / "whole.egs", Config("m", block_size=BLOCK))
+    target, back = tmp_path / "tasks.egs", [tmp_path / "whole.ply", tmp_path / "tasks.ply"]
+    config, heard = Config("m", block_size=BLOCK), set()
+    encode_distributed(
+        path, target, config, dask=None, max_memory=400_000_000,
+        progress=lambda stage, *_: heard.add(stage),
+    )  # fmt: skip
+    assert target.read_bytes() == expected
+    assert {"scan", "sort", "quantise", "code"} <= heard
+    decode_file(target, back[0])
+    decode_distributed(target, back[1], dask=None, max_memory=400_000_000)
+    assert back[1].read_bytes() == back[0].read_bytes()
+
+
 def test_a_pool_of_processes_gives_the_same_file(tmp_path):
     path = saved(tmp_path / "a.ply", random_scene(3000, 0, seed=3))
     config = Config("m", block_size=BLOCK)

@@ -31,7 +31,7 @@ def decode_distributed(
     target: str | Path,
     part: Part | None = None,
     *,
-    dask: str = "local",
+    dask: str | None = "local",
     threads: int | None = None,
     progress: Progress | None = None,
     max_memory: int | None = None,
@@ -46,8 +46,9 @@ def decode_distributed(
     ----------
     source, target, part, progress, overwrite
         As in `decode_file`.
-    dask : str
-        Address of a scheduler, or ``local``.
+    dask : str, optional
+        Address of a scheduler, or ``local``. None: this process does one task after another, each
+        in one thread; it does not need Dask.
     threads : int, optional
         Processes of a local cluster; by default one per processor.
     max_memory : int, optional

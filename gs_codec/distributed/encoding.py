@@ -53,7 +53,7 @@ def encode_distributed(
     target: str | Path,
     config: Config | str | None = None,
     *,
-    dask: str = "local",
+    dask: str | None = "local",
     progress: Progress | None = None,
     max_memory: int | None = None,
     overwrite: bool = False,
@@ -74,8 +74,9 @@ def encode_distributed(
     config : Config or str, optional
         Profile ``l``, ``m`` or ``s``, without depths and extra properties; its threads are the
         processes of a local cluster, by default one per processor.
-    dask : str
-        Address of a scheduler, or ``local``.
+    dask : str, optional
+        Address of a scheduler, or ``local``. None: this process does one task after another, each
+        in one thread; it does not need Dask.
     progress, overwrite
         As in `encode_file`.
     max_memory : int, optional

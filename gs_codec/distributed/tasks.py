@@ -16,6 +16,7 @@ from gs_codec.runtime.threads import available_threads, using_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
 from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers
+from gs_codec.workers.serial import Serial
 
 #: Approximate number of Gaussians per task; fewer with a memory limit.
 _GAUSSIANS = 1 << 19
@@ -95,8 +96,8 @@ def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int
 
 
 @contextmanager
-def crew_at(address: str, progress: Progress | None) -> Iterator[Crew]:
-    """The workers of the Dask scheduler at an address, or local ones.
+def crew_at(address: str | None, progress: Progress | None) -> Iterator[Crew]:
+    """The workers of the Dask scheduler at an address, or local ones; or this process (None).
 
     Locally, there is one worker per available thread.
 
@@ -105,6 +106,9 @@ def crew_at(address: str, progress: Progress | None) -> Iterator[Crew]:
     InvalidInput, MissingTool
         As in `dask_workers`; or if Dask is not installed, or if there are no workers.
     """
+    if address is None:
+        yield Crew(Serial(tempfile.gettempdir()), progress)
+        return
     check_installed("distributed", "dask")
     from gs_codec.workers.dask import dask_workers
 

@@ -281,15 +281,15 @@ class RateTarget:
         return None
 
 
-def as_rate_target(target: RateTarget | Mapping[str, float]) -> RateTarget:
-    """Make a target from a mapping of its parameters; return a target unchanged.
+def as_rate_target(target: RateTarget | Mapping[str, float] | None) -> RateTarget | None:
+    """Make a target from a mapping of its parameters; return a target, or None, unchanged.
 
     Raises
     ------
     InvalidInput
         If the mapping is not a valid target.
     """
-    if isinstance(target, RateTarget):
+    if target is None or isinstance(target, RateTarget):
         return target
     known = [f.name for f in fields(RateTarget)]
     for name in target:

@@ -23,7 +23,7 @@ from scenes import (
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.adaptive.contexts import passes
-from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
+from gs_codec.codecs.adaptive.encode import code_shaped, shape_scene
 from gs_codec.codecs.adaptive.lattice import PositionGrid, from_grid
 from gs_codec.codecs.adaptive.section import RULES, UNITS, encode_marks, read_lattice
 from gs_codec.codecs.adaptive.step_sizes import MAX_SLOPE, Sensitivity, StepSizes
@@ -139,10 +139,10 @@ def test_a_shaped_scene_decodes_as_it_says_with_the_colours_it_is_given():
     assert steps.shape == (3, 300)
     assert steps.dtype == np.float32
     assert np.all(steps > 0)
-    plain, _ = encode_shaped(shaped, StageTimes())
+    plain, _ = code_shaped(shaped, StageTimes())
     assert b"".join(plain) == encode_by(scene, config, made_up_guide(seed=34))
     black = replace(told, f_dc=np.zeros_like(told.f_dc), f_rest=0 * told.f_rest)
-    parts, report = encode_shaped(shaped.with_colours(black), StageTimes())
+    parts, report = code_shaped(shaped.with_colours(black), StageTimes())
     decoded = decode_scene(b"".join(parts))
     assert report.count == 300
     assert not decoded.f_dc.any()

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reference_renderer import sh_basis
+from requested import as_requested
 from scenes import edge_scenes, random_scene
 
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.config import Config
-from gs_codec.encoding.order import encode_by_plan, encode_planned
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.renderer import render
@@ -265,7 +265,7 @@ def test_noise_does_not_tell_where_cameras_were(degree, caplog):
     scene = random_scene(3000, degree, seed=9)
     assert not estimate_views(scene, 1).telling
     plan = Plan(Steps(), "auto")
-    assert encode_planned(scene, Config("m"), plan)[0] == encode_scene(scene, Config("m"))[0]
+    assert as_requested(scene, Config("m"), plan)[0] == encode_scene(scene, Config("m"))[0]
     assert [record.getMessage() for record in caplog.records] == [
         "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
     ]
@@ -323,7 +323,7 @@ def test_evidence_of_cameras_is_gathered_once(table, monkeypatch):
         lambda scene, **rest: gathered.append(scene) or gather_evidence(scene, **rest),
     )
     plan = Plan(Steps(prune=10), "auto", width=24, views=2)
-    encode_by_plan(table, table.float_bytes, Config("m"), plan)
+    as_requested(table, Config("m"), plan)
     assert len(gathered) == 1
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 from orbits import cameras
+from requested import as_requested
 
 from gs_codec.codecs import decode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
-from gs_codec.encoding.order import encode_by_plan
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.balance import Balance, profile_steps
 from gs_codec.preparation.pipeline import choose_views, prepare_scene
@@ -85,7 +85,7 @@ def test_targets_choose_the_number_of_gaussians(seen):
     scene, plan = seen
     counts = []
     for bits in (60, 25):
-        data, report = encode_by_plan(scene, 1, Config(), plan, RateTarget(bits=bits))
+        data, report = as_requested(scene, Config(), plan, RateTarget(bits=bits))
         assert 0.98 * bits * scene.count <= 8 * len(data) <= bits * scene.count
         assert decode_scene(data).count == report.count
         counts.append(report.count)
@@ -95,7 +95,7 @@ def test_targets_choose_the_number_of_gaussians(seen):
 @pytest.mark.thorough
 def test_profiles_choose_the_number_of_gaussians(seen):
     scene, plan = seen
-    counts = [encode_by_plan(scene, 1, Config(p), plan)[1].count for p in ("l", "s")]
+    counts = [as_requested(scene, Config(p), plan)[1].count for p in ("l", "s")]
     assert scene.count >= counts[0] > counts[1]
 
 
@@ -140,4 +140,4 @@ def test_pruning_twice_is_refused(seen):
     scene, plan = seen
     target = RateTarget(bits=60, allow_prune=True)
     with pytest.raises(InvalidInput, match="not needed with refine"):
-        encode_by_plan(scene, 1, Config(), plan, target)
+        as_requested(scene, Config(), plan, target)

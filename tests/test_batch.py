@@ -525,7 +525,7 @@ def test_surprises_are_errors_of_their_scene(folder):
     def surprise(*arguments: Any, **options: Any) -> None:
         raise ZeroDivisionError
 
-    folder.monkeypatch.setattr("gs_codec.files.coding.encode_file", surprise)
+    folder.monkeypatch.setattr("gs_codec.files.coding.encode_requested", surprise)
     assert folder.run("batch", "in/a.ply", "out").status == 1
     text = f"{Path('in/a.ply').absolute()}: ZeroDivisionError"
     assert records()[0]["error"] == {"kind": "ZeroDivisionError", "text": text}

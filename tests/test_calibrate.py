@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from requested import as_requested
 from scenes import edge_scenes, random_scene, shared_scene_path, with_threads
 
 from gs_codec.cameras.inria import as_camera
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.config import Config
-from gs_codec.encoding.order import encode_by_plan, encode_camera_free
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.guidance.calibrate import calibrated
@@ -28,7 +28,7 @@ LEAST, MOST = 47.4, 52.2
 
 def own_psnr(scene, cameras, config):
     """PSNR of the decoded scene's views against the original's, from the mean error."""
-    decoded = decode_as(config, b"".join(encode_camera_free(scene, config)[0]))
+    decoded = decode_as(config, as_requested(scene, config)[0])
     pairs = [[render(s, view, device="cpu").colour for s in (scene, decoded)] for view in cameras]
     return -10 * np.log10(np.mean([np.mean((a - b) ** 2, dtype=np.float64) for a, b in pairs]))
 
@@ -83,11 +83,11 @@ def test_profiles_change_by_the_same_factor_and_coarseness_multiplies_it(still_l
 
 @pytest.mark.thorough
 def test_files_are_those_of_the_coarseness_that_the_report_tells(still_life):
-    parts, report = encode_camera_free(still_life, Config("l"))
+    data, report = as_requested(still_life, Config("l"))
     assert report.coarseness == calibrated(still_life, Config("l")).coarseness
     told = Config("l", coarseness=report.coarseness)
-    assert b"".join(parts) == encode_scene(still_life, told)[0]
-    assert encode_by_plan(still_life, 1, Config("l"))[0] == b"".join(parts)
+    assert data == encode_scene(still_life, told)[0]
+    assert as_requested(still_life, Config("l"))[0] == data
     assert "calibrate" in report.seconds
 
 
@@ -112,7 +112,7 @@ def test_threads_and_other_columns_do_not_matter(still_life):
     ids=lambda config: f"{config.format} {config.profile}",
 )
 def test_what_has_no_step_sizes_is_not_calibrated(still_life, config):
-    assert "calibrate" not in encode_camera_free(still_life, config)[1].seconds
+    assert "calibrate" not in as_requested(still_life, config)[1].seconds
 
 
 def test_few_gaussians_are_not_looked_at():
@@ -152,7 +152,7 @@ def test_values_that_are_not_finite_are_refused_or_dropped_as_ever(still_life):
     broken.f_rest[4, ::7] = np.nan
     broken.opacity[0, 1::7] = np.nan
     with pytest.raises(InvalidInput, match="not finite"):
-        encode_camera_free(broken, Config())
-    _, report = encode_camera_free(broken, Config(nonfinite="drop"))
+        as_requested(broken, Config())
+    _, report = as_requested(broken, Config(nonfinite="drop"))
     assert report.dropped == np.count_nonzero(np.arange(12_000) % 7 < 2)
     assert 0.25 <= report.coarseness <= 4

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 
 import pytest
+from requested import as_requested
 from scenes import estimate_few_cameras
 from typer.testing import CliRunner
 
@@ -17,7 +18,6 @@ from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene
 from gs_codec.config import Config
-from gs_codec.encoding.order import encode_planned
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.report import psnr_loss
@@ -80,7 +80,7 @@ def test_command_measures_a_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert 0 < line[way]["loss"] < 3
         assert 10 < line[way]["bits_per_gaussian"] < 500
     scene, cameras = read_ply(path), [c for c in read_cameras(path.parent) if c.split == "test"]
-    data, _ = encode_planned(scene, Config(), None)
+    data, _ = as_requested(scene, Config(), None)
     error = draw_reference_views(scene, cameras, (0, 0, 0)).error(decode_scene(data))
     assert line[FREE]["loss"] == pytest.approx(psnr_loss(error), rel=0.05)
     assert line[FREE]["bits_per_gaussian"] == pytest.approx(8 * len(data) / scene.count, rel=0.01)

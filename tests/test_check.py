@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from requested import as_requested
 from scenes import edge_scenes, made_up_guide, random_scene, with_far, with_threads
 from typer.testing import CliRunner
 
@@ -16,12 +17,11 @@ from gs_codec.cameras.inria import as_camera
 from gs_codec.cli.main import app
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
-from gs_codec.codecs.encode import encode_clean
+from gs_codec.codecs.encode import encode_cleaned
 from gs_codec.config import Config
 from gs_codec.encoding import order as planned
 from gs_codec.encoding import retry as checked
 from gs_codec.encoding.loss import Check, error_of
-from gs_codec.encoding.order import encode_by_plan, encode_camera_free
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance.calibrate import finer, wanted_error
@@ -63,7 +63,7 @@ def test_watched_values_are_those_that_a_decoder_returns(degree, guided, far):
         index = index[-3:]  # none in other blocks
     watched = Watched(scene, index)
     steps = made_up_guide(seed=7)(scene, config) if guided else None
-    parts, _ = encode_clean(scene, config, StageTimes(), steps=steps, watched=watched)
+    parts, _ = encode_cleaned(scene, config, StageTimes(), steps=steps, watched=watched)
     decoded, found = decode_as(config, b"".join(parts)), watched.decoded()
     names = [f"{group} {row}" for group in GROUPS for row in range(len(getattr(found, group)))]
     rows = [[*np.concatenate([getattr(s, g) for g in GROUPS]).T.tolist()] for s in (found, decoded)]
@@ -90,13 +90,13 @@ def true_loss(scene, coded, views):
 
 
 def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
-    parts, report = encode_camera_free(still_life, Config("s"))
+    data, report = as_requested(still_life, Config("s"))
     loss = report.rendered
     assert loss.views == "likely"
     assert loss.away is None
     assert loss.encodings == 1
     assert loss.aimed == pytest.approx(psnr_loss(wanted_error(Config("s"))))
-    true = true_loss(still_life, decode_as(Config(), b"".join(parts)), cameras)
+    true = true_loss(still_life, decode_as(Config(), data), cameras)
     assert true / 1.6 < loss.loss < 1.6 * true
     assert loss.loss <= loss.worst
     assert loss.psnr == pytest.approx(-10 * np.log10(error_of(loss.loss)))
@@ -105,7 +105,7 @@ def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
 def test_both_ways_to_measure_agree(still_life):
     check, config = check_of(still_life), Config("m")
     watched = check.watch()
-    parts, _ = encode_clean(still_life, config, StageTimes(), watched=watched)
+    parts, _ = encode_cleaned(still_life, config, StageTimes(), watched=watched)
     kept, decoded = (
         check.measure_watched(watched),
         check.measure(decode_as(config, b"".join(parts))),
@@ -135,7 +135,7 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
     monkeypatch.setattr(
         "gs_codec.guidance.calibrate.calibrated", lambda _, c, *__: replace(c, coarseness=9.0)
     )
-    _, report = encode_camera_free(still_life, Config())
+    _, report = as_requested(still_life, Config())
     loss = report.rendered
     assert loss.encodings > 1
     assert report.coarseness < 4
@@ -147,11 +147,11 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
 def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, caplog):
     def clipped(scene, config, times, *_, **__):
         """Like a format that cannot represent such colours."""
-        return encode_clean(replace(scene, f_dc=np.minimum(scene.f_dc, 0)), config, times)
+        return encode_cleaned(replace(scene, f_dc=np.minimum(scene.f_dc, 0)), config, times)
 
-    monkeypatch.setattr(planned, "encode_clean", clipped)
+    monkeypatch.setattr(planned, "encode_cleaned", clipped)
     monkeypatch.setattr(checked.Check, "watch", lambda _: None)
-    _, report = encode_camera_free(still_life, Config())
+    _, report = as_requested(still_life, Config())
     assert report.rendered.loss > 2 * report.rendered.aimed
     assert report.rendered.remedy is None
     [record] = caplog.records
@@ -159,11 +159,11 @@ def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, cap
         f"rendered views lose {report.rendered.loss:.2f} dB (aim: 0.05 dB)"
     )
     with pytest.raises(InvalidInput, match="rendered views lose"):
-        encode_camera_free(still_life, Config(strict=True))
+        as_requested(still_life, Config(strict=True))
 
 
 def test_given_cameras_measure_in_held_out_views(still_life, cameras):
-    data, report = encode_by_plan(still_life, 1, Config("s"), Plan(cameras=cameras))
+    data, report = as_requested(still_life, Config("s"), Plan(cameras=cameras))
     loss = report.rendered
     held_out = [camera for camera in cameras if camera.split == "test"]
     true = true_loss(still_life, decode_as(Config(), data), held_out)
@@ -174,29 +174,29 @@ def test_given_cameras_measure_in_held_out_views(still_life, cameras):
 
 def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
     flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
-    data, report = encode_by_plan(still_life, 1, Config(), Plan(cameras=flipped))
-    assert data == b"".join(encode_camera_free(still_life, Config())[0])
+    data, report = as_requested(still_life, Config(), Plan(cameras=flipped))
+    assert data == as_requested(still_life, Config())[0]
     assert report.rendered.views == "likely"
     [record] = [r for r in caplog.records if r.levelno == logging.WARNING]
     assert "cameras do not fit the scene: guided by them, views lose" in record.getMessage()
     with pytest.raises(InvalidInput, match="cameras do not fit the scene"):
-        encode_by_plan(still_life, 1, Config(strict=True), Plan(cameras=flipped))
+        as_requested(still_life, Config(strict=True), Plan(cameras=flipped))
 
 
 def test_preparation_is_measured_against_the_scene_before_it(still_life, cameras):
     plan = Plan(Steps(prune=40), cameras)
-    _, report = encode_by_plan(still_life, 1, Config("l"), plan)
-    _, whole = encode_by_plan(still_life, 1, Config("l"), Plan(cameras=cameras))
+    _, report = as_requested(still_life, Config("l"), plan)
+    _, whole = as_requested(still_life, Config("l"), Plan(cameras=cameras))
     assert report.rendered.loss > 2 * whole.rendered.loss
     assert report.rendered.aimed is None
 
 
 def test_a_loss_asked_for_is_what_is_aimed_at(still_life, cameras):
     target = {"psnr_drop": 0.2}
-    _, report = encode_by_plan(still_life, 1, Config(), Plan(cameras=cameras), target)
+    _, report = as_requested(still_life, Config(), Plan(cameras=cameras), target)
     assert report.rendered.aimed == 0.2
     assert report.rendered.loss < 0.4
-    _, report = encode_by_plan(still_life, 1, Config(), None, {"bits": 60})
+    _, report = as_requested(still_life, Config(), None, {"bits": 60})
     assert report.rendered.aimed is None
     assert report.rendered.loss > 0.05
 
@@ -210,17 +210,17 @@ def test_strict_needs_a_loss_to_aim_at(config):
 @pytest.mark.parametrize("name", edge_scenes())
 def test_scenes_at_the_limits(name):
     scene = edge_scenes()[name]
-    _, report = encode_camera_free(scene, Config(nonfinite="drop"))
+    _, report = as_requested(scene, Config(nonfinite="drop"))
     assert report.rendered is None or np.isfinite(report.rendered.loss)
 
 
 def test_what_views_do_not_show_is_not_measured(still_life):
     clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
-    assert encode_camera_free(clear, Config())[1].rendered is None
+    assert as_requested(clear, Config())[1].rendered is None
 
 
 def test_threads_do_not_matter(still_life):
-    found = [with_threads(n, encode_camera_free, still_life, Config())[1].rendered for n in (1, 3)]
+    found = [with_threads(n, as_requested, still_life, Config())[1].rendered for n in (1, 3)]
     assert found[0] == found[1]
 
 
@@ -264,14 +264,14 @@ def captured():
 
 
 def test_views_away_from_given_cameras_are_measured_too(captured):
-    _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=captured.cameras))
+    _, report = as_requested(captured.scene, Config(), Plan(cameras=captured.cameras))
     assert report.rendered.views == "given"
     assert 0 < report.rendered.away < 2.5
 
 
 def test_cameras_of_another_scale_do_not_guide(captured, caplog):
     scaled = [replace(c, position=3 * c.position) for c in captured.cameras]
-    _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=scaled))
+    _, report = as_requested(captured.scene, Config(), Plan(cameras=scaled))
     assert report.rendered.views == "likely"
     assert "cameras do not fit the scene: guided by them, views lose" in caplog.text
 
@@ -279,6 +279,6 @@ def test_cameras_of_another_scale_do_not_guide(captured, caplog):
 def test_cameras_that_see_nothing_do_not_guide(captured, caplog):
     away = [replace(c, position=c.position - 1e3 * c.rotation[2]) for c in captured.cameras]
     back = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in away]
-    _, report = encode_by_plan(captured.scene, 1, Config(), Plan(cameras=back))
+    _, report = as_requested(captured.scene, Config(), Plan(cameras=back))
     assert report.rendered.views == "likely"
     assert "they see 0% of the Gaussians; encoded without them" in caplog.text

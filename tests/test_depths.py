@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lattices import Shaped, assert_on_lattices
+from requested import to_rate
 from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import encode_scene
@@ -16,7 +17,6 @@ from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.rate.allocate import encode_to_target
 from gs_codec.scene import Scene
 
 #: Passes whose steps represent a group.
@@ -128,7 +128,7 @@ def test_a_target_moves_only_the_others(scene):
     config = Config("m", {"rotation": 7})
     steps = finest_steps(encode_scene(scene, config)[0])
     for bits in (90, 220):
-        data, _ = encode_to_target(scene, scene, 1, config, RateTarget(bits=bits))
+        data, _ = to_rate(scene, config, RateTarget(bits=bits))
         assert 0.98 * bits <= 8 * len(data) / scene.count <= bits
         found = finest_steps(data)
         assert found["rotation"] == steps["rotation"]

@@ -16,6 +16,7 @@ from in_tasks import in_tasks, saved, whole
 from javascript import NODE, digest, run
 from level_files import AWAY, NEAR, encoded, in_level
 from orbits import cameras, quality
+from requested import as_requested
 from scenes import (
     SHARED,
     assert_same_floats,
@@ -43,7 +44,6 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.egs.index import levels_of, open_level
-from gs_codec.encoding.order import encode_by_plan, encode_camera_free, encode_planned
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.decoding import decode_file
@@ -269,7 +269,7 @@ def test_far_ones_do_not_change_how_coarse_a_scene_may_be():
     near.log_scale[:] += 1.5
     found = []
     for scene in (near, with_far(near, 80)):
-        report = encode_camera_free(scene, Config("m"))[1]
+        report = as_requested(scene, Config("m"))[1]
         found.append(report.coarseness)
     assert abs(math.log2(found[1] / found[0])) <= 0.25
 
@@ -298,7 +298,7 @@ def test_views_and_sizes_are_nearly_those_without_far_ones(number, profile, guid
     moved = (scene.positions != near.positions).any(axis=0)
 
     def encode(each: Scene) -> bytes:
-        return encode_planned(each, config, plan)[0] if guided else encode_scene(each, config)[0]
+        return as_requested(each, config, plan)[0] if guided else encode_scene(each, config)[0]
 
     held_out = [camera for camera in views if camera.split == "test"]
     psnr, sizes = shown(scene, moved, encode, held_out)
@@ -323,10 +323,10 @@ def test_views_and_sizes_of_a_real_scene_are_those_without_far_ones(share):
 def test_cameras_can_be_estimated_and_targets_met():
     # Nearer ones may be inside the grid if steps are coarse.
     scene = with_far(generate(6000, 1, 5), 60, lowest=1e4)
-    data = encode_planned(scene, Config("m"), Plan(Steps()))[0]
+    data = as_requested(scene, Config("m"), Plan(Steps()))[0]
     assert inspect_bytes(data).far >= 60
     target = RateTarget(ratio=20)
-    data = encode_by_plan(scene, scene.float_bytes, Config("m"), None, target)[0]
+    data = as_requested(scene, Config("m"), None, target)[0]
     assert 20 <= scene.float_bytes / len(data) < 25
 
 

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from orbits import cameras, quality
+from requested import as_requested
 from typer.testing import CliRunner
 
 import gs_codec
@@ -16,7 +17,6 @@ from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, AdaptiveProfile, Config
-from gs_codec.encoding.order import encode_planned
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.preparing import prepare_file
@@ -57,7 +57,7 @@ def plan() -> Plan:
 def test_by_views_the_same_bytes_show_more(scene, plan):
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
     blind = {p: encode_scene(scene, Config(p))[0] for p in ADAPTIVE_PROFILES}
-    guided = encode_planned(scene, Config("m"), plan)[0]
+    guided = as_requested(scene, Config("m"), plan)[0]
     shown = quality(scene, decode_scene(guided), held_out)
     for profile, data in blind.items():
         if quality(scene, decode_scene(data), held_out) >= shown:
@@ -70,7 +70,7 @@ def test_profiles_are_in_order(scene, plan):
     sizes, shown = [], []
     for profile in ("l", "m", "s"):
         config = Config(profile)
-        data, _ = encode_planned(scene, config, plan)
+        data, _ = as_requested(scene, config, plan)
         sizes.append(len(data))
         shown.append(quality(scene, decode_scene(data), held_out))
     assert sizes == sorted(sizes, reverse=True)
@@ -82,7 +82,7 @@ def test_threads_do_not_change_the_bytes(scene, plan):
     streams = set()
     for threads in (1, 2, 5):
         config = Config("m", threads=threads)
-        streams.add(encode_planned(scene, config, plan)[0])
+        streams.add(as_requested(scene, config, plan)[0])
     assert len(streams) == 1
 
 
@@ -154,7 +154,7 @@ def test_carried_properties_follow_their_gaussians(scene, plan):
     extra = {"x0": scene.positions[0].copy(), "label": np.arange(scene.count, dtype="<i4")}
     carrying = replace(scene, extra=extra, comments=("made by a test",))
     config = Config("m", extra="keep")
-    data, _ = encode_planned(carrying, config, plan)
+    data, _ = as_requested(carrying, config, plan)
     decoded = decode_scene(data)
     assert decoded.comments == carrying.comments
     assert sorted(decoded.extra["label"]) == list(range(scene.count))
@@ -166,7 +166,7 @@ def test_only_profiles_that_ask_are_guided(scene, plan):
     none = scene.take(np.arange(0))
     for chosen, profile in ((scene, "paper-m"), (scene, "lossless"), (none, "m")):
         config = Config(profile)
-        data, report = encode_planned(chosen, config, plan)
+        data, report = as_requested(chosen, config, plan)
         assert data == encode_scene(chosen, config)[0]
         assert "views" not in report.seconds
 
@@ -176,7 +176,7 @@ def test_what_the_encoder_changes_is_told_with_views_too(scene, plan):
     broken = replace(scene, opacity=scene.opacity.copy(), rot=scene.rot.copy())
     broken.opacity[0, :3] = np.nan
     broken.rot[:, 10:12] = 0
-    _, report = encode_planned(broken, Config("m", nonfinite="drop"), plan)
+    _, report = as_requested(broken, Config("m", nonfinite="drop"), plan)
     assert (report.count, report.dropped, report.zero_quaternions) == (scene.count - 3, 3, 2)
     assert list(report.seconds) == [
         "check", "views", "measure", "order", "quantise", "recolour", "model", "code", "container",

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zstandard
 from orbits import cameras
+from requested import as_requested
 from scenes import assert_same_floats, edge_scenes, random_scene
 from typer.testing import CliRunner
 
@@ -22,7 +23,6 @@ from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_s
 from gs_codec.codecs.decode import decode_as
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ADAPTIVE_PROFILES, Config
-from gs_codec.encoding.order import encode_by_plan
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
@@ -307,10 +307,10 @@ def loss(scene: Scene, coded: Scene, plan: Plan) -> float:
 def test_colours_make_up_for_what_a_format_rounds(form, seen):
     scene, plan = seen
     config = Config(format=form)
-    plain = encode_by_plan(scene, 1, config)[0]
+    plain = as_requested(scene, config)[0]
     size = int(0.9 * len(plain)) if form in ("spz", "sog") else len(plain)
     rate = {"size": size} if form in ("spz", "sog") else None
-    guided = encode_by_plan(scene, 1, config, plan, rate)[0]
+    guided = as_requested(scene, config, plan, rate)[0]
     assert 0.98 * size <= len(guided) <= size
     before, after = (loss(scene, decode_as(config, data), plan) for data in (plain, guided))
     assert after < 0.7 * before
@@ -321,7 +321,7 @@ def test_sizes_of_an_spz_are_met_from_below(seen):
     scene, plan = seen
     size = int(0.8 * len(encode_scene(scene, Config(format="spz"))[0]))
     for chosen in (None, plan):
-        data, report = encode_by_plan(scene, 1, Config(format="spz"), chosen, {"size": size})
+        data, report = as_requested(scene, Config(format="spz"), chosen, {"size": size})
         assert 0.98 * size <= len(data) <= size
         assert report.rate.steps == {}
 
@@ -332,13 +332,13 @@ def test_sizes_of_fixed_formats_are_met_by_pruning(form, seen):
     scene, plan = seen
     whole = len(encode_scene(scene, Config(format=form))[0])
     size = int(0.7 * whole)
-    data, report = encode_by_plan(scene, 1, Config(format=form), plan, {"size": size})
+    data, report = as_requested(scene, Config(format=form), plan, {"size": size})
     assert 0.97 * size <= len(data) <= size
     assert report.rate.pruned == scene.count - report.count > 0.25 * scene.count
-    data, report = encode_by_plan(scene, 1, Config(format=form), None, {"size": whole})
+    data, report = as_requested(scene, Config(format=form), None, {"size": whole})
     assert (len(data), report.rate.pruned) == (whole, 0)
     with pytest.raises(InvalidInput, match="target 40 bytes: one Gaussian alone takes"):
-        encode_by_plan(scene, 1, Config(format=form), plan, {"size": 40})
+        as_requested(scene, Config(format=form), plan, {"size": 40})
 
 
 @pytest.mark.thorough
@@ -348,13 +348,13 @@ def test_a_loss_of_a_fixed_format_is_met_by_pruning(seen):
     held_out = choose_views(scene, plan).held_out
     before = held_out.errors(scene)
     free = held_out.drop(held_out.errors(decode_as(config, encode_scene(scene, config)[0])), before)
-    data, report = encode_by_plan(scene, 1, config, plan, {"psnr_drop": free + 2.0})
+    data, report = as_requested(scene, config, plan, {"psnr_drop": free + 2.0})
     lost = held_out.drop(held_out.errors(decode_as(config, data)), before)
     assert report.rate.psnr_drop == pytest.approx(lost)
     assert lost <= free + 2.0
     assert report.rate.pruned > 0
     with pytest.raises(InvalidInput, match="the format itself loses"):
-        encode_by_plan(scene, 1, config, plan, {"psnr_drop": 1e-6})
+        as_requested(scene, config, plan, {"psnr_drop": 1e-6})
 
 
 @pytest.mark.parametrize(
@@ -367,7 +367,7 @@ def test_a_loss_of_a_fixed_format_is_met_by_pruning(seen):
 )
 def test_pruning_is_not_asked_for_twice(plan, target, seen):
     with pytest.raises(InvalidInput, match="sets the number of Gaussians"):
-        encode_by_plan(seen[0], 1, Config(format="splat"), plan, target)
+        as_requested(seen[0], Config(format="splat"), plan, target)
 
 
 # Files and commands

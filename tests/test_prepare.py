@@ -554,8 +554,8 @@ def test_number_of_gaussians(folder):
 def test_refinement_without_a_number(monkeypatch, typed, iterations):
     asked = []
     monkeypatch.setattr(
-        "gs_codec.files.coding.encode_file", lambda *given, **_: asked.append(given)
+        "gs_codec.files.coding.encode_requested", lambda *given, **_: asked.append(given)
     )
     CliRunner().invoke(app, ["encode", *typed])
-    source, target, _, chosen, _ = asked[0]
-    assert (str(source), str(target), chosen.steps.refine) == ("a.ply", "b.egs", iterations)
+    source, target, request, *_ = asked[0]
+    assert (str(source), str(target), request.plan.steps.refine) == ("a.ply", "b.egs", iterations)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from orbits import cameras
 from PIL import Image
+from requested import as_requested, to_rate
 from scenes import made_up_sensitivity, random_scene, thorough, told
 from typer.testing import CliRunner
 
@@ -21,11 +22,11 @@ import gs_codec
 from gs_codec.cli.encode import _print_report
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
-from gs_codec.cli.request import Typed, plan_of
+from gs_codec.cli.request import plan_of
+from gs_codec.cli.typed import Typed
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
-from gs_codec.encoding.order import encode_by_plan
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene, write_scene
@@ -36,7 +37,6 @@ from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rate import search as searching
-from gs_codec.rate.allocate import encode_to_target
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import RateReport, RenderedLoss
 from gs_codec.scene import Scene
@@ -49,7 +49,7 @@ def scene() -> Scene:
 
 
 def to_target(scene, config, target, ply_bytes=1, plan=None):
-    return encode_by_plan(scene, ply_bytes, config, plan, target)
+    return as_requested(scene, config, plan, target, ply_bytes)
 
 
 def unchanged(shaped, *_, **__):
@@ -236,9 +236,7 @@ def seen() -> tuple[Scene, Plan]:
 @pytest.mark.parametrize("wanted", [thorough(0.03), 0.1, thorough(0.5)])
 def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
-    data, report = encode_to_target(
-        scene, scene, 1, Config("m"), RateTarget(psnr_drop=wanted), plan
-    )
+    data, report = to_rate(scene, Config("m"), RateTarget(psnr_drop=wanted), plan)
     measured = choose_views(scene, plan).held_out
     loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
     assert wanted - 0.02 <= loss <= wanted
@@ -248,7 +246,7 @@ def test_losses_are_met_from_below(seen, wanted):
 @pytest.mark.thorough
 def test_a_size_by_views_is_met(seen):
     scene, plan = seen
-    data, report = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=60), plan)
+    data, report = to_rate(scene, Config("m"), RateTarget(bits=60), plan)
     assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
     assert report.rate.predicted_bytes == pytest.approx(len(data), rel=0.3)
 
@@ -256,7 +254,7 @@ def test_a_size_by_views_is_met(seen):
 @pytest.mark.thorough
 def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
     scene, plan = seen
-    _, report = encode_to_target(scene, scene, 1, Config("m"), RateTarget(psnr_drop=60), plan)
+    _, report = to_rate(scene, Config("m"), RateTarget(psnr_drop=60), plan)
     assert report.rate.coarseness == 2.0**COARSEST
     assert report.rate.psnr_drop < 60
     assert report.rate.at_end
@@ -265,7 +263,7 @@ def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
 def test_a_loss_out_of_reach_is_refused(seen):
     scene, plan = seen
     with pytest.raises(InvalidInput, match=r"target 1e-09 dB: unreachable, expected .* dB"):
-        encode_to_target(scene, scene, 1, Config("m"), RateTarget(psnr_drop=1e-9), plan)
+        to_rate(scene, Config("m"), RateTarget(psnr_drop=1e-9), plan)
 
 
 @pytest.mark.thorough
@@ -278,8 +276,8 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
         Image.fromarray(np.uint8(noisy)).save(tmp_path / f"{camera.name}.png")
     by_photographs = replace(plan, gt_images=tmp_path)
     target = RateTarget(psnr_drop=0.1)
-    without = encode_to_target(scene, scene, 1, Config("m"), target, plan)[1].rate
-    data, report = encode_to_target(scene, scene, 1, Config("m"), target, by_photographs)
+    without = to_rate(scene, Config("m"), target, plan)[1].rate
+    data, report = to_rate(scene, Config("m"), target, by_photographs)
     # Noise of 20 dB hides more than the 30 dB assumed without photographs.
     assert report.rate.coarseness > 1.5 * without.coarseness
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
@@ -307,7 +305,7 @@ def test_pruning_makes_room_for_the_others(crowded):
     errors = []
     for allowed in (False, True):
         target = RateTarget(bits=36, allow_prune=allowed)
-        data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
+        data, report = to_rate(scene, Config("m"), target, plan)
         assert 0.98 * 36 * scene.count <= 8 * len(data) <= 36 * scene.count
         assert decode_scene(data).count == report.count == scene.count - report.rate.pruned
         errors.append(measured.error(decode_scene(data)))
@@ -322,7 +320,7 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
     sizes = []
     for allowed in (False, True):
         target = RateTarget(psnr_drop=1.0, allow_prune=allowed)
-        data, _ = encode_to_target(scene, scene, 1, Config("m"), target, plan)
+        data, _ = to_rate(scene, Config("m"), target, plan)
         loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
         assert 0.8 <= loss <= 1.0  # few views make the loss jump
         sizes.append(len(data))
@@ -333,14 +331,14 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
 def test_pruning_reaches_what_steps_do_not(crowded):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="unreachable"):
-        encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=14), plan)
+        to_rate(scene, Config("m"), RateTarget(bits=14), plan)
     target = RateTarget(bits=14, allow_prune=True)
     counted = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             searching, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
         )
-        data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
+        data, report = to_rate(scene, Config("m"), target, plan)
     assert 8 * len(data) <= 14 * scene.count
     assert report.rate.pruned > 0
     # Includes files that were too large; the other encodings only choose colours.
@@ -352,15 +350,15 @@ def test_pruning_reaches_what_steps_do_not(crowded):
 def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="unreachable"):
-        encode_to_target(scene, scene, 1, Config("m"), replace(target, allow_prune=True), plan)
+        to_rate(scene, Config("m"), replace(target, allow_prune=True), plan)
 
 
 def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
     plan = replace(plan, views=12)
     target = RateTarget(bits=265, allow_prune=True)
-    data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
-    plain, _ = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=265), plan)
+    data, report = to_rate(scene, Config("m"), target, plan)
+    plain, _ = to_rate(scene, Config("m"), RateTarget(bits=265), plan)
     assert report.rate.pruned == 0
     assert data == plain
 
@@ -394,7 +392,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
 def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):
     scene, plan = crowded
     half = scene.take(np.arange(0, scene.count, 2))
-    data, _ = encode_to_target(half, scene, 1, Config("m"), RateTarget(bits=30), plan)
+    data, _ = to_rate(half, Config("m"), RateTarget(bits=30), plan, scene)
     assert 0.98 * 30 * scene.count <= 8 * len(data) <= 30 * scene.count
 
 

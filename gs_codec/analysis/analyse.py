@@ -16,7 +16,8 @@ from gs_codec.analysis.sensitivity import ErrorScale, SensitivityCurves, measure
 from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
-from gs_codec.encoding.order import encode_camera_free
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.reference_views import evenly
 from gs_codec.report import SCHEMA, Progress, step_counter
@@ -215,7 +216,7 @@ def _encode(
     entropy, bits = {}, {}
     for profile in PROFILE_CHOICES:
         config = Config(profile)
-        report = encode_camera_free(scene, config)[1]
+        report = encode(scene, Request(config))[1]
         bits[profile] = bits_by_attribute(report, scene.sh_degree)
         if profile in PROFILES:
             depths = depths_by_group(config, scene.sh_degree)

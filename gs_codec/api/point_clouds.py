@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING, overload
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.config import LOSSLESS, Config, Extra, RateTarget, as_config
-from gs_codec.encoding.order import encode_by_plan
+from gs_codec.config import LOSSLESS, Config, Extra, RateTarget, as_config, as_rate_target
+from gs_codec.encoding import order
+from gs_codec.encoding.request import Request
 from gs_codec.files.coding import read_source
 from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply.writer import vertex_rows
-from gs_codec.levels.adding import add_levels, check_levels
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress, RateReport
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.mapped import located, opened
-from gs_codec.runtime.threads import using_threads
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -224,18 +223,15 @@ def encode(
     True
     """
     config = as_config(config)
-    check_levels(config, rate)
+    request = Request(config, plan, as_rate_target(rate))
     exact = config.profile == LOSSLESS and plan is None
     if isinstance(source, str | Path):
         scene, _, ply_bytes = read_source(source, config, None, exact)
     else:
         scene = from_cloud(source, config.chosen_extra(), exact=exact)
         ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
-    with using_threads(config.threads):
-        data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)
-        if config.lod:
-            parts, report = add_levels([data], report, config, progress)
-            data = b"".join(parts)
+    parts, report = order.encode(scene, request, progress, ply_bytes)
+    data = b"".join(parts)
     tell_lost(f".{config.format}", report.lost)
     return data if report.rate is None else (data, report.rate)
 

@@ -14,7 +14,8 @@ from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, as_config
 from gs_codec.egs.header import Feature
-from gs_codec.encoding.order import encode_camera_free
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.tensors import scene_of_tensors
 from gs_codec.runtime.arguments import checked
@@ -157,7 +158,7 @@ def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
     scene = scene_of_tensors({name: each.detach().cpu().numpy() for name, each in tensors.items()})
     if config.profile != LOSSLESS:
         scene = with_finite_ends(scene)
-    return b"".join(encode_camera_free(scene, config)[0])
+    return b"".join(encode(scene, Request(config))[0])
 
 
 def require_device(device: str) -> None:

@@ -9,33 +9,35 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from gs_codec.batch.local import SUFFIXES, LocalStorage, Location, Stamp, file_sha256
 from gs_codec.batch.memory import expected_floats, needed_bytes
 from gs_codec.batch.remote import Storage
-from gs_codec.config import EGS, Config, RateTarget
-from gs_codec.edit.actions import Action
+from gs_codec.config import EGS
+from gs_codec.edit.actions import check_actions
+from gs_codec.encoding.request import Request
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.redaction import without_secrets
 from gs_codec.runtime.threads import available_threads
 
-if TYPE_CHECKING:
-    from gs_codec.preparation.steps import Plan
-
 
 @dataclass(frozen=True)
-class Options:
-    """How to encode each scene, or convert it to the `plain` format; see `encode_file`."""
+class Options(Request):
+    """How to encode each scene, or convert it to the `plain` format; its plan then guides actions.
 
-    config: Config
-    plan: Plan | None = None
-    rate: RateTarget | None = None
-    max_bytes: int | None = None
-    max_memory: int | None = None
-    actions: tuple[Action, ...] = ()
+    Raises
+    ------
+    InvalidInput
+        If an option has no effect in this combination.
+    """
+
     plain: str | None = None
-    by_profile: bool = False
+
+    def __post_init__(self) -> None:
+        if self.plain is None:
+            super().__post_init__()
+        else:
+            check_actions(self.actions, self.plan, self.max_memory is not None)
 
     @property
     def format(self) -> str:

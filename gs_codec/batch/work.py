@@ -117,18 +117,15 @@ def _write(
     file: Path, output: Path, options: Options, progress: Progress, max_bytes: int | None
 ) -> EncodeReport | ConvertReport:
     """Encode or convert a scene."""
-    from gs_codec.files.coding import encode_file
+    from gs_codec.files.coding import encode_requested
     from gs_codec.files.conversion import convert_file
 
-    config, plan, limit = options.config, options.plan, options.max_memory
-    if options.plain is not None:
-        return convert_file(
-            file, output, config, actions=options.actions, plan=plan, progress=progress,
-            max_memory=limit, max_bytes=max_bytes, overwrite=True,
-        )  # fmt: skip
-    return encode_file(
-        file, output, config, plan, options.rate, actions=options.actions, progress=progress,
-        max_memory=limit, max_bytes=max_bytes, overwrite=True, by_profile=options.by_profile,
+    if options.plain is None:
+        request = replace(options, max_bytes=max_bytes)
+        return encode_requested(file, output, request, progress, overwrite=True)
+    return convert_file(
+        file, output, options.config, actions=options.actions, plan=options.plan,
+        progress=progress, max_memory=options.max_memory, max_bytes=max_bytes, overwrite=True,
     )  # fmt: skip
 
 

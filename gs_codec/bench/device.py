@@ -13,7 +13,8 @@ import numpy as np
 from gs_codec.api.splats import decode_tensors, require_device
 from gs_codec.bench.sources import MeasuredScene, tile_scene
 from gs_codec.config import Config
-from gs_codec.encoding.order import encode_camera_free
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.errors import MissingTool
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.reference_views import draw_targets, evenly
@@ -74,7 +75,7 @@ def _decoding(_: MeasuredScene, scene: Scene, repeats: int, device: str) -> Line
 
     for block_size in BLOCK_SIZES:
         config = Config("m", block_size=block_size)
-        data = b"".join(encode_camera_free(scene, config)[0])
+        data = b"".join(encode(scene, Request(config))[0])
         splats, seconds = _timed(partial(decode_tensors, data, device), repeats)
         known, by_cpu = _timed(partial(decode_tensors, data, "cpu"), repeats)
         yield {

@@ -15,7 +15,8 @@ from gs_codec.bench.processes import run_apart
 from gs_codec.bench.side_by_side import measure_beside, our_codecs
 from gs_codec.bench.sources import MeasuredScene, open_scene
 from gs_codec.config import Config, changed_options
-from gs_codec.encoding.order import encode_camera_free
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.ply.writer import write_ply
 
@@ -52,7 +53,7 @@ def _details(measured: MeasuredScene, config: Config) -> Iterator[dict[str, Any]
     with tempfile.TemporaryDirectory() as folder:
         ply, back = Path(folder) / "scene.ply", Path(folder) / "back.ply"
         write_ply(ply, scene)
-        report = encode_camera_free(scene, config)[1]
+        report = encode(scene, Request(config))[1]
         identity = {"scene": measured.name, "profile": config.profile, "gaussians": scene.count}
         yield {
             "kind": "codec",

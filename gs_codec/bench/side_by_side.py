@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from gs_codec.bench.peers import AbsentPeer, Peer
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.codecs.decode import decode_as
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, PROFILE_CHOICES, Config, RateTarget
-from gs_codec.encoding.order import encode_by_plan, encode_planned
+from gs_codec.encoding.order import encode, encode_prepared
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
@@ -78,16 +80,20 @@ def is_ours(codec: str) -> bool:
 
 def camera_free(config: Config) -> Peer:
     """A profile without cameras."""
-
-    def encode(ply: Path) -> bytes:
-        return encode_planned(read_ply(ply, config.chosen_extra()), config, None)[0]
+    request = Request(config)
 
     def decode(data: bytes) -> Scene:
         scene = decode_as(config, data)
         vertex_rows(scene)
         return scene
 
-    return Peer(_name_of(config), __version__, encode, decode, lambda scene: scene)
+    encode_ply = partial(_encode, request)
+    return Peer(_name_of(config), __version__, encode_ply, decode, lambda scene: scene)
+
+
+def _encode(request: Request, ply: Path) -> bytes:
+    scene = read_ply(ply, request.config.chosen_extra())
+    return b"".join(encode(scene, request, ply_bytes=ply.stat().st_size)[0])
 
 
 def _name_of(config: Config) -> str:
@@ -100,39 +106,37 @@ def _name_of(config: Config) -> str:
 
 def guided(config: Config, plan: Plan, how: str = GUIDED) -> Peer:
     """A profile that uses the views of a plan."""
-
-    def encode(ply: Path) -> bytes:
-        return encode_planned(read_ply(ply, config.chosen_extra()), config, plan)[0]
-
-    return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
+    by_views = partial(_encode, Request(config, plan))
+    return replace(camera_free(config), name=_name_of(config) + how, encode=by_views, once=True)
 
 
 def pruned_by(config: Config, plan: Plan, percent: float) -> Peer:
     """A profile guided by the views of a plan, after pruning this percentage by them."""
     chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
 
-    def encode(ply: Path) -> bytes:
+    def encode_pruned(ply: Path) -> bytes:
         scene, report = prepare_scene(read_ply(ply, config.chosen_extra()), chosen)
-        return encode_planned(scene, config, chosen, references=report.views.renders)[0]
+        request = Request(config, chosen)
+        return b"".join(encode_prepared(scene, request, references=report.views.renders)[0])
 
-    how = f", {percent:g} % pruned"
-    return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
+    name = f"{_name_of(config)}, {percent:g} % pruned"
+    return replace(camera_free(config), name=name, encode=encode_pruned, once=True)
 
 
 def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:
     """A profile after refinement to the views of a plan, at this compression ratio to the PLY."""
+    chosen, target = replace(plan, steps=Steps(refine=_ITERATIONS)), RateTarget(ratio=ratio)
+    request = Request(config, chosen, target)
 
-    def encode(ply: Path) -> bytes:
-        chosen, target = replace(plan, steps=Steps(refine=_ITERATIONS)), RateTarget(ratio=ratio)
-        scene = read_ply(ply, config.chosen_extra())
+    def encode_refined(ply: Path) -> bytes:
         try:
-            return encode_by_plan(scene, ply.stat().st_size, config, chosen, target)[0]
+            return _encode(request, ply)
         except InvalidInput as error:
             raise ToolFailed(str(error)) from error
 
     how = BY_RENDERS if plan.gt_images is None else REFINED
     name = f"{config.profile}, {ratio:g}{how}"
-    return replace(camera_free(config), name=name, encode=encode, once=True)
+    return replace(camera_free(config), name=name, encode=encode_refined, once=True)
 
 
 def measure_beside(

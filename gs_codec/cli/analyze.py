@@ -15,7 +15,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import Typed, takes
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.errors import InvalidInput
 from gs_codec.pages.tables import Table
 from gs_codec.preparation.steps import CAMERAS

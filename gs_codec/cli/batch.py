@@ -32,16 +32,9 @@ from gs_codec.cli.output import (
     progress_lines,
     smaller,
 )
-from gs_codec.cli.request import (
-    Typed,
-    action_plan,
-    config_of,
-    plan_of,
-    refuse_coding,
-    takes,
-    target_of,
-)
-from gs_codec.edit.actions import check_actions
+from gs_codec.cli.request import action_plan, config_of, request_of
+from gs_codec.cli.typed import Typed, takes
+from gs_codec.encoding.combinations import refuse_coding
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.report import bits_per_gaussian
@@ -104,24 +97,19 @@ def command(
     """
     if resume and typed["overwrite"]:
         raise InvalidInput("--overwrite and --resume cannot be combined")
-    config, rate = config_of(typed), target_of(typed)
-    plain = typed["format"] if f".{typed['format']}" in PLAIN else None
-    if plain is not None:
-        refuse_coding(typed, plain, None)
-        plan = action_plan(typed)
-    else:
-        plan = plan_of(typed, config)
-    check_actions(typed.actions, plan, typed["max_memory"] is not None, plain is None)
-    if plain is None and (plan is not None or rate is not None):
-        typed.refuse(["max_memory"], "cannot be combined with views, preparation or a target")
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
     from gs_codec.runtime.redaction import redact_process, without_secrets
 
-    options = Options(
-        config, plan, rate, typed["max_bytes"], typed["max_memory"], tuple(typed.actions), plain,
-        typed.has("profile", "coarseness"),
-    )  # fmt: skip
+    plain = typed["format"] if f".{typed['format']}" in PLAIN else None
+    if plain is None:
+        options = Options(**vars(request_of(typed)))
+    else:
+        refuse_coding(typed, plain, None)
+        options = Options(
+            config_of(typed), action_plan(typed), actions=tuple(typed.actions),
+            max_memory=typed["max_memory"], max_bytes=typed["max_bytes"], plain=plain,
+        )  # fmt: skip
     batch = Batch(
         source, target, options, jobs, resume, report, on_error, typed["dask"], typed["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip
@@ -131,7 +119,7 @@ def command(
     if typed["json"]:
         print_document(
             input=without_secrets(source), output=without_secrets(target), format=options.format,
-            profile=config.profile if plain is None else None,
+            profile=options.config.profile if plain is None else None,
             bits_per_gaussian=bits_per_gaussian(summary.output_bytes, summary.gaussians),
             **asdict(summary),
         )  # fmt: skip

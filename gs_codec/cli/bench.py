@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from gs_codec.cli.actions import InOrder
 from gs_codec.cli.command import Shown
 from gs_codec.cli.output import print_status, print_table, print_text, progress_bar
-from gs_codec.cli.request import Typed, takes
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import PROFILE_CHOICES, PROFILES_SHOWN, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.pages.tables import Table

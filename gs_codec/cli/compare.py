@@ -16,7 +16,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import Typed, takes
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.pages.tables import Table
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder

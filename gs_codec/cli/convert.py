@@ -18,10 +18,12 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import Typed, action_plan, config_of, refuse_coding, takes
+from gs_codec.cli.request import action_plan, config_of
 from gs_codec.cli.streams import is_stdout, piped
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
+from gs_codec.encoding.combinations import refuse_coding
 from gs_codec.files.suffixes import LEVELLED, PLAIN, format_name, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
 from gs_codec.report import bits_per_gaussian

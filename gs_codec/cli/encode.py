@@ -20,10 +20,12 @@ from gs_codec.cli.output import (
     progress_bar,
     smaller,
 )
-from gs_codec.cli.request import Typed, config_of, plan_of, takes, target_of
+from gs_codec.cli.request import request_of
 from gs_codec.cli.streams import check_no_pipes, piped
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian
@@ -55,42 +57,31 @@ def command(
 
     With --dask, the workers of a cluster divide one giant scene; IN may be a folder of its tiles.
     """
-    config, rate = config_of(typed, target), target_of(typed)
-    plan = plan_of(typed, config)
-    if typed["dask"] is not None:
-        if plan is not None or rate is not None or typed.actions:
-            raise InvalidInput(
-                "--dask: cannot be combined with views, preparation, actions or a target"
-            )
+    request = request_of(typed, target, typed["dask"])
+    config = request.config
+    if request.dask is not None:
         typed.refuse(["max_bytes", "input_format"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
-        _tell(source, target, config, typed, _encode_distributed(source, target, config, typed))
+        _tell(source, target, config, typed, _encode_divided(source, target, request, typed))
         return
-    from gs_codec.files.coding import encode_file
+    from gs_codec.files.coding import encode_requested
 
     with piped([source], target, f".{config.format}", typed["input_format"]) as ([file], out):
         with progress_bar() as progress:
-            done = encode_file(
-                file, out, config, plan, rate, actions=typed.actions, progress=progress,
-                max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
-                overwrite=typed["overwrite"], by_profile=typed.has("profile", "coarseness"),
-            )  # fmt: skip
+            done = encode_requested(file, out, request, progress, typed["overwrite"])
         _tell(source, target, config, typed, done)
 
 
-def _encode_distributed(source: Path, target: Path, config: Config, typed: Typed) -> EncodeReport:
+def _encode_divided(source: Path, target: Path, request: Request, typed: Typed) -> EncodeReport:
     """Encode a scene, or the tiles of a folder or glob, with the workers of a cluster."""
     from gs_codec.batch.local import LocalStorage
-    from gs_codec.distributed.encoding import encode_distributed
+    from gs_codec.distributed.encoding import encode_divided
 
     tiles = [location.path for _, location in LocalStorage(str(source)).find((".ply", ".egs"))]
     if not tiles:
         raise InvalidInput(f"{source}: no such file, or no .ply or .egs in this folder")
     with progress_bar() as progress:
-        return encode_distributed(
-            tiles, target, config, dask=typed["dask"], progress=progress,
-            max_memory=typed["max_memory"], overwrite=typed["overwrite"],
-        )  # fmt: skip
+        return encode_divided(tiles, target, request, progress, typed["overwrite"])
 
 
 def _tell(source: Path, target: Path, config: Config, typed: Typed, done: EncodeReport) -> None:

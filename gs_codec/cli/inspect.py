@@ -17,8 +17,8 @@ from gs_codec.cli.output import (
     print_table,
     print_text,
 )
-from gs_codec.cli.request import Typed, takes
 from gs_codec.cli.streams import piped_source
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import EGS
 from gs_codec.pages.tables import Table
 from gs_codec.report import bits_per_gaussian

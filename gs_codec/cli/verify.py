@@ -11,8 +11,8 @@ import typer
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES_PIPED, print_text, progress_bar
-from gs_codec.cli.request import Typed, takes
 from gs_codec.cli.streams import piped_source
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import EGS
 from gs_codec.report import bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import print_text, progress_bar
-from gs_codec.cli.request import Typed, takes
+from gs_codec.cli.typed import Typed, takes
 from gs_codec.runtime.threads import using_threads
 
 

@@ -8,11 +8,11 @@ from gs_codec.codecs.adaptive import encode as adaptive
 from gs_codec.codecs.adaptive.encode import ShapedScene, encode_adaptive
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.watched import Watched
-from gs_codec.codecs.entropygs.encode import encode_channels
+from gs_codec.codecs.entropygs.encode import encode_entropygs
 from gs_codec.codecs.interchange import (
     RoundedScene,
-    encode_interchange,
-    encode_rounded,
+    pack_by_steps,
+    pack_rounded,
     round_scene,
 )
 from gs_codec.codecs.lossless.lossless import encode_lossless
@@ -71,11 +71,11 @@ def encode_parts(
         check_encoding(scene.count, config)
         with times.stage("check"):
             scene, changed = clean_scene(scene, config)
-        parts, report = encode_clean(scene, config, times, progress, steps)
+        parts, report = encode_cleaned(scene, config, times, progress, steps)
     return parts, replace(report, **changed)
 
 
-def encode_clean(
+def encode_cleaned(
     scene: Scene,
     config: Config,
     times: StageTimes,
@@ -89,13 +89,13 @@ def encode_clean(
     Gaussians.
     """
     if config.format != EGS:
-        parts, report = encode_interchange(scene, config, steps, times)
+        parts, report = pack_by_steps(scene, config, steps, times)
     elif config.profile in ADAPTIVE_PROFILES:
         parts, report = encode_adaptive(scene, config, steps, times, progress, watched)
     elif config.profile == LOSSLESS:
         parts, report = encode_lossless(scene, config, times, progress)
     else:
-        parts, report = encode_channels(scene, config, times, progress)
+        parts, report = encode_entropygs(scene, config, times, progress)
     return parts, replace(report, coarseness=config.coarseness)
 
 
@@ -109,17 +109,17 @@ def shape_scene(
 ) -> ShapedScene | RoundedScene:
     """Quantise everything but the colours of a cleaned scene, with given step sizes.
 
-    See `encode_clean` for `watched`.
+    See `encode_cleaned` for `watched`.
     """
     if config.format != EGS:
         return round_scene(scene, config, steps, times)
     return adaptive.shape_scene(scene, config, steps, times, progress, watched)
 
 
-def encode_shaped(
+def code_shaped(
     shaped: ShapedScene | RoundedScene, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene from `shape_scene`, with its current colours."""
     if isinstance(shaped, RoundedScene):
-        return encode_rounded(shaped, times)
-    return adaptive.encode_shaped(shaped, times, progress)
+        return pack_rounded(shaped, times)
+    return adaptive.code_shaped(shaped, times, progress)

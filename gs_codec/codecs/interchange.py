@@ -21,7 +21,7 @@ from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
 
 
-def encode_interchange(
+def pack_by_steps(
     scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`; camera-free if `steps` is None."""
@@ -31,7 +31,7 @@ def encode_interchange(
     return _packed(scene, config, wanted, times)
 
 
-def encode_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview], EncodeReport]:
+def pack_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene as finely as the format allows, whatever the profile."""
     clean, changed = clean_scene(scene, config)
     parts, report = _packed(clean, config, None, StageTimes())
@@ -137,7 +137,7 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
     return RoundedScene(scene, config, wanted, order, rounded)
 
 
-def encode_rounded(
+def pack_rounded(
     rounded: RoundedScene, times: StageTimes
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene from `round_scene`, with its current colours."""

@@ -22,7 +22,7 @@ from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.coding.clean import nothing_left
-from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config, as_config
+from gs_codec.config import Config, as_config
 from gs_codec.distributed.blocks import Chunks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.chunks import quantise, save_quantised
 from gs_codec.distributed.folder import identity_of, work_folder
@@ -35,8 +35,8 @@ from gs_codec.egs.egs_file import Section, SectionId, section_sizes
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.egs.sections import carried_sections
 from gs_codec.encoding.loss import Check
-from gs_codec.encoding.retry import encode_checked
-from gs_codec.errors import InvalidInput
+from gs_codec.encoding.request import Request
+from gs_codec.encoding.retry import encode_within_loss
 from gs_codec.files.scenes import write_parts
 from gs_codec.files.suffixes import check_target
 from gs_codec.guidance.windows import find_shown
@@ -98,26 +98,27 @@ def encode_distributed(
     >>> report.count
     2000
     """
-    config = as_config(config)
+    request = Request(as_config(config), max_memory=max_memory, dask=dask)
+    return encode_divided(source, target, request, progress, overwrite)
+
+
+def encode_divided(
+    source: str | Path | Sequence[str | Path],
+    target: str | Path,
+    request: Request,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> EncodeReport:
+    """Encode one scene as requested; see `encode_distributed`."""
+    config = request.config
     paths = [Path(source)] if isinstance(source, str | Path) else [Path(each) for each in source]
     check_target(paths, target, (".egs",), overwrite)
-    _check(config)
     sources = open_sources([path.absolute() for path in paths], config.chosen_extra())
     least = max(FANOUT * config.block_size, *(each.block_size for each in sources.listed))
-    with using_threads(config.threads), crew_at(dask, progress) as crew:
-        size = size_within(max_memory, crew.workers.at_once, sources.head.sh_degree, least)
+    with using_threads(config.threads), crew_at(request.dask or "local", progress) as crew:
+        at_once = crew.workers.at_once
+        size = size_within(request.max_memory, at_once, sources.head.sh_degree, least)
         return encode_with(crew, sources, Path(target).absolute(), config, size)
-
-
-def _check(config: Config) -> None:
-    """Reject options that need all Gaussians at once."""
-    if config.profile not in ADAPTIVE_PROFILES or config.format != EGS:
-        known = ", ".join(ADAPTIVE_PROFILES)
-        raise InvalidInput(f"dask: profile '{config.profile}', expected {known} of an .egs")
-    if config.depths:
-        raise InvalidInput("dask: cannot be combined with depths, which need the whole scene")
-    if config.extra == "keep":
-        raise InvalidInput('dask: extra properties are not kept, expected extra="drop"')
 
 
 def encode_with(
@@ -191,7 +192,7 @@ def _quantise_all(
             loss = check.measure_shown(*own.load_shown("decoded", chunks.number))
         return (Quantised(own.folder, chunks, lattice), config), loss
 
-    found = encode_checked(attempt, job.config, looked.config, check)
+    found = encode_within_loss(attempt, job.config, looked.config, check)
     assert found is not None
     (quantised, chosen), loss = found
     return quantised, chosen, loss

@@ -35,15 +35,22 @@ def edit_scenes(
     actions: Sequence[Action],
     plan: Plan | None = None,
     progress: Progress | None = None,
+    translated: bool = False,
 ) -> tuple[Scene, tuple[ActionReport, ...]]:
     """Merge scenes and apply actions in order; everything is in ``RDF``.
 
     A single scene without actions is returned unchanged. Actions that need cameras use those of the
-    plan. Raises InvalidInput if an action does not apply to the scene, or removes all Gaussians.
+    plan. If the scenes are `translated`, the first action was applied when they were read. Raises
+    InvalidInput if an action does not apply to the scene, or removes all Gaussians.
     """
+    reports: list[ActionReport] = []
+    if translated:
+        count = sum(scene.count for scene in scenes)
+        reports.append(ActionReport(str(actions[0]), count, count, {}, 0.0))
+        actions = actions[1:]
     if actions or len(scenes) > 1:
         scenes = [without_order(turn_axes(scene)) for scene in scenes]
-    scene, reports = merge_scenes(scenes), []
+    scene = merge_scenes(scenes)
     for action in actions:
         start, before = time.perf_counter(), scene
         context = _Context(plan, progress, {})

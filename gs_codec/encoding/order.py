@@ -1,9 +1,20 @@
-"""Encoding with cameras, or to a rate target."""
+"""The order of an encode: what happens to a scene, from top to bottom.
+
+- edit: the actions of the request, in their order
+- prepare: prune, refine, ..., as its plan says
+- guide: measure what the plan's views see of each Gaussian; without a plan,
+- calibrate: choose how coarse the scene may be
+- shape: round everything but the colours
+- colour: compact and refit the colours to the views, for the rounded shapes
+- code: write the stream
+- check: measure what rendered views lose; shape, colour and code again, finer, if it is too much
+
+To meet a rate target, `gs_codec.rate` repeats shape, colour and code with other step sizes.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -11,30 +22,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gs_codec.codecs.decode import decode_as
-from gs_codec.codecs.encode import (
-    Encoded,
-    encode_clean,
-    encode_parts,
-    encode_shaped,
-    shape_scene,
-)
+from gs_codec.codecs.encode import Encoded, code_shaped, encode_cleaned, encode_parts, shape_scene
+from gs_codec.codecs.interchange import pack_finest
 from gs_codec.codecs.memory_limit import check_encoding
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import (
-    ADAPTIVE_PROFILES,
-    EGS,
-    LOSSLESS,
-    Config,
-    RateTarget,
-    as_rate_target,
-)
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
-from gs_codec.report import EncodeReport, Progress, StageTimes
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.levels.adding import add_levels
+from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
     from gs_codec.codecs.adaptive.watched import Watched
+    from gs_codec.guidance.guide import Guidance
+    from gs_codec.guidance.windows import Windows
     from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
     from gs_codec.preparation.steps import Plan
 
@@ -46,151 +50,197 @@ log = logging.getLogger(__name__)
 _LEAST_SEEN = 0.1
 
 
-def encode_by_plan(
+def encode(
     scene: Scene,
-    ply_bytes: int,
-    config: Config,
-    plan: Plan | None = None,
-    rate: RateTarget | Mapping[str, float] | None = None,
+    request: Request,
     progress: Progress | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene, of `ply_bytes` uncompressed, for `encode` and `encode_file`.
+    ply_bytes: int = 0,
+    *,
+    translated: bool = False,
+    finest: bool = False,
+) -> Encoded:
+    """Encode a scene to the consecutive pieces of a file.
+
+    Parameters
+    ----------
+    scene : Scene
+    request : Request
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` from the calling thread.
+    ply_bytes : int
+        Size of the scene before it is encoded, from which a ratio counts; after actions it counts
+        from the floats.
+    translated : bool
+        Whether the first action, a translation, was done when the scene was read.
+    finest : bool
+        Whether a format other than `.egs` is written as finely as it can be, whatever the profile.
+
+    Returns
+    -------
+    parts : list of bytes
+    report : EncodeReport
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, no Gaussian would remain, the profile has no adjustable step sizes
-        for a rate target, or the target cannot be reached.
+        If values are not finite, there are no cameras, nothing would be left, the rate cannot be
+        reached, or views lose too much and the configuration is strict.
+    MissingTool, ToolFailed
+        If a program that the configuration asks for is missing or fails.
     """
-    target = None if rate is None else as_rate_target(rate)
-    if target is not None:
-        _check_target(scene, config, target, plan)
-    elif plan is None or not plan.steps.wanted:
-        return encode_planned(scene, config, plan, progress)
-    data, report = _prepared_or_to_target(scene, ply_bytes, config, plan, target, progress)
-    return data, _measured(scene, config, plan, target, data, report)
+    config, times = request.config, StageTimes()
+    with using_threads(config.threads):
+        scene, actions = _edit(scene, request, times, progress, translated)
+        if finest:
+            parts, report = _encode_finest(scene, config)
+        else:
+            ply_bytes = scene.float_bytes if actions else ply_bytes
+            parts, report = _encode_edited(scene, request, progress, ply_bytes)
+        parts, report = add_levels(parts, report, config, progress)
+    return parts, replace(
+        report,
+        seconds=times.seconds | report.seconds,
+        ratio=ply_bytes / report.file_bytes,
+        actions=actions,
+        float_bytes=scene.float_bytes,
+    )
 
 
-def _measured(
+def _edit(
     scene: Scene,
-    config: Config,
-    plan: Plan | None,
-    target: RateTarget | None,
-    data: bytes,
-    report: EncodeReport,
-) -> EncodeReport:
-    """Add the loss in views, relative to the scene before preparation, to a report."""
+    request: Request,
+    times: StageTimes,
+    progress: Progress | None,
+    translated: bool,
+) -> tuple[Scene, tuple[ActionReport, ...]]:
+    if not request.actions:
+        return scene, ()
+    from gs_codec.edit.apply import edit_scenes
+
+    with times.stage("edit"):
+        return edit_scenes([scene], request.actions, request.plan, progress, translated)
+
+
+def _encode_finest(scene: Scene, config: Config) -> Encoded:
+    """Encode a scene as finely as its format can, and measure what that loses."""
     from gs_codec.encoding.loss import Check
-    from gs_codec.encoding.retry import tell
 
     times = StageTimes()
-    with times.stage("measure"), using_threads(config.threads):
-        clean, _ = clean_scene(scene, config)
-        loss = Check.by_plan(clean, plan).measure(decode_as(config, data))
-    if loss is not None:
-        aimed = None if target is None else target.psnr_drop
-        loss = replace(loss, aimed=aimed)
-        if (coded := report.rendered) is not None:
-            loss = replace(loss, encodings=coded.encodings, remedy=coded.remedy)
-        tell(loss, config)
-    taken = times.seconds["measure"] + report.seconds.get("measure", 0.0)
-    return replace(report, rendered=loss, seconds=report.seconds | {"measure": taken})
+    parts, report = pack_finest(scene, config)
+    with times.stage("measure"):
+        clean = turn_axes(clean_scene(scene, config)[0])
+        loss = Check.by_plan(clean, None).measure(turn_axes(decode_as(config, b"".join(parts))))
+    return parts, replace(report, rendered=loss, seconds=report.seconds | times.seconds)
 
 
-def _prepared_or_to_target(
-    scene: Scene,
-    ply_bytes: int,
-    config: Config,
-    plan: Plan | None,
-    target: RateTarget | None,
-    progress: Progress | None,
-) -> tuple[bytes, EncodeReport]:
-    if target is not None and config.scene_format.writes != "steps":
-        from gs_codec.rate.fixed_rate import meet_target
+def _encode_edited(
+    scene: Scene, request: Request, progress: Progress | None, ply_bytes: int
+) -> Encoded:
+    """Prepare a scene and encode it, to a rate target if there is one."""
+    config, rate = request.config, request.rate
+    if rate is None and not request.prepares:
+        return encode_prepared(scene, request, progress)
+    if rate is not None and not scene.count:
+        raise InvalidInput("target: the scene has no Gaussians")
+    if rate is not None and not config.has_steps:
+        from gs_codec.rate.fixed_rate import meet_by_count
 
-        def encode(plan: Plan | None) -> tuple[bytes, EncodeReport]:
-            return encode_by_plan(scene, ply_bytes, config, plan, None, progress)
+        def encode_as_planned(plan: Plan | None) -> Encoded:
+            planned = replace(request, plan=plan, rate=None)
+            return _encode_edited(scene, planned, progress, ply_bytes)
 
-        return meet_target(encode, scene, ply_bytes, config, target, plan, progress)
-    if plan is None or not plan.steps.wanted:
-        return _encode(scene, scene, ply_bytes, config, plan, target, progress)
-    times, original = StageTimes(), scene
+        encoded = meet_by_count(
+            encode_as_planned, scene, ply_bytes, config, rate, request.plan, progress
+        )
+    elif request.prepares:
+        encoded = _prepare(scene, request, progress, ply_bytes)
+    else:
+        encoded = encode_to_rate(scene, scene, request, progress, ply_bytes)
+    return _check_whole(scene, request, *encoded)
+
+
+def _prepare(scene: Scene, request: Request, progress: Progress | None, ply_bytes: int) -> Encoded:
+    """Prepare a scene by its plan, and encode what it then is."""
+    from gs_codec.preparation.balance import profile_steps
+    from gs_codec.preparation.pipeline import prepare_scene
+    from gs_codec.rate.allocate import step_error_for
+
+    config, plan, rate, times = request.config, request.plan, request.rate, StageTimes()
+    assert plan is not None
+    steps_of = profile_steps(config)
+    if rate is not None:
+        steps_of = partial(step_error_for, scene, ply_bytes, config, rate, progress=progress)
     with times.stage("prepare"):
-        from gs_codec.preparation.balance import profile_steps
-        from gs_codec.preparation.pipeline import prepare_scene
-        from gs_codec.rate.allocate import step_error_for
-
-        steps_of = profile_steps(config)
-        if target is not None:
-            known = original, ply_bytes, config, target
-            steps_of = partial(step_error_for, *known, progress=progress)
-        scene, prepared = prepare_scene(scene, plan, progress, steps_of)
-    views = prepared.views
-    data, report = _encode(scene, original, ply_bytes, config, plan, target, progress, views)
+        prepared, done = prepare_scene(scene, plan, progress, steps_of)
+    if rate is None:
+        parts, report = encode_prepared(prepared, request, progress, done.views.renders)
+    else:
+        parts, report = encode_to_rate(prepared, scene, request, progress, ply_bytes, done.views)
     times.seconds |= report.seconds
     with times.stage("measure"):
-        told = prepared.coded(scene, config, data, report).as_dict()
-    return data, replace(report, seconds=times.seconds, prepared=told)
+        done = done.coded(prepared, config, b"".join(parts), report)
+    return parts, replace(report, seconds=times.seconds, prepared=done.as_dict())
 
 
-def _encode(
+def encode_to_rate(
     scene: Scene,
     original: Scene,
-    ply_bytes: int,
-    config: Config,
-    plan: Plan | None,
-    target: RateTarget | None,
-    progress: Progress | None,
+    request: Request,
+    progress: Progress | None = None,
+    ply_bytes: int = 0,
     views: ViewSplit | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene made from the original; ratios are relative to the original's bytes."""
-    if target is None:
-        references = None if views is None else views.renders
-        return encode_planned(scene, config, plan, progress, references)
-    from gs_codec.rate.allocate import encode_to_target
+) -> Encoded:
+    """Encode a prepared scene at the step sizes that meet a target, relative to the original.
 
-    return encode_to_target(scene, original, ply_bytes, config, target, plan, progress, views)
+    With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
+    against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
+    that are estimated from the scene. `views` are the plan's, if already known.
+
+    Raises
+    ------
+    InvalidInput
+        If the target is unreachable; the error gives the range.
+    """
+    from gs_codec.preparation.pipeline import choose_views, guiding_views
+    from gs_codec.preparation.steps import Plan
+    from gs_codec.rate.allocate import meet_rate
+    from gs_codec.rate.search import RateSearch, Seen
+
+    config, plan, rate = request.config, request.plan, request.rate
+    assert rate is not None
+    limit, seen, references = rate.limit(original.count, ply_bytes), None, None
+    if limit is None or rate.allow_prune:
+        plan = plan or Plan()
+        views = views or choose_views(original, plan, progress)
+        seen = Seen(views, views.held_out.errors(original, progress), progress)
+    if plan is not None:
+        known = None if views is None else views.renders
+        references = guiding_views(scene, plan, known, progress)
+    clean, changed = clean_scene(scene, config)
+    data, report = meet_rate(clean, RateSearch(config, rate, limit, references, seen, progress))
+    return [data], replace(report, **changed)
 
 
-def _check_target(scene: Scene, config: Config, target: RateTarget, plan: Plan | None) -> None:
-    """Reject targets without adjustable step sizes, before any work."""
-    if config.profile not in ADAPTIVE_PROFILES:
-        known = ", ".join(ADAPTIVE_PROFILES)
-        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
-    if not scene.count:
-        raise InvalidInput("target: the scene has no Gaussians")
-    if target.allow_prune and plan is not None and plan.steps.balanced:
-        raise InvalidInput("allow_prune: not needed with refine, which prunes to meet a target")
-
-
-def encode_planned(
+def encode_prepared(
     scene: Scene,
-    config: Config,
-    plan: Plan | None,
+    request: Request,
     progress: Progress | None = None,
     references: ReferenceViews | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene; a plan's views guide it if the profile has step sizes.
+) -> Encoded:
+    """Encode a prepared scene by a plan's views, or camera-free if there are none that fit it.
 
     `references` are these views, if already known.
     """
-    fixed = config.profile not in ADAPTIVE_PROFILES or config.scene_format.is_exact
-    if plan is None or fixed or not scene.count:
-        return _camera_free(scene, config, progress)
-    from gs_codec.preparation.pipeline import guiding_views
-
-    references = guiding_views(scene, plan, references, progress)
-    if references is None:
-        return _camera_free(scene, config, progress)
-    with using_threads(config.threads):
-        guided = _guided(scene, config, plan, references, progress)
-    if guided is None:
-        return _camera_free(scene, config, progress)
+    views = _guiding_views(scene, request, progress, references)
+    with using_threads(request.config.threads):
+        guided = None if views is None else _encode_by(views, scene, request, progress)
+    if views is None or guided is None:
+        return _encode_camera_free(scene, request, progress)
     loss = guided[1].rendered
-    if references.origin == "estimated" and loss is not None and loss.encodings > 1:
+    if views.origin == "estimated" and loss is not None and loss.encodings > 1:
         # If estimated cameras need much finer steps, they may save nothing.
-        free = _camera_free(scene, config, progress)
-        if len(free[0]) <= len(guided[0]):
+        free = _encode_camera_free(scene, request, progress)
+        if free[1].file_bytes <= guided[1].file_bytes:
             log.warning(
                 "cameras 'auto': estimated cameras save nothing for this scene; encoded camera-free"
             )
@@ -198,92 +248,129 @@ def encode_planned(
     return guided
 
 
-def _guided(
+def _guiding_views(
     scene: Scene,
-    config: Config,
-    plan: Plan,
-    references: ReferenceViews,
+    request: Request,
     progress: Progress | None,
-) -> tuple[bytes, EncodeReport] | None:
-    """Encode a scene guided by these views; None if they do not fit it."""
-    from gs_codec.encoding.loss import Check
-    from gs_codec.encoding.retry import encode_checked, measuring, warn_misfit
-    from gs_codec.guidance.guide import guide
+    references: ReferenceViews | None,
+) -> ReferenceViews | None:
+    """The plan's views, if the encoder can go by them."""
+    config, plan = request.config, request.plan
+    fixed = config.profile not in ADAPTIVE_PROFILES or config.scene_format.is_exact
+    if plan is None or fixed or not scene.count:
+        return None
+    from gs_codec.preparation.pipeline import guiding_views
 
-    times = StageTimes()
+    return guiding_views(scene, plan, references, progress)
+
+
+def _encode_camera_free(scene: Scene, request: Request, progress: Progress | None) -> Encoded:
+    if request.config.profile == LOSSLESS or not scene.count:
+        return encode_parts(scene, request.config, progress)
+    with using_threads(request.config.threads, scene.count):
+        encoded = _encode_by(None, scene, request, progress)
+    assert encoded is not None
+    return encoded
+
+
+def _encode_by(
+    views: ReferenceViews | None, scene: Scene, request: Request, progress: Progress | None
+) -> Encoded | None:
+    """Guide or calibrate, shape, colour, code and check; None if the views do not fit the scene."""
+    from gs_codec.encoding.loss import Check
+    from gs_codec.encoding.retry import encode_within_loss, measuring
+
+    config, guidance, times = request.config, None, StageTimes()
+    check_encoding(scene.count, config)
+    chosen, windows = config, None
+    if views is None:
+        chosen, windows = _calibrate(scene, config, times, progress)
     with times.stage("check"):
         clean, changed = clean_scene(scene, config)
-    if not clean.count:
-        return None
-    with times.stage("views"):
-        guidance = guide(clean, references, progress)
-    seen = float(np.mean(guidance.weights.max(axis=0) > 0))
-    if seen < _LEAST_SEEN:
-        warn_misfit(f"they see {seen:.0%} of the Gaussians", config)
-        return None
+    if views is not None:
+        guidance = _guide(clean, config, views, times, progress)
+        if guidance is None:
+            return None
     with times.stage("measure"):
-        check = Check.by_plan(clean, plan)
-
-    def encode(config: Config, watched: Watched | None) -> Encoded:
-        profile = config.adaptive_profile()
-        steps = guidance.steps(profile)
-        shaped = shape_scene(clean, config, steps, times, progress, watched)
-        with times.stage("recolour"):
-            shaped = shaped.with_colours(guidance.recolour(shaped, profile))
-        return encode_shaped(shaped, times, progress)
-
-    attempt = measuring(encode, config, check, times, keeps=config.format == EGS)
-    found = encode_checked(attempt, config, config, check, references.origin)
+        likely = windows and Check.of(clean, windows.checking)
+        check = likely or Check.by_plan(clean, request.plan)
+    code = partial(_code, clean, guidance, times, progress)
+    attempt = measuring(code, config, check, times)
+    origin = None if views is None else views.origin
+    found = encode_within_loss(attempt, config, chosen, check, origin)
     if found is None:
         return None
     (parts, report), loss = found
-    report = replace(report, **changed, rendered=loss, seconds=times.seconds)
-    return b"".join(parts), report
+    return parts, replace(report, **changed, rendered=loss, seconds=times.seconds)
 
 
-def _camera_free(
-    scene: Scene, config: Config, progress: Progress | None
-) -> tuple[bytes, EncodeReport]:
-    parts, report = encode_camera_free(scene, config, progress)
-    return b"".join(parts), report
+def _guide(
+    clean: Scene,
+    config: Config,
+    views: ReferenceViews,
+    times: StageTimes,
+    progress: Progress | None,
+) -> Guidance | None:
+    """What views see of each Gaussian; None if that is too little."""
+    from gs_codec.encoding.retry import warn_misfit
+    from gs_codec.guidance.guide import guide
+
+    with times.stage("views"):
+        guidance = guide(clean, views, progress)
+    seen = float(np.mean(guidance.weights.max(axis=0) > 0))
+    if seen >= _LEAST_SEEN:
+        return guidance
+    warn_misfit(f"they see {seen:.0%} of the Gaussians", config)
+    return None
 
 
-def encode_camera_free(
-    scene: Scene, config: Config, progress: Progress | None = None
-) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene to the consecutive pieces of a file, with calibrated step sizes.
-
-    Raises
-    ------
-    InvalidInput, MissingTool, ToolFailed
-        As in `encode_scene`; or if views lose too much and the configuration is strict.
-    """
-    if config.profile == LOSSLESS or not scene.count:
-        return encode_parts(scene, config, progress)
-    from gs_codec.encoding.loss import Check
-    from gs_codec.encoding.retry import encode_checked, measuring
+def _calibrate(
+    scene: Scene, config: Config, times: StageTimes, progress: Progress | None
+) -> tuple[Config, Windows]:
+    """The configuration with the coarseness that suits a scene, and windows on it."""
     from gs_codec.guidance.calibrate import calibrated
     from gs_codec.guidance.windows import choose_windows, sample_of
 
-    times = StageTimes()
-    with using_threads(config.threads, scene.count):
-        check_encoding(scene.count, config)
-        chosen = config
-        with times.stage("calibrate" if config.has_steps else "measure"):
-            windows = choose_windows(sample_of(scene), scene.count)
-            if config.has_steps:
-                chosen = calibrated(scene, config, progress, windows)
-        with times.stage("check"):
-            clean, changed = clean_scene(scene, config)
-        with times.stage("measure"):
-            check = Check.of(clean, windows.checking)
+    with times.stage("calibrate" if config.has_steps else "measure"):
+        windows = choose_windows(sample_of(scene), scene.count)
+        if config.has_steps:
+            config = calibrated(scene, config, progress, windows)
+    return config, windows
 
-        def encode(config: Config, watched: Watched | None) -> Encoded:
-            return encode_clean(clean, config, times, progress, watched=watched)
 
-        keeps = config.profile in ADAPTIVE_PROFILES and config.format == EGS
-        attempt = measuring(encode, config, check, times, keeps)
-        found = encode_checked(attempt, config, chosen, check)
-        assert found is not None
-        (parts, report), loss = found
-    return parts, replace(report, **changed, rendered=loss, seconds=times.seconds)
+def _code(
+    clean: Scene,
+    guidance: Guidance | None,
+    times: StageTimes,
+    progress: Progress | None,
+    config: Config,
+    watched: Watched | None,
+) -> Encoded:
+    """Shape, colour and code a scene; camera-free, all three block by block."""
+    if guidance is None:
+        return encode_cleaned(clean, config, times, progress, watched=watched)
+    profile = config.adaptive_profile()
+    shaped = shape_scene(clean, config, guidance.steps(profile), times, progress, watched)
+    with times.stage("recolour"):
+        shaped = shaped.with_colours(guidance.recolour(shaped, profile))
+    return code_shaped(shaped, times, progress)
+
+
+def _check_whole(
+    scene: Scene, request: Request, parts: list[bytes | memoryview], report: EncodeReport
+) -> Encoded:
+    """Measure what views lose against the scene before preparation."""
+    from gs_codec.encoding.loss import Check
+    from gs_codec.encoding.retry import warn_of_loss
+
+    config, times = request.config, StageTimes()
+    with times.stage("measure"):
+        clean, _ = clean_scene(scene, config)
+        loss = Check.by_plan(clean, request.plan).measure(decode_as(config, b"".join(parts)))
+    if loss is not None:
+        loss = replace(loss, aimed=None if request.rate is None else request.rate.psnr_drop)
+        if (coded := report.rendered) is not None:
+            loss = replace(loss, encodings=coded.encodings, remedy=coded.remedy)
+        warn_of_loss(loss, config)
+    taken = times.seconds["measure"] + report.seconds.get("measure", 0.0)
+    return parts, replace(report, rendered=loss, seconds=report.seconds | {"measure": taken})

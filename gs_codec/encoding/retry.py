@@ -12,7 +12,7 @@ import numpy as np
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import Encoded
-from gs_codec.config import EGS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
 from gs_codec.encoding.loss import Check, error_of
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.calibrate import finer, wanted_error
@@ -64,10 +64,9 @@ Result = TypeVar("Result")
 Attempt = Callable[[Config], tuple[Result, RenderedLoss | None]]
 
 
-def measuring(
-    encode: Encode, config: Config, check: Check, times: StageTimes, keeps: bool = True
-) -> Attempt[Encoded]:
-    """An attempt that encodes and measures; `keeps`: whether `encode` can keep decoded values."""
+def measuring(encode: Encode, config: Config, check: Check, times: StageTimes) -> Attempt[Encoded]:
+    """An attempt that encodes and measures, in decoded values that the encoder keeps if it can."""
+    keeps = config.profile in ADAPTIVE_PROFILES and config.format == EGS
 
     def attempt(chosen: Config) -> tuple[Encoded, RenderedLoss | None]:
         watched = check.watch() if keeps else None
@@ -78,7 +77,7 @@ def measuring(
     return attempt
 
 
-def encode_checked(
+def encode_within_loss(
     attempt: Attempt[Result],
     config: Config,
     chosen: Config,
@@ -132,7 +131,7 @@ def encode_checked(
             break
         chosen = again
     assert best is not None
-    tell(best[1], config)
+    warn_of_loss(best[1], config)
     return best
 
 
@@ -172,7 +171,7 @@ def _decoded(encoded: Encoded, config: Config) -> Scene:
     return decode_as(config, np.concatenate(parts, out=data).data)
 
 
-def tell(loss: RenderedLoss, config: Config) -> None:
+def warn_of_loss(loss: RenderedLoss, config: Config) -> None:
     """Warn if views lose too much; raise if strict."""
     if loss.aimed is None or loss.loss <= 2 * loss.aimed:
         return

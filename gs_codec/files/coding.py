@@ -7,18 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.codecs.interchange import encode_finest
-from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config
-from gs_codec.edit.actions import Action, check_actions
-from gs_codec.encoding.order import encode_by_plan, encode_camera_free
-from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import keeps_rounding, measured, scene_in, tell_lost, write_parts
-from gs_codec.files.shifted import early_shifts, edit_shifted
+from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config, as_rate_target
+from gs_codec.edit.actions import Action
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
+from gs_codec.files.scenes import keeps_rounding, scene_in, tell_lost, write_parts
+from gs_codec.files.shifted import early_shifts
 from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
-from gs_codec.levels.adding import add_levels, check_levels
-from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
+from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
@@ -92,50 +90,43 @@ def encode_file(
     >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
     1600
     """
-    suffix = check_target([source], target, ENCODED, overwrite)
-    by_profile |= isinstance(config, str) or plan is not None or rate is not None
+    by_profile |= isinstance(config, str)
     config = config_for(target, as_config(config))
+    request = Request(
+        config, plan, as_rate_target(rate), tuple(actions), by_profile, max_memory, max_bytes
+    )
+    return encode_requested(source, target, request, progress, overwrite)
+
+
+def encode_requested(
+    source: str | Path,
+    target: str | Path,
+    request: Request,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> EncodeReport:
+    """Encode a file as requested, with the format of the request; see `encode_file`."""
+    config, actions, times = request.config, request.actions, StageTimes()
+    suffix = check_target([source], target, ENCODED, overwrite)
+    by_profile = request.by_profile or request.plan is not None or request.rate is not None
     finest = keeps_rounding([source], suffix, config, by_profile)
-    if max_memory is not None and (plan is not None or rate is not None):
-        raise InvalidInput("max-memory: cannot be combined with views, preparation or a target")
-    check_levels(config, rate, max_memory)
-    if max_memory is not None and config.format != EGS:
-        raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
-    check_actions(actions, plan, max_memory is not None, plan is not None)
-    times = StageTimes()
-    done: tuple[ActionReport, ...] = ()
-    with using_threads(config.threads), bounded(max_memory):
+    with using_threads(config.threads), bounded(request.max_memory):
         with times.stage("read"):
-            exact = config.profile == LOSSLESS and plan is None and not actions
+            exact = config.profile == LOSSLESS and request.plan is None and not actions
             shifts = early_shifts([source], actions)
             shift = None if shifts is None else shifts[0]
-            scene, input_bytes, counted = read_source(source, config, max_bytes, exact, shift)
+            scene, input_bytes, ply_bytes = read_source(
+                source, config, request.max_bytes, exact, shift
+            )
         with located(source):
-            if actions:
-                with times.stage("edit"):
-                    scene, done = edit_shifted([scene], actions, shifts, plan, progress)
-                counted = scene.float_bytes
-            float_bytes = scene.float_bytes
-            if finest:
-                parts, report = encode_finest(scene, config)
-            elif plan is None and rate is None:
-                parts, report = encode_camera_free(scene, config, progress)
-            else:
-                data, report = encode_by_plan(scene, counted, config, plan, rate, progress)
-                parts = [data]
-            parts, report = add_levels(parts, report, config, progress)
+            parts, report = encode(
+                scene, request, progress, ply_bytes, translated=shift is not None, finest=finest
+            )
         times.seconds |= report.seconds
         with times.stage("write"):
             write_parts(target, parts)
-        if finest:
-            with times.stage("measure"), located(source):
-                report = replace(report, rendered=measured(target, scene, config))
     tell_lost(target, report.lost)
-    ratio = counted / report.file_bytes
-    return replace(
-        report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio, actions=done,
-        float_bytes=float_bytes,
-    )  # fmt: skip
+    return replace(report, seconds=times.seconds, input_bytes=input_bytes)
 
 
 def read_source(

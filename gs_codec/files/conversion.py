@@ -16,6 +16,8 @@ from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config, as_config
 from gs_codec.edit.actions import Action, check_actions
+from gs_codec.edit.apply import edit_scenes
+from gs_codec.encoding.combinations import check_levels
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import (
     keeps_rounding,
@@ -24,11 +26,10 @@ from gs_codec.files.scenes import (
     write_scene,
     written_bytes,
 )
-from gs_codec.files.shifted import early_shifts, edit_shifted
+from gs_codec.files.shifted import early_shifts
 from gs_codec.files.suffixes import IN_PARTS, check_target
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
 from gs_codec.formats.table import format_of
-from gs_codec.levels.adding import check_levels
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
@@ -160,7 +161,7 @@ def convert_file(
     if max_memory is not None and suffix not in IN_PARTS:
         raise InvalidInput(f"{target}: max-memory: expected one of {', '.join(IN_PARTS)}")
     if suffix == ".egs":
-        check_levels(config, max_memory=max_memory)
+        check_levels(config, max_memory)
     check_actions(actions, plan, max_memory is not None)
     stated, _, wanted = coordinates.rpartition(":")
     known = format_of(suffix)
@@ -180,7 +181,7 @@ def convert_file(
             with times.stage("edit"):
                 if chosen is not None:
                     scenes = [_choose(scenes, chosen)]
-                scene, done = edit_shifted(scenes, actions, shifts, plan, progress)
+                scene, done = edit_scenes(scenes, actions, plan, progress, shifts is not None)
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config, as_config
-from gs_codec.encoding.order import encode_planned
+from gs_codec.encoding.order import encode_prepared
+from gs_codec.encoding.request import Request
 from gs_codec.files.scenes import read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import PLAIN, check_target, config_for
 from gs_codec.levels.adding import add_levels
@@ -94,8 +95,9 @@ def prepare_file(
             original = scene
             scene, prepared = prepare_scene(scene, plan, progress, profile_steps(config))
             views = prepared.views
-            coded_by = plan if coded else None
-            data, report = encode_planned(scene, config, coded_by, progress, views.renders)
+            request = Request(config, plan if coded else None)
+            parts, report = encode_prepared(scene, request, progress, views.renders)
+            data = b"".join(parts)
             prepared = prepared.coded(scene, config, data, report)
             result = decode_as(config, data) if coded else scene
             loss = Check.by_plan(cleaned(original), plan).measure(result)
@@ -103,7 +105,7 @@ def prepare_file(
             if report_folder is not None:
                 save_report(report_folder, prepared)
         if coded:
-            parts, report = add_levels([data], report, config, progress)
+            parts, report = add_levels(parts, report, config, progress)
             write_parts(target, parts)
             tell_lost(target, report.lost)
         else:

@@ -18,12 +18,12 @@ from gs_codec.codecs import decode_part, matching
 from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.codecs.gaussian_costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
-from gs_codec.codecs.interchange import encode_finest
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import Config, Extra
 from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
-from gs_codec.encoding.order import encode_camera_free
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
@@ -32,7 +32,6 @@ from gs_codec.formats.ply.dialects import with_filter
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.table import SSOG, STREAMED, UNBUNDLED, format_of
 from gs_codec.formats.zip_file import write_zip
-from gs_codec.levels.adding import add_levels
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress, RenderedLoss
@@ -96,11 +95,9 @@ def write_scene(
     else:
         with located(path):
             config = config_for(path, config)
-            encode = encode_finest if finest else encode_camera_free
-            parts, report = add_levels(*encode(scene, config), config)
+            parts, report = encode(scene, Request(config), finest=finest)
         write_parts(path, parts)
-        rendered = measured(path, scene, config) if finest else report.rendered
-        written = Written(report.lost, rendered)
+        written = Written(report.lost, report.rendered)
     tell_lost(path, written.lost)
     return written
 

@@ -21,7 +21,8 @@ from gs_codec.cameras.widest import widest_view
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import EGS, LOSSLESS, Config
 from gs_codec.egs.header import Feature
-from gs_codec.encoding.order import encode_camera_free
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.scenes import scene_in
 from gs_codec.formats.coordinates import CONVENTION
@@ -214,7 +215,8 @@ def _open(
                 levels = len(info.levels)
                 return SharedScene(_name(path), bytes(file.data), False, levels), scene
         with located(path):
-            parts, report = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
+            request = Request(Config(_PROFILE, extra="drop"))
+            parts, report = encode(scene, request, progress)
         return SharedScene(_name(path), b"".join(parts), True, rendered=report.rendered), scene
 
 

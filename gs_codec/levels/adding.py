@@ -17,7 +17,6 @@ from gs_codec.egs.egs_file import (
 )
 from gs_codec.egs.header import Header
 from gs_codec.egs.index import level_header
-from gs_codec.errors import InvalidInput
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.building import Level, build_levels
 from gs_codec.report import EncodeReport, Progress, StageTimes
@@ -27,14 +26,6 @@ from gs_codec.runtime.threads import using_threads
 COARSER = 2.0
 
 Parts = list[bytes | memoryview]
-
-
-def check_levels(config: Config, rate: object = None, max_memory: int | None = None) -> None:
-    """Reject options that cannot be combined with levels. Raises InvalidInput."""
-    if config.lod and rate is not None:
-        raise InvalidInput("lod: cannot be combined with a target: coarser levels add a third")
-    if config.lod and max_memory is not None:
-        raise InvalidInput("lod: with max-memory, dask is needed too")
 
 
 def add_levels(

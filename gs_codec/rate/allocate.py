@@ -16,10 +16,8 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.balance import ADDED, StepError
-from gs_codec.preparation.pipeline import choose_views, guiding_views
 from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ViewSplit
-from gs_codec.preparation.steps import Plan
 from gs_codec.rate.search import (
     COARSEST,
     FINEST,
@@ -57,42 +55,19 @@ _PART = 0.2
 _MOST_PARTS = 10
 
 
-def encode_to_target(
-    scene: Scene,
-    original: Scene,
-    ply_bytes: int,
-    config: Config,
-    target: RateTarget,
-    plan: Plan | None = None,
-    progress: Progress | None = None,
-    views: ViewSplit | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene at the coarseness that meets a target relative to the original.
+def meet_rate(scene: Scene, job: RateSearch) -> tuple[bytes, EncodeReport]:
+    """Encode a scene cleaned by `clean_scene` at the coarseness that meets a target.
 
-    With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
-    against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
-    estimated from the scene. `views` are those of the plan, if already known. Raises InvalidInput
-    if the target is unreachable; the error gives the range.
+    Raises InvalidInput if the target is unreachable; the error gives the range.
     """
-    limit = target.limit(original.count, ply_bytes)
-    seen = references = None
-    if limit is None or target.allow_prune:
-        plan = plan or Plan()
-        views = views or choose_views(original, plan, progress)
-        seen = Seen(views, views.held_out.errors(original, progress), progress)
-    if plan is not None:
-        known_views = None if views is None else views.renders
-        references = guiding_views(scene, plan, known_views, progress)
-    clean, changed = clean_scene(scene, config)
-    asked = RateSearch(config, target, limit, references, seen, progress)
-    if seen is not None and target.allow_prune:
-        trials = _meet_pruning(clean, asked, seen)
+    if job.seen is not None and job.target.allow_prune:
+        trials = _meet_pruning(scene, job, job.seen)
     else:
-        trials = Trials(clean, asked)
+        trials = Trials(scene, job)
         _meet(trials, 0.0)
     data, report = trials.last
-    rate = trials.rate_report(clean.count - trials.scene.count)
-    return data, replace(report, **changed, seconds=asked.times.seconds, rate=rate)
+    rate = trials.rate_report(scene.count - trials.scene.count)
+    return data, replace(report, seconds=job.times.seconds, rate=rate)
 
 
 def step_error_for(
@@ -133,7 +108,7 @@ class _TooLarge(_OutOfReach):
     """All files are too large, but one with fewer Gaussians may be small enough."""
 
 
-def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
+def _meet_pruning(scene: Scene, job: RateSearch, seen: Seen) -> Trials:
     """Meet a target with the number of Gaussians that gives the lowest loss, or the smallest file.
 
     Each round removes the Gaussians of lowest leave-one-out error, as long as this pays off.
@@ -142,7 +117,7 @@ def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
     refused: _OutOfReach | None = None
     least, octaves = math.inf, 0.0
     for part in range(1, _MOST_PARTS + 1):
-        trials = Trials(scene, asked)
+        trials = Trials(scene, job)
         try:
             _meet(trials, octaves)
         except _OutOfReach as refusal:
@@ -151,7 +126,7 @@ def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
                 break
         else:
             size = len(trials.last[0])
-            cost = size if asked.limit is None else seen.loss(trials.decoded())
+            cost = size if job.limit is None else seen.loss(trials.decoded())
             octaves = trials.octaves
         if cost < least:
             best, least = trials, cost
@@ -160,8 +135,8 @@ def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
         removed = int(_PART * scene.count)
         if not removed:
             break
-        with asked.times.stage("prune"):
-            scores = leave_one_out(scene, seen.views.renders, f"part {part}", asked.progress)
+        with job.times.stage("prune"):
+            scores = leave_one_out(scene, seen.views.renders, f"part {part}", job.progress)
             scene = scene.take(keep_highest(scores, removed))
     if best is None:
         assert refused is not None
@@ -171,12 +146,12 @@ def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
 
 def _meet(trials: Trials, start: float) -> None:
     """Meet the target with all Gaussians of a scene; the search starts at `start` octaves."""
-    asked = trials.asked
-    if asked.limit is not None:
-        _meet_size(trials, asked.limit, start)
+    job = trials.job
+    if job.limit is not None:
+        _meet_size(trials, job.limit, start)
     else:
-        assert asked.seen is not None
-        _meet_drop(trials, float(asked.target.psnr_drop or 0), asked.seen)
+        assert job.seen is not None
+        _meet_drop(trials, float(job.target.psnr_drop or 0), job.seen)
 
 
 def _meet_size(trials: Trials, limit: int, start: float) -> None:
@@ -202,7 +177,7 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
             kind = _TooLarge if least > limit else _OutOfReach
-            raise kind(_beyond(trials.asked.target, limit, least, most))
+            raise kind(_beyond(trials.job.target, limit, least, most))
     trials.at_end = found is None
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from gs_codec.codecs.decode import decode_as
-from gs_codec.codecs.encode import encode_scene
+from gs_codec.codecs.encode import Encoded, encode_scene
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.pipeline import choose_views
@@ -17,7 +17,7 @@ from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Encodes a scene according to a plan.
-Encode = Callable[[Plan | None], tuple[bytes, EncodeReport]]
+Encode = Callable[[Plan | None], Encoded]
 
 #: Maximum number of times pruning is repeated because held-out views lose more than predicted.
 _ATTEMPTS = 4
@@ -26,7 +26,7 @@ _ATTEMPTS = 4
 _HEADER = 256
 
 
-def meet_target(
+def meet_by_count(
     encode: Encode,
     scene: Scene,
     ply_bytes: int,
@@ -34,17 +34,11 @@ def meet_target(
     target: RateTarget,
     plan: Plan | None,
     progress: Progress | None,
-) -> tuple[bytes, EncodeReport]:
+) -> Encoded:
     """Meet a target by pruning: keep as many Gaussians as it allows, the most visible ones.
 
-    Raises InvalidInput if the plan also prunes, or the target is unreachable.
+    Raises InvalidInput if the target is unreachable.
     """
-    steps = Plan().steps if plan is None else plan.steps
-    if target.allow_prune or (steps.by_leave_one_out and not steps.balanced):
-        what = "allow_prune" if target.allow_prune else "pruning"
-        raise InvalidInput(
-            f"{what}: a target for format '{config.format}' sets the number of Gaussians"
-        )
     limit = target.limit(scene.count, ply_bytes)
     if limit is None:
         return _meet_drop(encode, scene, config, target, plan or Plan(), progress)
@@ -52,8 +46,8 @@ def meet_target(
     if count < scene.count:
         chosen = plan or Plan()
         plan = replace(chosen, steps=replace(chosen.steps, gaussians=count))
-    data, report = encode(plan)
-    return data, _with_rate(report, scene, target, 1)
+    parts, report = encode(plan)
+    return parts, _with_rate(report, scene, target, 1)
 
 
 def _most(scene: Scene, config: Config, limit: int) -> int:
@@ -77,7 +71,7 @@ def _meet_drop(
     target: RateTarget,
     plan: Plan,
     progress: Progress | None,
-) -> tuple[bytes, EncodeReport]:
+) -> Encoded:
     """Prune as far as a loss allows, in addition to the loss of the format itself."""
     views, limit = choose_views(scene, plan, progress).held_out, float(target.psnr_drop or 0)
     before = views.errors(scene, progress)
@@ -90,10 +84,10 @@ def _meet_drop(
         steps = plan.steps
         if allowed > 0:
             steps = replace(steps, prune_max_psnr_drop=allowed)
-        data, report = encode(replace(plan, steps=steps))
-        lost = loss(data)
+        parts, report = encode(replace(plan, steps=steps))
+        lost = loss(b"".join(parts))
         if lost <= limit:
-            return data, _with_rate(report, scene, target, attempt, lost)
+            return parts, _with_rate(report, scene, target, attempt, lost)
         if allowed <= 0:
             break
         allowed -= max(lost - limit, 0.1 * limit)

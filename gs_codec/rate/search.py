@@ -224,7 +224,7 @@ class Trials:
     ----------
     scene : Scene
         As given.
-    asked : RateSearch
+    job : RateSearch
     guidance : Guidance or None
     coloured : Scene
         The scene with the most recently refitted colours.
@@ -243,7 +243,7 @@ class Trials:
     """
 
     scene: Scene
-    asked: RateSearch
+    job: RateSearch
     guidance: Guidance | None = field(init=False, default=None)
     coloured: Scene = field(init=False)
     octaves: float = 0.0
@@ -256,24 +256,24 @@ class Trials:
 
     def __post_init__(self) -> None:
         self.coloured = self.scene
-        if self.asked.references is not None:
-            with self.asked.times.stage("views"):
-                self.guidance = guide(self.scene, self.asked.references, self.asked.progress)
+        if self.job.references is not None:
+            with self.job.times.stage("views"):
+                self.guidance = guide(self.scene, self.job.references, self.job.progress)
 
     def config_at(self, octaves: float) -> Config:
         """The configuration at a coarseness, log2."""
-        return replace(self.asked.config, coarseness=2.0**octaves)
+        return replace(self.job.config, coarseness=2.0**octaves)
 
     def size(self, octaves: float) -> int:
         """Encode with the current colours; return the file's size, bytes."""
         config = self.config_at(octaves)
-        with self.asked.times.stage("search"):
+        with self.job.times.stage("search"):
             steps = None
             if self.guidance is not None:
                 steps = self.guidance.steps(config.adaptive_profile())
-            self.last = encode_scene(self.coloured, config, self.asked.progress, steps)
+            self.last = encode_scene(self.coloured, config, self.job.progress, steps)
         self.octaves = octaves
-        self.asked.encodings += 1
+        self.job.encodings += 1
         return len(self.last[0])
 
     def compact(self, octaves: float) -> None:
@@ -294,36 +294,36 @@ class Trials:
         assert self.guidance is not None
         config = self.config_at(octaves)
         profile = config.adaptive_profile()
-        with self.asked.times.stage("recolour"):
+        with self.job.times.stage("recolour"):
             steps = self.guidance.steps(profile)
-            shaped = shape_scene(self.scene, config, steps, StageTimes(), self.asked.progress)
+            shaped = shape_scene(self.scene, config, steps, StageTimes(), self.job.progress)
             shaped = shaped.with_colours(choose(self.guidance, shaped, profile))
         self.coloured = shaped.source
-        self.asked.encodings += 1
+        self.job.encodings += 1
 
     def rate_report(self, pruned: int) -> RateReport:
         """Report how the last encoding met the target, with `pruned` Gaussians removed."""
         data = self.last[0]
         return RateReport(
-            self.asked.target,
+            self.job.target,
             2.0**self.octaves,
             self._steps(),
             len(data),
             self.predicted_bytes,
             self.loss,
             self.predicted_drop,
-            self.asked.encodings,
+            self.job.encodings,
             pruned,
             self.at_end,
         )
 
     def _steps(self) -> dict[str, tuple[float, float]]:
         """Finest and coarsest step size of each pass of an `.egs`."""
-        if self.asked.config.format != EGS:
+        if self.job.config.format != EGS:
             return {}
         passes = inspect_bytes(self.last[0]).passes
         return {each.name: (each.finest_step, each.coarsest_step) for each in passes}
 
     def decoded(self) -> Scene:
         """The scene of the last encoding."""
-        return decode_as(self.asked.config, self.last[0], self.asked.progress)
+        return decode_as(self.job.config, self.last[0], self.job.progress)

@@ -13,6 +13,7 @@ log = logging.getLogger(__name__)
 
 #: Python arguments that messages of the library name: `overwrite=True`, `extra="drop"`.
 _ARGUMENT = re.compile(r'\b(overwrite|nonfinite|extra|cameras)=(?:True|"(\w+)")')
+_COMBINED = re.compile(r"^(?=(?:dask|lod|max-memory): cannot be combined)")
 _ACTION = re.compile(r'\bAction\("([a-z-]+)"(?:, "([^"]*)")?\)')
 
 
@@ -43,7 +44,7 @@ def size_text(size: float) -> str:
 
 def as_typed(text: str) -> str:
     """Replace Python arguments in a message of the library by options of the commands."""
-    return _ACTION.sub(_option, _ARGUMENT.sub(_option, text))
+    return _ACTION.sub(_option, _ARGUMENT.sub(_option, _COMBINED.sub("--", text)))
 
 
 def _option(found: re.Match[str]) -> str:

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import gs_codec
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
-from gs_codec.encoding.order import encode_by_plan
-from gs_codec.files.coding import encode_file
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
+from gs_codec.files.coding import encode_requested
 from gs_codec.files.scenes import write_parts
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.views import compare_views
@@ -77,11 +78,12 @@ class Asked:
             return gs_codec.RateTarget(bits=self.value)
         return gs_codec.RateTarget(psnr_drop=self.value) if self.wish == "loss" else None
 
-    def plan(self, cameras: Sequence[gs_codec.Camera]) -> gs_codec.Plan | None:
-        """The encoder's views: `cameras`, or estimated ones if empty."""
-        if not self.guided and self.wish != "loss":
-            return None
-        return gs_codec.Plan(cameras=list(cameras) or "auto")
+    def request(self, cameras: Sequence[gs_codec.Camera], max_bytes: int | None = None) -> Request:
+        """The request of the encoder, with `cameras` as its views, or estimated ones if empty."""
+        plan = None
+        if self.guided or self.wish == "loss":
+            plan = gs_codec.Plan(cameras=list(cameras) or "auto")
+        return Request(self.config, plan, self.rate, max_bytes=max_bytes)
 
 
 def has_steps(profile: str) -> bool:
@@ -188,17 +190,14 @@ class Tries:
 
     def _write(self, path: Path, asked: Asked, progress: Progress | None) -> EncodeReport:
         """Encode the file of the scene, or the shown scene if that differs from the file."""
-        config, plan, rate = asked.config, asked.plan(self.cameras), asked.rate
+        request = asked.request(self.cameras, self.max_bytes)
         if self.source.is_stored:
             self.source.check_unchanged()
-            return encode_file(
-                self.source.path, path, config, plan, rate, progress=progress,
-                max_bytes=self.max_bytes, overwrite=True,
-            )  # fmt: skip
+            return encode_requested(self.source.path, path, request, progress, overwrite=True)
         scene = self.source.gaussians
-        data, report = encode_by_plan(scene, scene.float_bytes, config, plan, rate, progress)
-        write_parts(path, [data])
-        return replace(report, ratio=scene.float_bytes / report.file_bytes)
+        parts, report = encode(scene, request, progress, scene.float_bytes)
+        write_parts(path, parts)
+        return report
 
     def measure(
         self, tried: Try, opened: Opened | None = None, progress: Progress | None = None

@@ -150,7 +150,7 @@ def shape_scene(
     return ShapedScene(header, arranged, blocks)
 
 
-def encode_shaped(
+def code_shaped(
     shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene from `shape_scene`, with its current colours."""

@@ -28,7 +28,7 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
 
-def encode_channels(
+def encode_entropygs(
     scene: Scene, config: Config, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`."""

@@ -1,0 +1,199 @@
+"""Options that have no effect in a combination are refused, all of them here.
+
+`check_*` look at values, for every caller. `refuse_*` look at what was typed for a command, where
+an option is refused even if it was typed with its default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from gs_codec.config import (
+    ADAPTIVE_PROFILES,
+    EGS,
+    PAPER_OPTIONS,
+    PROFILES,
+    Config,
+    RateTarget,
+    options_of,
+)
+from gs_codec.edit.actions import KINDS, Action, check_actions
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.table import format_of
+from gs_codec.preparation.steps import Plan, Steps
+
+_ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)
+
+# Values, for every caller
+
+
+def check_request(
+    config: Config,
+    plan: Plan | None,
+    rate: RateTarget | None,
+    actions: Sequence[Action],
+    max_memory: int | None,
+    dask: str | None,
+) -> None:
+    """Check the fields of a `Request`.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if dask is not None:
+        _check_divided(config, plan is not None or rate is not None or bool(actions))
+    elif max_memory is not None:
+        if plan is not None or rate is not None:
+            raise InvalidInput("max-memory: cannot be combined with views, preparation or a target")
+        check_levels(config, max_memory)
+        if config.format != EGS:
+            raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
+    check_actions(actions, plan, max_memory is not None, coded=plan is not None)
+    if rate is not None:
+        _check_rate(config, rate, Steps() if plan is None else plan.steps)
+
+
+def check_levels(config: Config, max_memory: int | None) -> None:
+    """Reject levels of detail below a memory limit, where workers do not divide the scene."""
+    if config.lod and max_memory is not None:
+        raise InvalidInput("lod: with max-memory, dask is needed too")
+
+
+def _check_divided(config: Config, others: bool) -> None:
+    """Reject what needs all Gaussians at once."""
+    if others:
+        raise InvalidInput("dask: cannot be combined with views, preparation, actions or a target")
+    if config.profile not in ADAPTIVE_PROFILES or config.format != EGS:
+        raise InvalidInput(f"dask: profile '{config.profile}', expected {_ADAPTIVE} of an .egs")
+    if config.depths:
+        raise InvalidInput("dask: cannot be combined with depths, which need the whole scene")
+    if config.extra == "keep":
+        raise InvalidInput('dask: extra properties are not kept, expected extra="drop"')
+
+
+def _check_rate(config: Config, rate: RateTarget, steps: Steps) -> None:
+    """Reject a target that no step sizes or pruning can meet, or that another option meets."""
+    if config.lod:
+        raise InvalidInput("lod: cannot be combined with a target: coarser levels add a third")
+    if config.profile not in ADAPTIVE_PROFILES:
+        raise InvalidInput(
+            f"target: profile '{config.profile}' has fixed steps, expected {_ADAPTIVE}"
+        )
+    if rate.allow_prune and steps.balanced:
+        raise InvalidInput("allow_prune: not needed with refine, which prunes to meet a target")
+    prunes = steps.by_leave_one_out and not steps.balanced
+    if not config.has_steps and (rate.allow_prune or prunes):
+        what = "allow_prune" if rate.allow_prune else "pruning"
+        raise InvalidInput(
+            f"{what}: a target for format '{config.format}' sets the number of Gaussians"
+        )
+
+
+# What was typed, for commands
+
+
+class Typed(Protocol):
+    """What was typed for the options of a command."""
+
+    @property
+    def actions(self) -> Sequence[Action]:
+        """The actions, in the order typed."""
+
+    def __getitem__(self, name: str) -> Any:
+        """The value of an option by its name."""
+
+    def refuse(self, names: Iterable[str], why: str) -> None:
+        """Reject options that were typed; `why` says what they lack."""
+
+
+#: Options of `Config` that also apply to other formats than `.egs`; and those for formats without
+#: encoding.
+_OF_ALL = ("extra", "nonfinite", "threads", "format")
+_OF_STEPS = ("profile", "coarseness")
+
+#: Options for the size or quality of a file.
+_TARGETS = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
+
+_OF_VIEWS = ("views", "width", "background")
+
+
+def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
+    """Reject options of coding that have no effect on a format other than `.egs`."""
+    where, known = target or form, format_of(f".{form}")
+    settings: list[Any] = [Config]
+    if known.writes == "floats":
+        settings += [RateTarget, Steps]
+        typed.refuse(["gt_images"], f"has no effect on {where}")
+    used = (*_OF_ALL, *known.options, *(_OF_STEPS if known.writes == "steps" else ()))
+    used = (*used, "max_memory") if known.in_parts else used
+    names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
+    unused = [name for name in ("preset", "max_memory", *names) if name not in used]
+    typed.refuse(unused, f"has no effect on {where}, expected an .egs")
+
+
+def refuse_paper(typed: Typed, profile: str) -> None:
+    """Reject options of paper profiles that have no effect on another."""
+    if profile in PROFILES:
+        return
+    known = ", ".join(PROFILES)
+    typed.refuse(["preset"], f"uses {known}, not profile '{profile}'")
+    why = f"has no effect on profile '{profile}', expected one of {known}"
+    typed.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
+
+
+def has_target(typed: Typed) -> bool:
+    """Whether a size or a quality was typed; rejects what has no effect without."""
+    if _has_target(typed):
+        return True
+    typed.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
+    return False
+
+
+def _has_target(typed: Typed) -> bool:
+    return any(typed[name] is not None for name in _TARGETS)
+
+
+def refuse_preparation(typed: Typed) -> None:
+    """Reject options of steps of preparation that are not done."""
+    if not typed["prune_geometry"]:
+        typed.refuse(["geometry_rule"], "needs --prune-geometry")
+    if not typed["refine"]:
+        typed.refuse(["checkpoint"], "needs --refine, whose state it saves")
+        typed.refuse(["device"], "needs --refine")
+        typed.refuse(["keep_refined"], "needs --refine, whose result it keeps")
+
+
+def has_views(typed: Typed, config: Config) -> bool:
+    """Whether coding without preparation is camera-guided; rejects what has no effect."""
+    profile, measured = config.profile, typed["max_psnr_drop"] is not None
+    if not measured:
+        typed.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
+    if profile not in ADAPTIVE_PROFILES:
+        why = f"has no effect on profile '{profile}', expected {_ADAPTIVE}, --prune or --refine"
+        typed.refuse(["cameras", *_OF_VIEWS], why)
+    # If step sizes cannot be chosen, a target prunes.
+    prunes = config.scene_format.writes != "steps" and _has_target(typed)
+    if config.scene_format.is_exact and not prunes:
+        why = f"has no effect on .{config.format}, whose values are exact: use --prune or --refine"
+        typed.refuse(["cameras", *_OF_VIEWS], why)
+    if typed["cameras"] is not None or measured or typed["allow_prune"] or prunes:
+        return True
+    typed.refuse(_OF_VIEWS, "has no effect without views, expected --cameras, --prune or --refine")
+    return False
+
+
+def guides_actions(typed: Typed) -> bool:
+    """Whether cameras guide actions; rejects views that guide none."""
+    guided = [action for action in typed.actions if KINDS[action.name].guided]
+    if typed["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
+        why = "'auto' has no effect on --remove-floaters, which needs cameras from a file"
+        typed.refuse(["cameras"], why)
+    if typed["cameras"] is not None and guided:
+        return True
+    known = ", ".join(f"--{name}" for name, kind in KINDS.items() if kind.guided)
+    why = "has no effect without --cameras" if guided else f"needs one of {known}"
+    typed.refuse(["cameras", *_OF_VIEWS], why)
+    return False

@@ -15,8 +15,7 @@ from gs_codec.batch import run, work
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError
-from gs_codec.workers.interface import Listener, Place
-from gs_codec.workers.serial import Serial
+from gs_codec.workers.interface import Listener, Place, Serial
 
 encode_one = work.encode_one
 

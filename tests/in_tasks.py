@@ -14,8 +14,7 @@ from gs_codec.distributed.tasks import Crew, Numbered
 from gs_codec.files.coding import encode_file
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import Scene
-from gs_codec.workers.interface import Done, Work, Workers
-from gs_codec.workers.serial import Serial
+from gs_codec.workers.interface import Done, Serial, Work, Workers
 
 
 class Lost(Exception):

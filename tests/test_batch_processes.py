@@ -379,7 +379,7 @@ def test_local_cluster_does_the_same(scenes, place, tmp_path):
     ids=["killed", "missing", "failed", "version"],
 )
 def test_what_happened_to_a_worker_is_told(error, said):
-    client = pytest.importorskip("gs_codec.workers.client", exc_type=ImportError)
+    client = pytest.importorskip("gs_codec.workers.dask", exc_type=ImportError)
     answers = SimpleNamespace(run=lambda *a, **b: {"tls://a:1": error})
     with pytest.raises(InvalidInput) as caught:
         client.threads_of_workers(answers)

@@ -67,5 +67,5 @@ def test_packages_are_looked_for_in_one_place():
         "gs_codec/batch/remote.py",  # what a protocol of fsspec needs
         "gs_codec/runtime/atomic.py",  # Windows
         "gs_codec/runtime/optional.py",
-        "gs_codec/workers/client.py",  # what an address of Dask needs
+        "gs_codec/workers/dask.py",  # what an address of Dask needs
     }

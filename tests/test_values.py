@@ -26,7 +26,7 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.tensors import tensors_of
 from gs_codec.scene import GROUPS, Scene
-from gs_codec.workers.serial import Serial
+from gs_codec.workers.interface import Serial
 
 COUNT = 40
 SAID = (

@@ -17,9 +17,9 @@ ROOT = Path(__file__).parents[1]
 #: Runs `gs-codec warm --json` with a list of three kernels.
 WARM = """
 import sys
-from gs_codec.runtime import warming
+from gs_codec.runtime import kernel_build
 from gs_codec.runtime.kernel_list import Entry
-warming.read_list = lambda: [Entry(*each) for each in {few}]
+kernel_build.read_list = lambda: [Entry(*each) for each in {few}]
 sys.argv = ["gs-codec", "warm", "--json", "--threads", "2"]
 from gs_codec.__main__ import main
 main()

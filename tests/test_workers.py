@@ -13,9 +13,8 @@ from typing import NamedTuple
 import pytest
 
 from gs_codec.errors import InvalidInput
-from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers
+from gs_codec.workers.interface import Listener, Place, Serial, WorkerLost, Workers
 from gs_codec.workers.pool import Pool
-from gs_codec.workers.serial import Serial
 
 
 class Sum(NamedTuple):

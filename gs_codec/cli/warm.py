@@ -13,7 +13,7 @@ from gs_codec.runtime.threads import using_threads
 @takes("threads", "json")
 def command(typed: Typed) -> None:
     """Compile all kernels now, so that later commands start without delay."""
-    from gs_codec.runtime.warming import warm
+    from gs_codec.runtime.kernel_build import warm
 
     with using_threads(typed["threads"]), progress_bar() as progress:
         report = warm(progress)

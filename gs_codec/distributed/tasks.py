@@ -15,8 +15,7 @@ from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.threads import available_threads, using_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import float_bytes
-from gs_codec.workers.interface import Listener, Place, WorkerLost, Workers
-from gs_codec.workers.serial import Serial
+from gs_codec.workers.interface import Listener, Place, Serial, WorkerLost, Workers
 
 #: Approximate number of Gaussians per task; fewer with a memory limit.
 _GAUSSIANS = 1 << 19

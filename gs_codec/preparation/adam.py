@@ -1,14 +1,23 @@
-"""Adam over the planes of a scene, and its step sizes."""
+"""Adam over the planes of a scene: step sizes, steps, and checkpoints that resume a run."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import hashlib
+import os
+import tokenize
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.errors import InvalidInput, one_line
+from gs_codec.formats.limits import FAILURES
+from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene
 
@@ -101,3 +110,90 @@ def adam_step(values, first, second, step, rates, slopes, chosen, start, stop):
             square[c] = v
             after = value[c] - scaled[c] * m / (np.sqrt(v * root) + EPSILON)
             value[c] = after if abs(after) < np.inf else value[c]
+
+
+#: Exceptions that reading a damaged array archive may raise.
+_DAMAGE: tuple[type[Exception], ...] = (
+    *FAILURES, AttributeError, zipfile.BadZipFile, tokenize.TokenError
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """State of an optimisation.
+
+    Attributes
+    ----------
+    state : AdamState
+    errors : ndarray, shape (iterations done,), float64
+        Mean squared error of each iteration's view, before its update.
+    seconds : ndarray, shape (iterations done,), float64
+        Time from the start of the run to the end of each iteration, without interruptions.
+    """
+
+    state: AdamState
+    errors: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+
+
+def digest_of(parts: Iterable[NDArray | str]) -> str:
+    """Digest of arrays, including their types and shapes, and of strings."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        if isinstance(part, str):
+            digest.update(f"{len(part)} {part}".encode("utf-8", "surrogateescape"))
+        else:
+            digest.update(f"{part.dtype.str} {part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).data)
+    return digest.hexdigest()
+
+
+def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint of a run whose inputs have `digest`, atomically.
+
+    Raises InvalidInput if it cannot be written.
+    """
+    with atomic_writer(path) as file:
+        np.savez(
+            file,
+            digest=np.array(digest),
+            errors=checkpoint.errors,
+            seconds=checkpoint.seconds,
+            **checkpoint.state._asdict(),
+        )
+
+
+def read_checkpoint(path: Path, digest: str, fresh: AdamState) -> Checkpoint | None:
+    """Read the checkpoint of a run that starts from `fresh`; None if there is no file.
+
+    Raises InvalidInput if it cannot be read, is damaged, or belongs to other inputs.
+    """
+    if not os.path.lexists(path):
+        return None
+    try:
+        # Opened here because numpy does not close a file that it cannot read.
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            # Compared as bytes: numpy fails on invalid characters.
+            found, own = archive["digest"], np.array(digest)
+            if (found.dtype, found.tobytes()) == (own.dtype, own.tobytes()):
+                return _unpack(archive, fresh)
+    except _DAMAGE as error:
+        raise InvalidInput(
+            f"{path}: incomplete or damaged checkpoint ({one_line(error)})"
+        ) from error
+    raise InvalidInput(
+        f"{path}: checkpoint of another scene, views or options; remove it to start again"
+    )
+
+
+def _unpack(archive: Any, fresh: AdamState) -> Checkpoint:
+    arrays = []
+    for name, like in fresh._asdict().items():
+        array = archive[name]
+        if (array.dtype, array.shape) != (like.dtype, like.shape):
+            raise ValueError(f"{name}: {array.dtype} {array.shape}, expected {like.shape}")
+        arrays.append(np.ascontiguousarray(array))
+    errors, seconds = archive["errors"], archive["seconds"]
+    if errors.ndim != 1 or errors.shape != seconds.shape:
+        raise ValueError(f"errors: {errors.shape}, expected {seconds.shape}")
+    return Checkpoint(AdamState(*arrays), errors, seconds)

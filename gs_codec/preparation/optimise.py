@@ -14,11 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.preparation.adam import LAST, RATES, AdamState, adam_step, new_state, step_sizes
-from gs_codec.preparation.optimiser_state import (
+from gs_codec.preparation.adam import (
+    LAST,
+    RATES,
+    AdamState,
     Checkpoint,
+    adam_step,
     digest_of,
+    new_state,
     read_checkpoint,
+    step_sizes,
     write_checkpoint,
 )
 from gs_codec.preparation.reference_views import ReferenceViews, draw_targets

@@ -1,7 +1,13 @@
-"""Derivatives of the loss of a view with respect to all attributes of all Gaussians."""
+"""Derivatives of the loss of a view with respect to all attributes of all Gaussians.
+
+Let C be the colour of a pixel, S_k the light behind splat k, and w_k = alpha_k T_k its weight. Then
+``dC / dc_k = w_k`` and ``dC / dalpha_k = T_k c_k - S_k / (1 - alpha_k)`` (Kerbl et al. 2023,
+Appendix C, which goes back to front).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,13 +15,168 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.rendering.backward import differentiate_gaussians
 from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.harmonics import sh_basis, sh_slope
 from gs_codec.rendering.image_loss import differentiate_loss
-from gs_codec.rendering.project import camera_arguments
-from gs_codec.rendering.tiles_float32 import MOMENT_YY, take_back_rows
-from gs_codec.runtime.kernels import kernel
-from gs_codec.scene import GROUPS, Scene, channel_count
+from gs_codec.rendering.project import (
+    LOW_PASS,
+    camera_arguments,
+    clamped_slopes,
+    covariance,
+    quaternion_turn,
+    rotated,
+)
+from gs_codec.rendering.tiles_float32 import (
+    BY_RED,
+    MOMENT,
+    MOMENT_X,
+    MOMENT_XX,
+    MOMENT_XY,
+    MOMENT_Y,
+    MOMENT_YY,
+    take_back_rows,
+)
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.scene import GROUPS, SH_C0, Scene, channel_count
+
+#: First f_dc column of a row of slopes.
+_F_DC = 3
+
+#: First f_rest column; opacity, log_scale and rot follow.
+_F_REST = 6
+
+
+@kernel
+def differentiate_gaussians(
+    positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
+    width, height, antialiased, sums, chosen, start, stop, slopes,
+):  # fmt: skip
+    """Fill ``slopes (stop - start, 14 + 3 K)``, with columns in the order of `GROUPS`.
+
+    They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
+    `take_back_rows`.
+    """
+    fx, fy, cx, cy = intrinsics
+    to_world = rotation.T
+    basis, weights = np.zeros(15), np.zeros(15)
+    turned, axes, by_axes = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2))
+    by_turn = np.empty((3, 3))
+    after = _F_REST + len(f_rest)
+    for j in range(stop - start):
+        i = chosen[start + j]
+        total, slope = sums[i], slopes[j]
+        dx = positions[0, i] - position[0]
+        dy = positions[1, i] - position[1]
+        dz = positions[2, i] - position[2]
+        by_dx, by_dy, by_dz = _differentiate_colour(
+            f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope
+        )
+        x, y, z = rotated(rotation, dx, dy, dz)
+        x /= z
+        y /= z
+        near_x, near_y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
+        quaternion, turn = quaternion_turn(rot, i)
+        for k in range(3):
+            scale = math.exp(np.float64(log_scale[k, i])) / z
+            qx, qy, qz = rotated(rotation, turn[0][k], turn[1][k], turn[2][k])
+            turned[k, 0], turned[k, 1], turned[k, 2] = fx * scale, fy * scale, qz
+            axes[k, 0] = fx * scale * (qx - near_x * qz)
+            axes[k, 1] = fy * scale * (qy - near_y * qz)
+        by_u, by_v = _differentiate_conic(axes, total, antialiased, by_axes)
+        by_x, by_y, by_z = fx * by_u, fy * by_v, 0.0
+        for k in range(3):
+            along = axes[k, 0] * by_axes[k, 0] + axes[k, 1] * by_axes[k, 1]
+            slope[after + 1 + k] = along
+            by_z -= along / z
+            by_qx = turned[k, 0] * by_axes[k, 0]
+            by_qy = turned[k, 1] * by_axes[k, 1]
+            if near_x == x:
+                by_x -= turned[k, 2] * by_qx
+            if near_y == y:
+                by_y -= turned[k, 2] * by_qy
+            by_qz = -near_x * by_qx - near_y * by_qy
+            by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = rotated(to_world, by_qx, by_qy, by_qz)
+        by_z -= (x * by_x + y * by_y) / z
+        world_x, world_y, world_z = rotated(to_world, by_x / z, by_y / z, by_z)
+        slope[0], slope[1], slope[2] = by_dx + world_x, by_dy + world_y, by_dz + world_z
+        slope[after] = total[MOMENT] / (1.0 + math.exp(np.float64(opacity[0, i])))
+        _differentiate_turn(rot, i, quaternion, by_turn, slope[after + 4 :])
+
+
+@inlined
+def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope):
+    """Fill the columns of f_dc and f_rest; return the derivative by the viewing direction."""
+    coefficients = len(f_rest) // 3
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    x, y, z = dx / distance, dy / distance, dz / distance
+    sh_basis(x, y, z, coefficients, basis)
+    weights[:] = 0.0
+    for channel in range(3):
+        row = channel * coefficients
+        value = 0.5 + SH_C0 * f_dc[channel, i]
+        for k in range(coefficients):
+            value += basis[k] * f_rest[row + k, i]
+        by_value = total[BY_RED + channel] if value > 0.0 else 0.0
+        slope[_F_DC + channel] = SH_C0 * by_value
+        for k in range(coefficients):
+            slope[_F_REST + row + k] = basis[k] * by_value
+            weights[k] += f_rest[row + k, i] * by_value
+    by_x, by_y, by_z = sh_slope(x, y, z, coefficients, weights)
+    along = x * by_x + y * by_y + z * by_z
+    return (
+        (by_x - along * x) / distance,
+        (by_y - along * y) / distance,
+        (by_z - along * z) / distance,
+    )
+
+
+@inlined
+def _differentiate_conic(axes, total, antialiased, by_axes):
+    """Fill ``by_axes (3, 2)``, derivatives by the projected axes; return those by the centre."""
+    xx, xy, yy, sharp = covariance(axes)
+    determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
+    a = (yy + LOW_PASS) / determinant
+    b = -xy / determinant
+    c = (xx + LOW_PASS) / determinant
+    # With conic K and second moments M, the derivative by the covariance is K M K / 2.
+    mxx, mxy, myy = total[MOMENT_XX], total[MOMENT_XY], total[MOMENT_YY]
+    by_xx = 0.5 * (a * a * mxx + 2.0 * a * b * mxy + b * b * myy)
+    by_xy = a * b * mxx + (a * c + b * b) * mxy + b * c * myy
+    by_yy = 0.5 * (b * b * mxx + 2.0 * b * c * mxy + c * c * myy)
+    if antialiased and sharp / determinant > 0.000025:
+        by_determinant = -0.5 * total[MOMENT] / determinant
+        by_sharp = 0.5 * total[MOMENT] / sharp + by_determinant
+        by_xx += by_sharp * yy + LOW_PASS * by_determinant
+        by_xy -= 2.0 * by_sharp * xy
+        by_yy += by_sharp * xx + LOW_PASS * by_determinant
+    for k in range(3):
+        by_axes[k, 0] = 2.0 * axes[k, 0] * by_xx + axes[k, 1] * by_xy
+        by_axes[k, 1] = 2.0 * axes[k, 1] * by_yy + axes[k, 0] * by_xy
+    x, y = total[MOMENT_X], total[MOMENT_Y]
+    return a * x + b * y, b * x + c * y
+
+
+@inlined
+def _differentiate_turn(rot, i, quaternion, columns, slope):
+    """Derivative by the stored quaternion, from the derivative by the rotation's columns."""
+    norm, a, b, c, d = quaternion
+    (g00, g10, g20), (g01, g11, g21), (g02, g12, g22) = (
+        (columns[0, 0], columns[0, 1], columns[0, 2]),
+        (columns[1, 0], columns[1, 1], columns[1, 2]),
+        (columns[2, 0], columns[2, 1], columns[2, 2]),
+    )
+    by_a = b * (g21 - g12) + c * (g02 - g20) + d * (g10 - g01)
+    by_b = a * (g21 - g12) + c * (g01 + g10) + d * (g02 + g20) - 2.0 * b * (g11 + g22)
+    by_c = a * (g02 - g20) + b * (g01 + g10) + d * (g12 + g21) - 2.0 * c * (g00 + g22)
+    by_d = a * (g10 - g01) + b * (g02 + g20) + c * (g12 + g21) - 2.0 * d * (g00 + g11)
+    along = a * by_a + b * by_b + c * by_c + d * by_d
+    # A zero quaternion counts as the identity; its derivative is 0.
+    size = max(abs(rot[0, i]), abs(rot[1, i]), abs(rot[2, i]), abs(rot[3, i]))
+    factor = 2.0 / norm if size > 0.0 else 0.0
+    slope[0] = factor * (by_a - along * a)
+    slope[1] = factor * (by_b - along * b)
+    slope[2] = factor * (by_c - along * c)
+    slope[3] = factor * (by_d - along * d)
 
 
 class Differentiated(NamedTuple):

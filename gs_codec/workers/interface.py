@@ -1,10 +1,11 @@
-"""The common interface of workers: they run tasks, and yield each when it is done."""
+"""The common interface of workers, which run tasks and yield each when it is done; serial ones."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 from gs_codec.errors import GsCodecError
@@ -126,3 +127,33 @@ def throttled(progress: Progress) -> Progress:
             progress(stage, done, total)
 
     return tell
+
+
+class Serial:
+    """Runs tasks in this process; see `Workers`.
+
+    Parameters
+    ----------
+    folder : str
+        Folder for temporary files of tasks.
+    listener : Listener, optional
+    """
+
+    name, at_once = "serial", 1
+
+    def __init__(self, folder: str, listener: Listener | None = None) -> None:
+        self._folder, self._listener = folder, listener or Listener()
+        self._stopped = False
+
+    def run(self, work: Work[T, R], tasks: Iterable[T]) -> Generator[Done[T, R], None, None]:
+        """See `Workers`."""
+        for task in tasks:
+            if self._stopped:
+                return
+            self._listener.started(task)
+            place = Place(1, self._folder, partial(self._listener.stage, task))
+            yield Done.by(work, task, place)
+
+    def stop(self) -> None:
+        """See `Workers`."""
+        self._stopped = True

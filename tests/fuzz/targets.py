@@ -42,8 +42,13 @@ from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.adding import add_levels
 from gs_codec.levels.streaming import stream_levels
-from gs_codec.preparation.adam import AdamState, new_state
-from gs_codec.preparation.optimiser_state import Checkpoint, read_checkpoint, write_checkpoint
+from gs_codec.preparation.adam import (
+    AdamState,
+    Checkpoint,
+    new_state,
+    read_checkpoint,
+    write_checkpoint,
+)
 from gs_codec.report import SCHEMA
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import GROUPS, Scene

@@ -31,12 +31,18 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.similarity import move_scene
 from gs_codec.formats.table import USD, ZIP
-from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.optional import check_installed, missing_package
 from gs_codec.runtime.programs import Limits, run_on_files
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
+
+#: Suffixes of layers.
+LAYERS = (".usd", ".usda", ".usdc")
+
+#: Message for a usd-core before 26.3.
+WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians"
+
 
 _SYSTEM = USD.system
 _SYSTEM_Z_UP = "RFU"

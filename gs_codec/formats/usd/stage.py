@@ -20,7 +20,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.limits import FAILURES
-from gs_codec.formats.usd.names import LAYERS, WITHOUT_GAUSSIANS
+from gs_codec.formats.usd.scene import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.runtime.optional import missing_package
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 

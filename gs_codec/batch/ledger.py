@@ -103,11 +103,8 @@ class Ledger:
 def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Iterator[Ledger]:
     """Open a report: to continue it (`resume`), or to start with an empty one.
 
-    Raises
-    ------
-    InvalidInput
-        If it cannot be written, another batch writes to it, the file is not a report, or it has
-        lines and neither `resume` nor `overwrite` is given.
+    Raises InvalidInput if it cannot be written, another batch writes to it, the file is not a
+    report, or it has lines and neither `resume` nor `overwrite` is given.
     """
     check_writable(path)
     try:

@@ -59,10 +59,8 @@ _INSTALLED = (*_READ_ONLY, "ssh", "sftp")
 class RemoteStorage:
     """Storage that fsspec reaches at URL `base`; see `LocalStorage` for the methods.
 
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If its protocol is unknown, the package for it is not installed, or it cannot be reached.
+    Raises InvalidInput or MissingTool if its protocol is unknown, the package for it is not
+    installed, or it cannot be reached.
     """
 
     def __init__(self, base: str) -> None:

@@ -39,6 +39,8 @@ _REPORT = "report.jsonl"
 class Batch:
     """Options of a batch: what to encode, where to write it, and how.
 
+    Raises InvalidInput if a value is outside its range.
+
     Parameters
     ----------
     source : str
@@ -61,11 +63,6 @@ class Batch:
     overwrite : bool
         Without `resume`, whether to overwrite an existing report and existing outputs. Default
         True; the command line defaults to False.
-
-    Raises
-    ------
-    InvalidInput
-        If a value is outside its range.
     """
 
     source: str
@@ -133,13 +130,9 @@ class Watcher(Listener):
 def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     """Encode the scenes of a folder or glob; a failed scene does not stop the others.
 
-    Outputs appear atomically. The report gets a line for each scene when it is done.
-
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If no scene matches, a storage cannot be used, the report cannot be written, or a package
-        that the format needs is not installed.
+    Outputs appear atomically. The report gets a line for each scene when it is done. Raises
+    InvalidInput or MissingTool if no scene matches, a storage cannot be used, the report cannot be
+    written, or a package that the format needs is not installed.
     """
     start, watcher, records = time.perf_counter(), watcher or Watcher(), list[Record]()
     format_of(f".{batch.options.format}").check_installed()

@@ -49,10 +49,7 @@ class Folder:
     def load(self, name: str, *wanted: str) -> Arrays:
         """The arrays of a result, or only the wanted ones.
 
-        Raises
-        ------
-        InvalidInput
-            If it does not exist, or is not a result.
+        Raises InvalidInput if it does not exist, or is not a result.
         """
         try:
             with np.load(self._file(name)) as found:
@@ -99,12 +96,8 @@ def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
     """The folder ``TARGET.parts`` next to an output, with results of a run of the same identity.
 
     Results of runs with another identity are removed, and those of this run once the block
-    succeeds. Other files are kept.
-
-    Raises
-    ------
-    InvalidInput
-        If it cannot be created, or another run is using it.
+    succeeds. Other files are kept. Raises InvalidInput if it cannot be created, or another run is
+    using it.
     """
     outer = make_folder(target.with_name(f"{target.name}.parts"))
     text = json.dumps(identity, sort_keys=True, default=str)

@@ -143,10 +143,8 @@ class Sources:
 def open_sources(paths: Sequence[Path], extra: Extra) -> Sources:
     """Read the headers of files that form one scene; see `merge_scenes`.
 
-    Raises
-    ------
-    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        If a file cannot be read in parts, or is not a scene of its format.
+    Raises InvalidInput, CorruptStream, TruncatedStream or UnsupportedVersion if a file cannot be
+    read in parts, or is not a scene of its format.
     """
     listed, heads, stored, counted = [], [], 0, 0
     for path in paths:

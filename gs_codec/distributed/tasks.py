@@ -77,10 +77,7 @@ def _alone(work: Callable[[int], None], task: Numbered, place: Place) -> None:
 def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int) -> int:
     """Number of Gaussians per task (at least `least`), if workers have a memory limit.
 
-    Raises
-    ------
-    InvalidInput
-        If the limit is too low.
+    Raises InvalidInput if the limit is too low.
     """
     if max_memory is None:
         return _GAUSSIANS
@@ -98,12 +95,8 @@ def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int
 def crew_at(address: str | None, progress: Progress | None) -> Iterator[Crew]:
     """The workers of the Dask scheduler at an address, or local ones; or this process (None).
 
-    Locally, there is one worker per available thread.
-
-    Raises
-    ------
-    InvalidInput, MissingTool
-        As in `dask_workers`; or if Dask is not installed, or if there are no workers.
+    Locally, there is one worker per available thread. Raises InvalidInput or MissingTool, as in
+    `dask_workers`; or if Dask is not installed, or if there are no workers.
     """
     if address is None:
         yield Crew(Serial(tempfile.gettempdir()), progress)

@@ -73,13 +73,8 @@ def from_cloud(
     One of ``log_scale`` and ``scale`` is enough. If both are present, they must agree, so that an
     edit of one is never ignored. `extra` controls other attributes, and normals that are not all
     zero; if `tell`, a log message names those that are dropped. Valid infinities become finite (see
-    `finite_ends`), unless `exact`.
-
-    Raises
-    ------
-    InvalidInput
-        If an attribute is missing, has a wrong shape, or is not float32, or if ``scale`` is not
-        the exponential of ``log_scale``.
+    `finite_ends`), unless `exact`. Raises InvalidInput if an attribute is missing, has a wrong
+    shape, or is not float32, or if ``scale`` is not the exponential of ``log_scale``.
     """
     check_cloud(cloud)
     arrays = {name: cloud.point[name].cpu().numpy() for name in cloud.point}

@@ -42,10 +42,7 @@ def sees_device() -> bool:
 def is_chosen(device: Literal["auto", "cpu", "cuda"]) -> bool:
     """Whether `device` selects gsplat.
 
-    Raises
-    ------
-    MissingTool
-        If `device` is ``cuda`` and gsplat is not available.
+    Raises MissingTool if `device` is ``cuda`` and gsplat is not available.
     """
     if device == "cuda" and not sees_device():
         raise missing_package("gsplat", "device 'cuda'")

@@ -61,10 +61,8 @@ def check_installed(module: str, what: str) -> None:
 def needed(name: str, what: str) -> ModuleType:
     """A module of an optional package.
 
-    Raises
-    ------
-    MissingTool
-        If the package is not installed or cannot be loaded; `what` says what needs it.
+    Raises MissingTool if the package is not installed or cannot be loaded; `what` says what needs
+    it.
     """
     module = name.partition(".")[0]
     check_installed(module, what)

@@ -50,6 +50,8 @@ def find_program(
 ) -> tuple[str, str]:
     """Path of a program, and the first line that it prints, in which its name has to be.
 
+    Raises MissingTool if there is none, or it is another program.
+
     Parameters
     ----------
     name : str
@@ -62,11 +64,6 @@ def find_program(
     limits : Limits
     folder : str
         Where else to look for `name`.
-
-    Raises
-    ------
-    MissingTool
-        If there is none, or it is another program.
     """
     found = shutil.which(given or name)
     if found is None and not given and folder:

@@ -41,6 +41,9 @@ _HOST = "127.0.0.1"
 def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distributed.Client]:
     """A client of the scheduler at an address, or of a local cluster with `jobs` processes.
 
+    Raises InvalidInput or MissingTool if there is no scheduler at the address, or a package for its
+    address is missing.
+
     Parameters
     ----------
     address : str
@@ -51,11 +54,6 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
         Folder for temporary files of a local cluster.
     name : str
         Name of the cluster in errors.
-
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If there is no scheduler at the address, or a package for its address is missing.
     """
     # Hide Dask's messages about workers that come and go.
     for known in ("distributed", *logging.getLogger("distributed").manager.loggerDict):
@@ -79,10 +77,7 @@ def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distr
 def threads_of_workers(client: distributed.Client) -> list[tuple[str, int]]:
     """Host of each worker, and its number of concurrent tasks; checks versions.
 
-    Raises
-    ------
-    InvalidInput
-        If a worker has another version.
+    Raises InvalidInput if a worker has another version.
     """
     threads = []
     for worker, found in client.run(_introduced, on_error="return").items():
@@ -227,10 +222,7 @@ class DaskWorkers:
 def dask_workers(address: str, jobs: int, folder: str, listener: Listener) -> Iterator[DaskWorkers]:
     """The workers of the scheduler at an address, or of one started here; see `connected`.
 
-    Raises
-    ------
-    InvalidInput, MissingTool
-        As in `connected`; or if a worker has another version.
+    Raises InvalidInput or MissingTool, as in `connected`; or if a worker has another version.
     """
     name = f"dask {without_secrets(address)}"
     with connected(address, jobs, folder, name) as client:

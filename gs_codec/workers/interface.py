@@ -105,10 +105,7 @@ class Workers(Protocol):
     def run(self, work: Work[T, R], tasks: Iterable[T]) -> Generator[Done[T, R], None, None]:
         """Yield each task when it is done; closing the generator abandons the others.
 
-        Raises
-        ------
-        InvalidInput
-            If the workers are gone.
+        Raises InvalidInput if the workers are gone.
         """
 
     def stop(self) -> None:

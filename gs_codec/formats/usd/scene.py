@@ -168,12 +168,8 @@ def _scenes(found: dict[str, NDArray]) -> list[Scene]:
 def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a file with this suffix, and sentences on what it cannot represent.
 
-    Raises
-    ------
-    InvalidInput
-        If a value is not finite, or a scale too large for a float32.
-    MissingTool
-        If usd-core is not installed.
+    Raises InvalidInput if a value is not finite, or a scale too large for a float32. Raises
+    MissingTool if usd-core is not installed.
     """
     require_usd_core()
     check_finite(scene, "USD")

@@ -284,10 +284,7 @@ class RateTarget:
 def as_rate_target(target: RateTarget | Mapping[str, float] | None) -> RateTarget | None:
     """Make a target from a mapping of its parameters; return a target, or None, unchanged.
 
-    Raises
-    ------
-    InvalidInput
-        If the mapping is not a valid target.
+    Raises InvalidInput if the mapping is not a valid target.
     """
     if target is None or isinstance(target, RateTarget):
         return target

@@ -25,10 +25,7 @@ from gs_codec.runtime.threads import available_threads
 class Options(Request):
     """How to encode each scene, or convert it to the `plain` format; its plan then guides actions.
 
-    Raises
-    ------
-    InvalidInput
-        If an option has no effect in this combination.
+    Raises InvalidInput if an option has no effect in this combination.
     """
 
     plain: str | None = None
@@ -149,10 +146,8 @@ def find_tasks(
 ) -> list[Task]:
     """The scenes of a storage, named `source` in errors, with their outputs below the target.
 
-    Raises
-    ------
-    InvalidInput
-        If there are none, if two have the same output, or if an output is its own source.
+    Raises InvalidInput if there are none, if two have the same output, or if an output is its own
+    source.
     """
     found = sources.find(options.sources)
     if not found:

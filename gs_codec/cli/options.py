@@ -117,10 +117,7 @@ def typer_option(name: str, hidden: bool = False) -> Any:
 def parse_value(name: str, text: Any) -> Any:
     """Parse the text of an option's value; with its key, if the option has keys.
 
-    Raises
-    ------
-    InvalidInput
-        If it is invalid or out of range.
+    Raises InvalidInput if it is invalid or out of range.
     """
     if not isinstance(text, str):  # already a default value
         return text

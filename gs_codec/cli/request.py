@@ -23,10 +23,7 @@ from gs_codec.preparation.steps import Plan, Steps
 def request_of(typed: Typed, target: Path | None = None, dask: str | None = None) -> Request:
     """The request that was typed, in the format of a target's suffix.
 
-    Raises
-    ------
-    InvalidInput
-        If an option is out of range, or has no effect.
+    Raises InvalidInput if an option is out of range, or has no effect.
     """
     config, rate = config_of(typed, target), None
     if has_target(typed):
@@ -40,10 +37,7 @@ def request_of(typed: Typed, target: Path | None = None, dask: str | None = None
 def config_of(typed: Typed, target: Path | None = None) -> Config:
     """The configuration that was typed, with the format of a target's suffix.
 
-    Raises
-    ------
-    InvalidInput
-        If an option is out of range, or has no effect.
+    Raises InvalidInput if an option is out of range, or has no effect.
     """
     form = _format_of(typed, target)
     if form in CODED_FORMATS and form != EGS:
@@ -65,10 +59,7 @@ def _format_of(typed: Typed, target: Path | None) -> str:
 def plan_of(typed: Typed, config: Config) -> Plan | None:
     """The steps and views that were typed; None if none were.
 
-    Raises
-    ------
-    InvalidInput
-        If an option has no effect in this combination.
+    Raises InvalidInput if an option has no effect in this combination.
     """
     refuse_preparation(typed)
     steps = typed.build(Steps)
@@ -80,9 +71,6 @@ def plan_of(typed: Typed, config: Config) -> Plan | None:
 def action_plan(typed: Typed) -> Plan | None:
     """The cameras that guide actions, if any were given.
 
-    Raises
-    ------
-    InvalidInput
-        If no action uses them.
+    Raises InvalidInput if no action uses them.
     """
     return typed.build(Plan) if guides_actions(typed) else None

@@ -20,12 +20,8 @@ from gs_codec.errors import GsCodecError, InvalidInput
 def piped_source(source: Path, form: str | None = None) -> Iterator[Path]:
     """A file to read during the block, in place of ``-`` or a named pipe.
 
-    `form` is its format, if the content does not identify it.
-
-    Raises
-    ------
-    InvalidInput
-        If `form` is given for a regular file, or contradicts the content.
+    `form` is its format, if the content does not identify it. Raises InvalidInput if `form` is
+    given for a regular file, or contradicts the content.
     """
     _check_format([source], form)
     if not _is_pipe(source):
@@ -58,12 +54,9 @@ def piped(
 ) -> Iterator[tuple[list[Path], Path]]:
     """Files to read, as in `piped_source`, and to write in place of ``-``.
 
-    The output goes to stdout once it is complete; text printed meanwhile goes to stderr.
-
-    Raises
-    ------
-    InvalidInput
-        If two sources are ``-``, or if the target is ``-`` and stdout is closed or a terminal.
+    The output goes to stdout once it is complete; text printed meanwhile goes to stderr. Raises
+    InvalidInput if two sources are ``-``, or if the target is ``-`` and stdout is closed or a
+    terminal.
     """
     if list(map(str, sources)).count("-") > 1:
         raise InvalidInput("-: stdin is one scene, expected '-' once")

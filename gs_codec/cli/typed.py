@@ -61,10 +61,7 @@ class Typed:
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Reject options that would be ignored.
 
-        Raises
-        ------
-        InvalidInput
-            If one was typed; `why` states what it needs.
+        Raises InvalidInput if one was typed; `why` states what it needs.
         """
         for name in names:
             if name in self._typed:

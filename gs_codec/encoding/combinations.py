@@ -37,12 +37,7 @@ def check_request(
     max_memory: int | None,
     dask: str | None,
 ) -> None:
-    """Check the fields of a `Request`.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Check the fields of a `Request`. Raises InvalidInput."""
     if dask is not None:
         _check_divided(config, plan is not None or rate is not None or bool(actions))
     elif max_memory is not None:

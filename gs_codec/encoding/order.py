@@ -61,6 +61,10 @@ def encode(
 ) -> Encoded:
     """Encode a scene to the consecutive pieces of a file.
 
+    Raises InvalidInput if values are not finite, there are no cameras, nothing would be left, the
+    rate cannot be reached, or views lose too much and the configuration is strict. Raises
+    MissingTool or ToolFailed if a program that the configuration asks for is missing or fails.
+
     Parameters
     ----------
     scene : Scene
@@ -79,14 +83,6 @@ def encode(
     -------
     parts : list of bytes
     report : EncodeReport
-
-    Raises
-    ------
-    InvalidInput
-        If values are not finite, there are no cameras, nothing would be left, the rate cannot be
-        reached, or views lose too much and the configuration is strict.
-    MissingTool, ToolFailed
-        If a program that the configuration asks for is missing or fails.
     """
     config, times = request.config, StageTimes()
     with using_threads(config.threads):
@@ -194,12 +190,8 @@ def encode_to_rate(
 
     With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
     against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
-    that are estimated from the scene. `views` are the plan's, if already known.
-
-    Raises
-    ------
-    InvalidInput
-        If the target is unreachable; the error gives the range.
+    that are estimated from the scene. `views` are the plan's, if already known. Raises InvalidInput
+    if the target is unreachable; the error gives the range.
     """
     from gs_codec.preparation.pipeline import choose_views, guiding_views
     from gs_codec.preparation.steps import Plan

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 class Request:
     """How a scene is to be encoded.
 
+    Raises InvalidInput if an option has no effect in this combination.
+
     Attributes
     ----------
     config : Config
@@ -31,11 +33,6 @@ class Request:
         Limits: memory, and the scene's floats.
     dask : str or None
         Address of a scheduler whose workers divide the scene, or ``local``.
-
-    Raises
-    ------
-    InvalidInput
-        If an option has no effect in this combination.
     """
 
     config: Config

@@ -86,6 +86,8 @@ def encode_within_loss(
 ) -> tuple[Result, RenderedLoss | None] | None:
     """Encode a scene; repeat with finer steps while views lose too much.
 
+    Raises InvalidInput if views lose too much, and the configuration is strict.
+
     Parameters
     ----------
     attempt : callable
@@ -99,11 +101,6 @@ def encode_within_loss(
     -------
     result, loss
         Result and loss of the best attempt; None if the cameras do not fit the scene.
-
-    Raises
-    ------
-    InvalidInput
-        If views lose too much, and the configuration is strict.
     """
     aim = wanted_error(config) if config.has_steps and not config.depths else None
     allowed = _ALLOWED_ESTIMATED if origin == "estimated" else _ALLOWED
@@ -144,12 +141,7 @@ def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
 
 
 def warn_misfit(reason: str, config: Config) -> None:
-    """Warn that cameras do not fit the scene; raise if strict.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Warn that cameras do not fit the scene; raise if strict. Raises InvalidInput."""
     if config.strict:
         raise InvalidInput(f"cameras do not fit the scene: {reason}")
     log.warning("cameras do not fit the scene: %s; encoded without them", reason)

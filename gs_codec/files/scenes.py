@@ -68,13 +68,8 @@ def write_scene(
     """Write a scene in any supported output format.
 
     If `finest`, it is written as finely as possible, whatever the profile; coarser levels of detail
-    still follow the profile.
-
-    Raises
-    ------
-    InvalidInput
-        If the suffix is not supported, or the file cannot be written or, without `overwrite`,
-        exists.
+    still follow the profile. Raises InvalidInput if the suffix is not supported, or the file cannot
+    be written or, without `overwrite`, exists.
     """
     suffix = suffix_of(path)
     check_writable(path, overwrite)
@@ -133,10 +128,7 @@ def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | N
 def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
     """Write an encoded scene; for `meta.json`, unpack its zip, with `meta.json` last.
 
-    Raises
-    ------
-    InvalidInput
-        If a file cannot be written.
+    Raises InvalidInput if a file cannot be written.
     """
     if suffix_of(path) != UNBUNDLED:
         with atomic_writer(path) as file:

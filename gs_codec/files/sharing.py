@@ -81,6 +81,10 @@ def share(
 ) -> list[SharedScene]:
     """Write a page that shows a scene, or two versions of it, in a browser.
 
+    Raises InvalidInput, CorruptStream, TruncatedStream or UnsupportedVersion, as in `read` and
+    `render`; or if there are more than two scenes, or the target cannot be written. Raises
+    MissingTool if the page is missing from the installed `viewer`.
+
     Parameters
     ----------
     sources : sequence of str or Path
@@ -101,14 +105,6 @@ def share(
     up : {"-y", "y", "-z", "z", "-x", "x"}, optional
         Up axis: estimated cameras are upright with respect to it, all views are shown upright, and
         the page rotates about it. By default it is derived from the cameras, given or estimated.
-
-    Raises
-    ------
-    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
-        As in `read` and `render`; or if there are more than two scenes, or the target cannot be
-        written.
-    MissingTool
-        If the page is missing from the installed `viewer`.
     """
     target = Path(target)
     if up is not None:

@@ -30,10 +30,7 @@ IN_PARTS = tuple(suffix for known in FORMATS if known.in_parts for suffix in kno
 def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
     """The suffix of an output file, which selects the format.
 
-    Raises
-    ------
-    InvalidInput
-        If it is not in `known`, or must be the whole name and is not.
+    Raises InvalidInput if it is not in `known`, or must be the whole name and is not.
     """
     suffix = known_suffix(path)
     if suffix not in known:
@@ -59,10 +56,7 @@ def format_name(suffix: str) -> str:
 def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODED) -> Config:
     """The configuration with the format of a file's suffix.
 
-    Raises
-    ------
-    InvalidInput
-        If it is not in `known`, or the configuration selects another format.
+    Raises InvalidInput if it is not in `known`, or the configuration selects another format.
     """
     form = format_name(suffix_of(path, known))
     if config.format not in (EGS, form):

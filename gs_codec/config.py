@@ -294,7 +294,7 @@ def as_rate_target(target: RateTarget | Mapping[str, float] | None) -> RateTarge
     return RateTarget(**target)  # type: ignore[arg-type]
 
 
-#: Our own format, and all that scenes are encoded to.
+#: Our own format, and all formats that scenes can be encoded to.
 EGS = "egs"
 CODED_FORMATS = tuple(
     dict.fromkeys(
@@ -567,7 +567,7 @@ class Config:
 
     @property
     def scene_format(self) -> SceneFormat:
-        """What `format` is."""
+        """The declaration of `format`."""
         return format_of(f".{self.format}")
 
     def adaptive_profile(self) -> AdaptiveProfile:

@@ -1,4 +1,4 @@
-"""What formats declare: functions that exist, their rows in FORMATS.md; and a new format."""
+"""Declarations of formats: their functions exist, FORMATS.md has their rows; a new format works."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_no_suffix_belongs_to_two_formats():
 
 
 def row_of(known: SceneFormat) -> list[str]:
-    """The cells of a format's row: names, what is read, what is written, contents."""
+    """Expected cells of a format's row: names, read, written, contents."""
     names = {*known.written, *known.read} - {".json"}
     table = DOCUMENT[DOCUMENT.index("| | read | written |") : DOCUMENT.index("\n## ")]
     rows = [re.split(r" ?\| ?", line)[1:-1] for line in table.splitlines() if line.startswith("|")]
@@ -52,7 +52,7 @@ def test_the_documented_table_agrees(known):
     assert ("extra `" in names) == (known.require is not None)
 
 
-#: The module that reads and writes a new format.
+#: A module that reads and writes a new format.
 MODULE = """
 import numpy as np
 from gs_codec.formats.extra_properties import left_out_of
@@ -79,7 +79,7 @@ def pack(scene):
     return b"TOY!" + planes.tobytes(), (TOY.rounding, *left_out_of(scene, TOY))
 """
 
-#: What is added to the table.
+#: Its record for the table.
 RECORD = """
 import os, sys
 from gs_codec.formats import table
@@ -98,7 +98,7 @@ table.TOY = table.SceneFormat(
 table.FORMATS += (table.TOY,)
 """
 
-#: Processes of a batch import it, too.
+#: Also imported by processes of a batch.
 RUN = """
 from gs_codec.cli.main import main
 
@@ -112,7 +112,7 @@ for line in LINES if __name__ == "__main__" else ():
         print("status", stop.code or 0, flush=True)
 """
 
-#: Commands, and what they say of the format.
+#: Commands, and what they print about the format.
 LINES = {
     "convert scene.ply a.toy": "a.toy: 60 Gaussians, SH degree 0",
     "inspect a.toy": "a.toy: toy, 60 Gaussians",

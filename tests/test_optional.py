@@ -1,4 +1,4 @@
-"""Optional packages: whether they are there, and the one message that says how to install them."""
+"""Optional packages: whether they are installed, and one message that says how to install them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_every_extra_is_one_of_the_project():
 
 
 def test_packages_are_looked_for_in_one_place():
-    """Nothing else asks `find_spec` but for our own page, nor catches an import that fails."""
+    """No other module calls `find_spec`, except for our own page, or catches a failed import."""
     found = set()
     for path in [*(ROOT / "gs_codec").rglob("*.py"), *(ROOT / "viewer").rglob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text())):
@@ -64,7 +64,7 @@ def test_packages_are_looked_for_in_one_place():
             if caught or (isinstance(node, ast.ImportFrom) and node.module == "importlib.util"):
                 found.add(path.relative_to(ROOT).as_posix())
     assert found == {
-        "gs_codec/batch/remote.py",  # what a protocol of fsspec needs
+        "gs_codec/batch/remote.py",  # packages needed by fsspec protocols
         "gs_codec/runtime/atomic.py",  # Windows
         "gs_codec/runtime/optional.py",
         "gs_codec/workers/dask.py",  # what an address of Dask needs

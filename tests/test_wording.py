@@ -1,4 +1,4 @@
-"""Numbers in messages agree with their nouns, in every module."""
+"""Numbers in messages agree with their nouns, in all modules."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gs_codec.runtime.wording import as_typed, counted, size_text
 
 ROOT = Path(__file__).parents[1]
 
-#: What messages count.
+#: Nouns counted in messages.
 NOUNS = (
     "Gaussians|views|cameras|images|frames|scenes|files|blocks|levels|sections|bytes|bits|"
     "values|entries|elements|properties|iterations|encodings|poses|tables|streams"
@@ -56,7 +56,7 @@ def test_size_text(size: float, expected: str) -> None:
 
 
 def uncounted(path: Path) -> Iterator[str]:
-    """Texts of a module in which a number that could be 1 meets a plural."""
+    """Texts of a module that combine a number that could be 1 with a plural."""
     for text in ast.walk(ast.parse(path.read_text())):
         if isinstance(text, ast.Constant) and re.search(f"%d ({NOUNS})", str(text.value)):
             yield f"{path.name}:{text.lineno}: {text.value}"
@@ -100,7 +100,7 @@ def test_commands_name_options_where_python_names_arguments(text: str, expected:
 
 
 def options_in_messages(path: Path) -> Iterator[str]:
-    """Errors and log messages of a module that name an option of the commands."""
+    """Errors and log messages of a module that mention a command's option."""
     for node in ast.walk(ast.parse(path.read_text())):
         is_log = isinstance(node, ast.Call) and ast.unparse(node.func).startswith("log.")
         if isinstance(node, ast.Raise) or is_log:

@@ -1,4 +1,4 @@
-"""Workers of every kind do the same: each task once, with its error, progress and place."""
+"""Workers of all kinds do each task once, and pass on its error, progress and place."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Sum(NamedTuple):
 
 
 class Ears(Listener):
-    """Keeps what was heard."""
+    """Records everything it hears."""
 
     def __init__(self) -> None:
         self.heard = list[tuple]()
@@ -39,7 +39,7 @@ class Ears(Listener):
 
 
 def work(factor: int, task: Sum, place: Place) -> int:
-    """A product; no task may be called ``bad``, and ``killed`` ends its process."""
+    """A product. A task ``bad`` raises an error, and ``killed`` kills its process."""
     place.progress("multiply", task.number, 9)
     if task.name == "bad":
         raise InvalidInput("bad: cannot be multiplied")
@@ -72,7 +72,7 @@ def test_each_task_is_done_once_with_its_error_and_progress(tmp_path, kind):
     ears, tasks = Ears(), [Sum("a", 1), Sum("bad", 2), Sum("c", 3)]
     with kind(str(tmp_path), ears) as workers:
         assert workers.at_once == 1
-        for factor in (2, 5):  # they can be used again
+        for factor in (2, 5):  # workers can be reused
             done = {each.task.name: each for each in workers.run(partial(work, factor), tasks)}
             assert {name: each.value for name, each in done.items()} == {
                 "a": factor,

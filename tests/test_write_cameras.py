@@ -1,4 +1,4 @@
-"""Cameras written as cameras.json: the same when read again, by Python and by `render`."""
+"""Cameras written as cameras.json are equal when read again, by Python and by `render`."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from gs_codec.views.find import find_cameras
 
 
 def assert_same(first: list[Camera], second: list[Camera]) -> None:
-    """Every field but the lens, to the last bit."""
+    """Check that all fields except the lens are bit-exact."""
     assert len(first) == len(second)
     for a, b in zip(first, second, strict=True):
         for field in fields(Camera):
             if field.name != "lens":
                 np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name))
-        # Kernels may round differently by how an array lies in memory.
+        # Kernels may round differently depending on the memory layout of an array.
         assert a.rotation.flags.c_contiguous == b.rotation.flags.c_contiguous
 
 

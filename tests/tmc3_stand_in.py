@@ -1,7 +1,7 @@
-"""A stand-in for ``tmc3``: lossless, in another order, and failing as TMC3_STAND_IN asks.
+"""A stand-in for ``tmc3``: lossless, reorders points, and fails in the way TMC3_STAND_IN names.
 
-``TMC3_STAND_IN=decode:count`` makes decoding lose a point. It knows no more of G-PCC than the
-options that it is called with and the files that go in and out.
+``TMC3_STAND_IN=decode:count`` makes decoding lose a point. It implements none of G-PCC, only its
+options and its input and output files.
 """
 
 import os
@@ -70,7 +70,7 @@ def decode(options, failure):
 
 
 def fail(failure, output):
-    """Everything that ends badly without a look at the input."""
+    """All failures that do not need to look at the input."""
     if failure == "exit":
         print("the first line\n  Error: no \x1b[31mgood\n", file=sys.stderr)
         sys.exit(3)

@@ -1,4 +1,4 @@
-"""What tests of the viewer's window share: files to open, and how one is driven."""
+"""Shared by tests of the viewer's window: files to open, and scripts that drive a window."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ needs_display = pytest.mark.skipif(
 
 
 def make_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two versions of a scene, places to look from, one photograph, and a report."""
+    """Two versions of a scene, viewpoints, one photograph, and a report."""
     folder = tmp_path_factory.mktemp("window")
     scene = generate(3000, 1, 31)
     write_ply(folder / "a.ply", scene)
@@ -47,10 +47,10 @@ def make_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def drive(script: str, display: str, folder: Path) -> dict:
-    """What came of driving a window by a script of this folder.
+    """The results of a script in this folder that drives a window.
 
-    Once more if it ends by a segmentation fault: Mesa 22.3's software driver has one in a thread of
-    its own, once in some hundred windows.
+    Runs it again after a segmentation fault: Mesa 22.3's software driver causes one in a thread of
+    its own, about once in some hundred windows.
     """
     here = Path(__file__).parent
     environment = os.environ | {
@@ -75,9 +75,9 @@ def drive(script: str, display: str, folder: Path) -> dict:
 
 
 def check_drags(drags: list[list]) -> None:
-    """What `Driver.drags` found: all end where one event would, and back where they began."""
+    """Check results of `Driver.drags`: all end like a single event, and return to the start."""
     (before,), *ends = drags
-    there, back = np.array(ends).transpose(1, 0, 2, 3, 4)  # of drags, panes: matrices
+    there, back = np.array(ends).transpose(1, 0, 2, 3, 4)  # by drag and pane: matrices
     moved = np.abs(there[0, 0] - before[0]).max()
     assert moved > 0.5
     assert np.abs(there - there[0, 0]).max() < 0.01 * moved
@@ -85,7 +85,7 @@ def check_drags(drags: list[list]) -> None:
 
 
 def crossings(x: float, y: float, corners: list) -> int:
-    """How often the ray to the right of a point crosses a polygon."""
+    """Number of a polygon's edges that the ray from a point to the right crosses."""
     found = 0
     for k, (x0, y0) in enumerate(corners):
         x1, y1 = corners[(k + 1) % len(corners)]

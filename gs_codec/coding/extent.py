@@ -1,4 +1,4 @@
-"""Boxes: of the centres and ellipsoids of Gaussians, and the cube that an octree divides.
+"""Bounding boxes of centres and ellipsoids, and the cube that an octree divides.
 
 FORMAT.md, section "Index". Only correctly rounded operations are used for extents, so they are the
 same on every machine.

@@ -213,23 +213,22 @@ def _outside(
 
 @on_clouds
 def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None = None) -> Scene:
-    """Remove Gaussians in empty space, hardly visible to cameras, or far outside.
+    """Remove Gaussians in empty space, hardly visible to the cameras, or far outside.
 
     A Gaussian is removed by the first rule that matches:
 
-    - isolated: its distance to its eighth nearest other is more than 1.75 times the scene's usual
-      distance, which nine in ten Gaussians do not pass. Distances are in units of sizes: divided
-      by the largest standard deviation of the first plus the geometric mean of those of the other,
-      both rounded to powers of two. So a small Gaussian in empty space goes, and so does a clump
-      of up to eight; a large one of a sparse background stays. Before a camera, 1.25 times is
-      enough: if the Gaussian's centre is in its image, at less than 0.7 of the depth beyond which
-      95 % of what it sees is.
-    - hardly seen, with cameras: at least ten have its centre in their image, but all together see
-      less of it than a thousandth of what they see of a Gaussian on average, because it is hidden
-      or transparent.
-    - outside: it is one of a few that are far away: see below. With cameras, only if they see no
-      more of it than that; or if it is beyond the convex hull of the cameras and of what they see,
-      enlarged four times about its middle.
+    - isolated: the distance to its eighth nearest neighbour is more than 1.75 times the 90th
+      percentile of the scene. Distances are relative to size: divided by the largest standard
+      deviation of the first Gaussian plus the geometric mean of those of the second, both rounded
+      to powers of two.
+      So small Gaussians in empty space are removed, alone or in clumps of up to eight; large ones
+      in a sparse background are kept. In front of a camera the factor is 1.25: if the centre is in
+      the image, nearer than 0.7 times the depth that 95 % of the opaque pixels exceed.
+    - hardly seen, with cameras: its centre is in the image of at least ten cameras, but its total
+      blending weight is less than a thousandth of the mean, because it is hidden or transparent.
+    - outside: it is one of a few far Gaussians (see below); with cameras, only if its weight is
+      below the same limit. With cameras, Gaussians below the limit are also removed outside the
+      convex hull of the cameras and the Gaussians they see, enlarged four times around its middle.
 
     Far Gaussians are the few whose distance from the median centre is at least four times the best
     cut. The best cut minimises log2 of the distance, plus one bit for each 1 % of Gaussians beyond

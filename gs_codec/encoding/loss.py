@@ -30,8 +30,8 @@ from gs_codec.scene import Scene
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
-#: Quantile of the crops' losses that is reported. A few crops are seen from inside a Gaussian,
-#: where no camera ever was.
+#: Reported quantile of the crops' losses. A few crops are rendered from inside a Gaussian, where no
+#: camera has been.
 _WORST = 0.95
 
 #: Lower bound of mean squared errors: 120 dB.

@@ -44,7 +44,7 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
     Returns
     -------
     Scene
-        The same object if it is in that system already.
+        The same object if it is already in that system.
     """
     turn = _turn(system_of(scene), system)
     if np.array_equal(turn, np.eye(3)):

@@ -1,6 +1,6 @@
-"""Values that several formats share: of a byte, packed quaternions, and after activation.
+"""Encodings that several formats share: bytes, packed quaternions, values after activation.
 
-And what their writers share: a part of the scene at a time, and sentences on what is lost.
+Their writers also share processing part by part, and sentences on what is lost.
 """
 
 from __future__ import annotations

@@ -147,8 +147,8 @@ class SceneFile:
     ) -> Scene:
         """Read a scene in any format except `.egs`; `extra` and `max_bytes` are as in `read_ply`.
 
-        Infinities that are values become finite, see `finite_ends`, unless `exact`. Raises
-        InvalidInput if it is not a valid file of its format, or is larger than `max_bytes`.
+        Valid infinities become finite (see `finite_ends`), unless `exact`. Raises InvalidInput if
+        it is not a valid file of its format, or decodes to more than `max_bytes`.
         """
         scene = self._scene(extra, max_bytes)
         return scene if exact else with_finite_ends(scene, self.path)

@@ -40,9 +40,9 @@ _DIRECTIONS = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if 
 def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     """Rotate, mirror, scale and translate a scene: centres, shapes, SH and normals.
 
-    Computed in float64 and rounded once. If axes only swap and change signs, numbers of centres and
-    shapes keep their bits, and so do SH whose signs alone change. Raises InvalidInput if the matrix
-    shears, or scales axes differently, or by 0.
+    Computed in float64 and rounded once. If axes are only swapped or negated, centres and shapes
+    stay bit-exact, and so do SH that only change sign. Raises InvalidInput if the matrix shears,
+    scales axes differently, or scales by 0.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     Returns
     -------
     Scene
-        The same object if the matrix moves nothing.
+        The same object if the matrix is the identity.
     """
     try:
         wide = np.asarray(matrix, np.float64)

@@ -1,6 +1,6 @@
 """The coarser levels of a scene: the tree of blocks, and the error of each. FORMAT.md, "Levels".
 
-The error of a block: the pixel size at which merging becomes hardly visible.
+The error of a block is the pixel size at which merging becomes hardly visible.
 
 Runs of its Gaussians are rendered from three sides before and after merging, with opacity
 compensation and increasing pixel size, until they look alike. Rendering without compensation adds a

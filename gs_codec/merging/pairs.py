@@ -1,4 +1,4 @@
-"""Merge pairs of Gaussians: one with the same mass, mean, covariance and colour; choose which.
+"""Merge pairs of Gaussians, preserving mass, mean, covariance and colour; choose the pairs.
 
 The mass of a Gaussian is its opacity times the root mean square of its projected area over all
 directions, because views show its area, not its volume.

@@ -82,9 +82,9 @@ def prepare_scene(
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
-    `steps_of` gives the step sizes that decide how far a balanced plan prunes; by default those of
-    profile `m`. Raises InvalidInput if there are no cameras, no Gaussian would be left, or an image
-    is broken. Raises MissingTool if refinement needs a device, and there is none.
+    `steps_of` returns the step sizes that decide how much a balanced plan prunes; by default those
+    of profile `m`. Raises InvalidInput if there are no cameras, no Gaussian would be left, or an
+    image is damaged. Raises MissingTool if refinement needs a device, and there is none.
     """
     if plan.steps.refine:
         is_chosen(plan.device)

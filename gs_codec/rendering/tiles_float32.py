@@ -181,10 +181,10 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
 def walk_back(take, total, fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
     """Go over the splats of a tile, back to front.
 
-    In each pixel, ``take(row, x, alpha, red, green, blue, place, columns)`` takes a splat off and
-    adds to the sums by column; `alpha` is 0 where it is not drawn. `place` is the offset from its
-    centre: along the row and across it in axes where q is the sum of their squares, the latter's
-    square, and in rows. ``total(pair, splat, u, columns, sums)`` adds the columns up.
+    For each pixel, ``take(row, x, alpha, red, green, blue, place, columns)`` removes a splat and
+    adds to the sums by column; `alpha` is 0 where the splat is not drawn. `place` is the offset
+    from its centre: a, b, b squared, and rows, with q = a squared + b squared. ``total(pair, splat,
+    u, columns, sums)`` sums the columns.
     """
     for pair in range(end - 1, start - 1, -1):
         splat, number = splats[pair], np.int32(pair - start)

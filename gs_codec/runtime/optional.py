@@ -1,4 +1,4 @@
-"""Optional packages: whether they are there, and one message that says how to install them."""
+"""Optional packages: whether they are installed, and one message that says how to install them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import ModuleType
 
 from gs_codec.errors import MissingTool, one_line
 
-#: Modules that extras bring: what messages call the package, and the extra.
+#: By module of an optional package: its name in messages, and the extra that installs it.
 _EXTRAS = {
     "cv2": ("OpenCV", "undistort"),
     "distributed": ("distributed", "cluster"),
@@ -24,7 +24,7 @@ _EXTRAS = {
 
 
 def is_available(*modules: str) -> bool:
-    """Whether modules of optional packages are loaded, or can be found; this loads none."""
+    """Whether modules of optional packages are loaded or can be found; does not import them."""
     return all(
         (sys.modules[module] if module in sys.modules else find_spec(module)) is not None
         for module in modules
@@ -32,16 +32,16 @@ def is_available(*modules: str) -> bool:
 
 
 def missing_package(module: str, what: str, why: str = "") -> MissingTool:
-    """The error for a module that is not there, or that cannot be used for a reason.
+    """The error for a module that is not installed, or cannot be used.
 
     Parameters
     ----------
     module : str
         A top-level module of an optional package.
     what : str
-        What needs it.
+        The feature that needs it.
     why : str
-        The reason; empty if it is not installed.
+        Why it cannot be used; empty if it is not installed.
     """
     import platform
 
@@ -53,13 +53,13 @@ def missing_package(module: str, what: str, why: str = "") -> MissingTool:
 
 
 def check_installed(module: str, what: str) -> None:
-    """Refuse a call that needs a module which is not installed; see `missing_package`."""
+    """Reject a call that needs a module which is not installed; see `missing_package`."""
     if not is_available(module):
         raise missing_package(module, what)
 
 
 def needed(name: str, what: str) -> ModuleType:
-    """A module of an optional package.
+    """Import a module of an optional package.
 
     Raises MissingTool if the package is not installed or cannot be loaded; `what` says what needs
     it.
@@ -73,7 +73,7 @@ def needed(name: str, what: str) -> ModuleType:
 
 
 def pip_install(extra: str) -> str:
-    """The command that installs what an extra is for, beside the distribution that is there."""
+    """The command that installs an extra for the installed distribution."""
     from importlib.metadata import PackageNotFoundError, version
 
     name = "gs-codec-core"

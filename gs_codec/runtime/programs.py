@@ -48,7 +48,7 @@ class Limits:
 def find_program(
     name: str, given: str | None, argument: str, how: str, limits: Limits, folder: str = ""
 ) -> tuple[str, str]:
-    """Path of a program, and the first line that it prints, in which its name has to be.
+    """Path of a program, and the first line it prints, which must contain its name.
 
     Raises MissingTool if there is none, or it is another program.
 
@@ -58,9 +58,9 @@ def find_program(
     given : str, optional
         Its path, or its name in PATH; by default `name`.
     argument : str
-        Makes it print that line.
+        Argument that makes it print that line.
     how : str
-        How to get it, for errors.
+        How to install it, for errors.
     limits : Limits
     folder : str
         Where else to look for `name`.
@@ -82,7 +82,7 @@ def find_program(
 
 
 def _first_line(command: Sequence[str], limits: Limits) -> str:
-    """First line that a program prints, as printable ASCII; it may run for a minute at most.
+    """First line that a program prints, as printable ASCII; it may run for at most a minute.
 
     Raises ToolFailed or OSError if it does not end in time, or cannot be run.
     """

@@ -13,7 +13,7 @@ from gs_codec.runtime.wording import counted
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
-#: Our codecs in the headline, by effort, and those of others that are omitted.
+#: Our codecs in the headline, by effort, and the other codecs omitted from it.
 _SHOWN = (
     "m",
     f"m{ESTIMATED}",

@@ -1,4 +1,4 @@
-"""PLY files in the trainer's layout, written; planes ``(C, N)`` as rows ``(N, C)`` and back."""
+"""Write PLY files in the trainer's layout; convert between planes ``(C, N)`` and rows."""
 
 from __future__ import annotations
 

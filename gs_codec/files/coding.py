@@ -11,8 +11,7 @@ from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config, as_rat
 from gs_codec.edit.actions import Action
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
-from gs_codec.files.scenes import keeps_rounding, scene_in, tell_lost, write_parts
-from gs_codec.files.shifted import early_shifts
+from gs_codec.files.scenes import early_shifts, keeps_rounding, scene_in, tell_lost, write_parts
 from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene

@@ -20,13 +20,13 @@ from gs_codec.edit.apply import edit_scenes
 from gs_codec.encoding.combinations import check_levels
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import (
+    early_shifts,
     keeps_rounding,
     read_scene,
     turn_scene,
     write_scene,
     written_bytes,
 )
-from gs_codec.files.shifted import early_shifts
 from gs_codec.files.suffixes import IN_PARTS, check_target
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
 from gs_codec.formats.table import format_of

@@ -21,12 +21,13 @@ from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import clean_scene, finite_ends, with_finite_ends
 from gs_codec.config import Config, Extra
+from gs_codec.edit.actions import Action
 from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
-from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes, turn_shift
 from gs_codec.formats.extra_properties import scene_without
 from gs_codec.formats.ply.dialects import with_filter
 from gs_codec.formats.registry import SceneFile, open_scene
@@ -38,7 +39,7 @@ from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located, opened
-from gs_codec.scene import Scene, Shift, float_bytes
+from gs_codec.scene import Scene, Shift, coordinates_of, float_bytes
 
 log = logging.getLogger(__name__)
 
@@ -264,3 +265,23 @@ def written_bytes(path: str | Path) -> int:
         return os.path.getsize(path)
     with open_scene(path) as file:
         return file.stored_bytes
+
+
+def early_shifts(
+    sources: Sequence[str | Path], actions: Sequence[Action], stated: str = ""
+) -> list[Shift] | None:
+    """The translation in the first action, if all sources have float64 centres.
+
+    It is given in the axes of each source, which `stated` may override.
+    """
+    if not actions or actions[0].name != "translate":
+        return None
+    shifts = []
+    for source in sources:
+        with open_scene(source) as file:
+            if not file.has_doubles:
+                return None
+            system = stated.upper() or coordinates_of(file.ply.header.comments) or CONVENTION
+            with located(source):
+                shifts.append(turn_shift(actions[0].arguments, CONVENTION, system))
+    return shifts

@@ -30,7 +30,7 @@ from gs_codec.cli import batch, encode
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file
-from gs_codec.files.scenes import write_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps

@@ -24,7 +24,8 @@ import gs_codec
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
+from gs_codec.files.scenes import read_scene, stated_bytes
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_pickle
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of

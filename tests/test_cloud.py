@@ -15,7 +15,8 @@ import gs_codec
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
-from gs_codec.files.scenes import compare_files, read_scene, write_scene
+from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene

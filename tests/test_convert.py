@@ -21,7 +21,8 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
-from gs_codec.files.scenes import inspect_file, read_scene, write_scene
+from gs_codec.files.scenes import inspect_file, read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply

@@ -20,7 +20,7 @@ from gs_codec import __main__ as entry
 from gs_codec.cli import main as cli
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
-from gs_codec.files.scenes import write_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime import atomic
 from gs_codec.runtime.atomic import atomic_writer

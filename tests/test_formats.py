@@ -26,7 +26,8 @@ import gs_codec
 from gs_codec.config import Config
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.files.scenes import read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats import packed_values
 from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.formats.registry import open_scene, overview_of

@@ -26,7 +26,8 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.scenes import compare_files, read_scene, write_scene
+from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.packed_values import largest_omitted, largest_restored

@@ -25,7 +25,8 @@ from gs_codec.batch.remote import storage_of
 from gs_codec.batch.scenes import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
+from gs_codec.files.scenes import read_scene, stated_bytes
+from gs_codec.files.writing import write_scene
 from gs_codec.runtime.optional import is_available
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 from viewer.scenes.view_request import Request

@@ -29,7 +29,8 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
-from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.files.scenes import read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views

@@ -28,7 +28,8 @@ from gs_codec.config import Config
 from gs_codec.edit.description import BINS, Statistics, statistics_of
 from gs_codec.edit.distribution import finite_values, histogram, ranked
 from gs_codec.edit.shares import shares_of
-from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.files.scenes import read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 

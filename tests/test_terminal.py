@@ -19,7 +19,7 @@ from gs_codec.batch import run
 from gs_codec.cli.output import log_to_stderr
 from gs_codec.config import Config
 from gs_codec.errors import CorruptStream, InvalidInput, one_line, printable
-from gs_codec.files.scenes import write_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.scene import GROUPS, Scene
 from viewer.main import main as viewer_main
 

@@ -21,7 +21,8 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decoding import decode_file
-from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.files.scenes import read_scene
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.tensors import tensors_of

@@ -13,8 +13,9 @@ from gs_codec.config import LOSSLESS, Config, Extra, RateTarget, as_config, as_r
 from gs_codec.encoding import order
 from gs_codec.encoding.request import Request
 from gs_codec.files.coding import read_source
-from gs_codec.files.scenes import inspect_file, read_scene, tell_lost, write_scene
+from gs_codec.files.scenes import inspect_file, read_scene
 from gs_codec.files.suffixes import PLAIN
+from gs_codec.files.writing import tell_lost, write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.preparation.steps import Plan

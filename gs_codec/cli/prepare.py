@@ -44,7 +44,7 @@ def command(
     if plan is None or not plan.steps.wanted:
         raise InvalidInput("no step of preparation given; pass one, for example --prune 30")
     from gs_codec.files.preparing import prepare_file
-    from gs_codec.files.scenes import written_bytes
+    from gs_codec.files.writing import written_bytes
 
     with piped_source(source, typed["input_format"]) as file, progress_bar() as progress:
         done = prepare_file(

@@ -37,8 +37,8 @@ from gs_codec.egs.sections import carried_sections
 from gs_codec.encoding.loss import Check
 from gs_codec.encoding.request import Request
 from gs_codec.encoding.retry import encode_within_loss
-from gs_codec.files.scenes import write_parts
 from gs_codec.files.suffixes import check_target
+from gs_codec.files.writing import write_parts
 from gs_codec.guidance.windows import find_shown
 from gs_codec.report import EncodeReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked

@@ -11,8 +11,9 @@ from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config, as_rat
 from gs_codec.edit.actions import Action
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
-from gs_codec.files.scenes import early_shifts, keeps_rounding, scene_in, tell_lost, write_parts
+from gs_codec.files.scenes import early_shifts, scene_in
 from gs_codec.files.suffixes import ENCODED, check_target, config_for
+from gs_codec.files.writing import keeps_rounding, tell_lost, write_parts
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import EncodeReport, Progress, StageTimes

@@ -19,15 +19,9 @@ from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.apply import edit_scenes
 from gs_codec.encoding.combinations import check_levels
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import (
-    early_shifts,
-    keeps_rounding,
-    read_scene,
-    turn_scene,
-    write_scene,
-    written_bytes,
-)
+from gs_codec.files.scenes import early_shifts, read_scene, turn_scene
 from gs_codec.files.suffixes import IN_PARTS, check_target
+from gs_codec.files.writing import keeps_rounding, write_scene, written_bytes
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
 from gs_codec.formats.table import format_of
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes

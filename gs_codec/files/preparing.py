@@ -11,8 +11,9 @@ from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config, as_config
 from gs_codec.encoding.order import encode_prepared
 from gs_codec.encoding.request import Request
-from gs_codec.files.scenes import read_scene, tell_lost, write_parts, write_scene
+from gs_codec.files.scenes import read_scene
 from gs_codec.files.suffixes import PLAIN, check_target, config_for
+from gs_codec.files.writing import tell_lost, write_parts, write_scene
 from gs_codec.levels.adding import add_levels
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked

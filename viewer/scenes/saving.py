@@ -7,8 +7,8 @@ from pathlib import Path
 
 import gs_codec
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.scenes import write_scene
 from gs_codec.files.suffixes import check_target
+from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.runtime.wording import counted, size_text

@@ -14,7 +14,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.coding import encode_requested
-from gs_codec.files.scenes import write_parts
+from gs_codec.files.writing import write_parts
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.views import compare_views
 from gs_codec.report import EncodeReport

@@ -1,0 +1,141 @@
+"""Write scenes in any format."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from gs_codec.codecs import matching
+from gs_codec.coding.clean import clean_scene, finite_ends
+from gs_codec.config import Config
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
+from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.registry import open_scene
+from gs_codec.formats.table import SSOG, STREAMED, UNBUNDLED, format_of
+from gs_codec.formats.zip_file import write_zip
+from gs_codec.levels.streaming import stream_levels
+from gs_codec.report import RenderedLoss
+from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import Scene
+
+log = logging.getLogger(__name__)
+
+
+class Written(NamedTuple):
+    """Losses of a written scene.
+
+    Attributes
+    ----------
+    lost : tuple of str
+        Sentences on what the format cannot represent; also logged as warnings.
+    rendered : RenderedLoss or None
+        Loss in rendered views; None for formats with floats.
+    """
+
+    lost: tuple[str, ...]
+    rendered: RenderedLoss | None = None
+
+
+def write_scene(
+    path: str | Path,
+    scene: Scene,
+    config: Config,
+    overwrite: bool = True,
+    finest: bool = False,
+) -> Written:
+    """Write a scene in any supported output format.
+
+    If `finest`, it is written as finely as possible, whatever the profile; coarser levels of detail
+    still follow the profile. Raises InvalidInput if the suffix is not supported, or the file cannot
+    be written or, without `overwrite`, exists.
+    """
+    suffix = suffix_of(path)
+    check_writable(path, overwrite)
+    known = format_of(suffix)
+    if known.writes == "floats":
+        assert known.writer is not None
+        written = Written(known.writer(path, scene))
+    elif known.writes == "levels":
+        with located(path):
+            config = config_for(path, config, LEVELLED)
+            files, lost = stream_levels(scene, config, finest=finest)
+        if suffix == SSOG:
+            with atomic_writer(path) as file:
+                write_zip(file, {STREAMED: files.pop(STREAMED), **files})
+        else:
+            write_files(Path(path).parent, files)
+        written = Written(lost, measured(path, scene, config))
+    else:
+        with located(path):
+            config = config_for(path, config)
+            parts, report = encode(scene, Request(config), finest=finest)
+        write_parts(path, parts)
+        written = Written(report.lost, report.rendered)
+    tell_lost(path, written.lost)
+    return written
+
+
+def keeps_rounding(
+    sources: Sequence[str | Path], suffix: str, config: Config, by_profile: bool
+) -> bool:
+    """Whether quantised values keep the precision of a format with step sizes.
+
+    False if a profile or a coarseness is requested.
+    """
+    asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
+    known = format_of(suffix)
+    takes_steps = known.is_rounded and known.writes in ("steps", "levels")
+    return not asked and takes_steps and all(map(_is_rounded, sources))
+
+
+def _is_rounded(source: str | Path) -> bool:
+    with open_scene(source) as file:
+        return file.scene_format.is_rounded
+
+
+def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
+    """The loss in rendered views of a written file."""
+    from gs_codec.encoding.loss import Check
+
+    clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
+    with open_scene(path) as file:
+        decoded, _ = finite_ends(file.scene(exact=True))
+        return Check.by_plan(clean, None).measure(turn_axes(decoded))
+
+
+def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
+    """Write an encoded scene; for `meta.json`, unpack its zip, with `meta.json` last.
+
+    Raises InvalidInput if a file cannot be written.
+    """
+    if suffix_of(path) != UNBUNDLED:
+        with atomic_writer(path) as file:
+            file.writelines(parts)
+        return
+    with zipfile.ZipFile(io.BytesIO(b"".join(parts))) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    target = Path(path)
+    last = files.pop(UNBUNDLED)
+    write_files(target.parent, files | {target.name: last})
+
+
+def tell_lost(path: str | Path, lost: Sequence[str]) -> None:
+    """Log what a format cannot represent."""
+    for line in lost:
+        log.warning("%s: %s", path, line)
+
+
+def written_bytes(path: str | Path) -> int:
+    """Total bytes of the files of a written scene."""
+    if Path(path).name not in (UNBUNDLED, STREAMED):
+        return os.path.getsize(path)
+    with open_scene(path) as file:
+        return file.stored_bytes

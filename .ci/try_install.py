@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: How to make a scene: the sample needs Open3D.
+#: Commands that make a scene; the sample needs Open3D.
 SAMPLE = (
     "python {root}/samples/generate.py scene.ply --gaussians 5000 --sh-degree 3"
     " --cameras cameras.json"

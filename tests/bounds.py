@@ -125,7 +125,7 @@ def _of_shapes(
         values = np.clip(values.astype(np.float64), -LARGEST, LARGEST)
         yield name, np.abs(values - result), 0.5 * steps + 2.0**-20 + _ulp(result)
     rot = nearest_quaternions(quantiser.vectors, decoded.rot).astype(np.float64)
-    # Spherical Gaussians get no rotation.
+    # Rotations of spherical Gaussians are not coded.
     rounding = to_float(units["scaling"] << quantiser.shifts["scale_0"])
     turned = quantiser.scales[0] - quantiser.scales[2] > 0.5 * rounding
     apart = np.sqrt(np.sum((rot - decoded.rot) ** 2, axis=0))

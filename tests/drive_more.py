@@ -68,7 +68,7 @@ def wheel(driver: Driver) -> list[float]:
 
 
 def stop_loading(driver: Driver) -> list[str]:
-    """The open scenes after cancelling, twice, the loading of another in place of the second."""
+    """The open scenes after twice cancelling the loading of a scene in place of the second."""
     viewer, scenes = driver.viewer, []
     started, go_on = threading.Event(), threading.Event()
     for stop in (lambda: driver.key("BackSpace"), lambda: driver.click(viewer.panel.stop)):

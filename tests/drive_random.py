@@ -1,4 +1,4 @@
-"""Use a window at random for some seconds: keys, mouse, sliders, loading; print memory.
+"""Operate a window at random for some seconds by keys, mouse and sliders; print memory use.
 
 Run by hand, on a separate display: ``python tests/drive_random.py FOLDER [SECONDS [SEED]]``, with
 a.ply, b.egs, cameras.json and report in the folder.

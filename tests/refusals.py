@@ -1,4 +1,4 @@
-"""Files that are rejected: in one line that begins with the file."""
+"""Rejected files: the error is one line that begins with the file name."""
 
 from __future__ import annotations
 

@@ -151,8 +151,8 @@ Guide = Callable[[Scene, Config], StepSizes]
 def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sensitivity:
     """Random sensitivities, as if measured in views.
 
-    The sensitivities of a Gaussian vary together by ``exp(spread)``, so that there are classes. The
-    more similar two axes are, the lower the sensitivity to turns in their plane.
+    The sensitivities of a Gaussian vary together by ``exp(spread)``, so that Gaussians differ in
+    class. The more similar two axes are, the lower the sensitivity to turns in their plane.
     """
 
     rng = np.random.default_rng(seed)

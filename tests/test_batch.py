@@ -266,7 +266,7 @@ def test_folder_that_cannot_be_read_is_said(folder, caplog):
     assert f"{Path('in/sub/deeper').absolute()}: Permission denied, skipped" in caplog.text
 
 
-# What is refused before anything is done
+# Rejected before any work
 
 
 @pytest.mark.parametrize(

@@ -177,7 +177,7 @@ def test_field_of_view_is_the_poses_or_the_files_or_the_default(tmp_path):
     assert degrees(project(bare | {"fov": 40})) == 40
     assert degrees(project(bare)) == 75
     assert degrees(project(bare, camera={})) == FIELD_OF_VIEW
-    # Tracks of version 1 of the settings have none.
+    # Tracks of settings version 1 have no field of view.
     values = {"position": [0, 0, 5], "target": [0, 0, 0]}
     track = {"keyframes": {"times": [0], "values": values}}
     assert degrees({"camera": {"fov": 50}, "animTracks": [track]}) == 50

@@ -223,7 +223,7 @@ def test_other_floats_are_converted(kind, tmp_path):
     assert_trained(scene_of(splats), splats)
 
 
-# Nothing is run, nothing is believed
+# Nothing is executed, and nothing is trusted
 
 
 class Evil:

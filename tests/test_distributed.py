@@ -42,7 +42,7 @@ BLOCK = 1024
 
 @pytest.fixture(scope="module")
 def still_life() -> Scene:
-    """A scene that is visible in windows."""
+    """A scene that is visible in crops."""
     return generate(6000, 1, 1)
 
 

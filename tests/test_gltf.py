@@ -272,7 +272,7 @@ def test_opacities_and_scales_at_their_ends_are_finite(tmp_path):
 
 
 def edited(*path: Any, to: Any) -> Any:
-    """A change of a document at a path of names and indices."""
+    """A function that sets the value at a path of names and indices in a document."""
 
     def edit(document: dict[str, Any]) -> None:
         *above, last = path

@@ -331,7 +331,7 @@ def test_a_full_disk_is_one_clear_error(stand_in, monkeypatch):
         decode_points(tool, b"", 1, (1, 1, 1), (1, 1, 1))
 
 
-# What it writes is not trusted
+# Its output is not trusted
 
 HEADER = """ply
 format binary_little_endian 1.0

@@ -520,7 +520,7 @@ def test_rotations_rounded_coarsely_are_of_unit_length(suffix, tmp_path):
 
 
 def test_steps_are_no_coarser_than_those_of_an_egs():
-    """If a Gaussian is invisible in all views, its step would be unlimited."""
+    """A Gaussian invisible in all views would otherwise have an unlimited step."""
     scene = usual(50, 3)
     known = camera_free_steps(scene, ADAPTIVE_PROFILES["m"])
     endless = {rule: np.array([30.0, 0, 0, 0, 0]) for rule in known.coefficients}

@@ -278,7 +278,7 @@ MAY_RETRY = "!document.getElementById('retry').hidden"
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", ["first", "blocks", "whole"])
 def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_path, which):
-    """In the first bytes, in blocks of the scene itself, and in a scene without levels."""
+    """Stalls are in the first bytes, in blocks of the scene, or in a scene without levels."""
     begins = first_block()
 
     def stalls(begin: int, _: int) -> bool:

@@ -172,7 +172,7 @@ def test_sections_of_levels_elsewhere_are_refused():
 
 @pytest.mark.thorough
 def test_damage_in_a_level_is_found_where_it_is_read():
-    """Never another scene; damage in unread parts is not found."""
+    """The result is never another scene; damage in unread parts is not found."""
     data, rng = sample(), np.random.default_rng(336)
     position, size, _ = read_file(data).table[SectionId.LEVEL, 1]
     places = rng.choice(size, 40, replace=False)

@@ -147,7 +147,7 @@ def analyse_scene(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Analysis:
-    """Analyse a scene; Gaussians with NaN or infinity are dropped, which a note reports.
+    """Analyse a scene; Gaussians with NaN or infinity are dropped; a note counts them.
 
     Raises InvalidInput if there is no Gaussian, or no camera.
 

@@ -46,8 +46,8 @@ class Information:
     raw : ndarray, shape (A, B)
         ``2 I(X; Y) / (H(X) + H(Y))`` of the binned values; 0 if a channel is constant.
     bias : ndarray, shape (A, B)
-        The same with the second channel shuffled: the value that a sample of this size gives for
-        independent channels.
+        The same with the second channel shuffled: the value for independent channels at this sample
+        size.
     """
 
     corrected: NDArray[np.float64]

@@ -81,7 +81,7 @@ class Record:
 class Ledger:
     """An open report, locked so that no other batch writes to it.
 
-    Its `records` are the latest of each source and output, as found when it was opened.
+    `records` has the latest record of each source and output at the time of opening.
     """
 
     def __init__(self, path: Path, file: BinaryIO, records: dict[tuple[str, str], Record]) -> None:

@@ -78,7 +78,7 @@ class LocalStorage:
         """The matching scenes, named relative to the part of the path without wildcards.
 
         In a folder, files with the suffixes match. Hidden files and folders match only if the
-        pattern includes the dot. A file or folder with several links is used once.
+        pattern includes the dot. A file or folder with several links is counted once.
         """
         if os.path.isdir(self.path):
             root, found = self.path, matching_paths(glob.escape(self.path) + "/**/*")

@@ -33,7 +33,7 @@ def measure_scenes(
 ) -> Iterator[dict[str, Any]]:
     """Result lines of profiles, compared with other codecs or with details of each.
 
-    Views are those of `open_scene`; with cameras, `l`, `m`, `s` are also measured camera-guided.
+    Views come from `open_scene`. With cameras, `l`, `m` and `s` are also measured camera-guided.
     """
     yield machine()
     extra, threads = configs[0].chosen_extra(), configs[0].threads

@@ -28,8 +28,9 @@ log = logging.getLogger(__name__)
 #: by 2^-25.
 _OPAQUE = 17.328679
 
-#: Log of the ratio of a flat Gaussian's thickness to its shorter other axis: 5e-5, less than a
-#: pixel. Because the ratio is constant, it costs no bits in profiles `l`, `m` and `s`.
+#: Log of the thickness given to flat Gaussians, relative to the shorter other axis: a ratio of
+#: 5e-5, less than a pixel. Because the ratio is constant, it costs no bits in profiles `l`, `m` and
+#: `s`.
 _THICKNESS = np.float32(-10)
 
 #: Minimum log-scale of that other axis.

@@ -44,7 +44,7 @@ class Neighbours:
         places : ndarray, shape (M, 3)
             Finite.
         number : int
-            Number of points to find for each place.
+            Number of points to find for each position.
         within : float, optional
             Ignore points at this distance or farther.
 

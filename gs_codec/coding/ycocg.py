@@ -48,7 +48,8 @@ def _take(planes, members, units, shifts, limit, out):
     beyond = 0
     taken = np.empty((3, len(members)))
     for k in range(len(units)):
-        # A loop of gathers only, because it waits for memory: members are scattered over a plane.
+        # Gather in a loop of its own: it is memory-bound, because members are scattered over a
+        # plane.
         for channel in range(3):
             for i in range(len(members)):
                 taken[channel, i] = planes[channel, k, members[i]]

@@ -140,7 +140,7 @@ def refuse_paper(typed: Typed, profile: str) -> None:
 
 
 def has_target(typed: Typed) -> bool:
-    """Whether a size or a quality was typed; rejects what has no effect without."""
+    """Whether a size or a quality was typed; rejects options that need one."""
     if _has_target(typed):
         return True
     typed.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")

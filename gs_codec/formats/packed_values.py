@@ -47,7 +47,7 @@ def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float
     """Logits ``(1, N)`` of opacities ``(N,)`` in units of 1/255; 0 and 1 are made finite."""
     ends = int(np.count_nonzero((alpha == 0) | (alpha == 255)))
     if ends:
-        # Only INFO: the change is less than a step of the format.
+        # INFO only: the change is less than a step of the format.
         log.info(
             "%s: opacity 0 or 1 has no logit, moved by %.2g in %s",
             *(path, _END / 255, counted(ends, "Gaussian")),

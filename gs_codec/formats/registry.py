@@ -111,7 +111,7 @@ class SceneFile:
 
     @property
     def has_doubles(self) -> bool:
-        """Whether it is a PLY with float64 centres."""
+        """Whether it is a PLY file with float64 centres."""
         if self.is_compressed:
             return False
         vertex = self.ply.header.elements.get("vertex")

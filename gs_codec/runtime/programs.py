@@ -50,7 +50,7 @@ def find_program(
 ) -> tuple[str, str]:
     """Path of a program, and the first line it prints, which must contain its name.
 
-    Raises MissingTool if there is none, or it is another program.
+    Raises MissingTool if there is none, or it is a different program.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def find_program(
         How to install it, for errors.
     limits : Limits
     folder : str
-        Where else to look for `name`.
+        Another folder to search for `name`.
     """
     found = shutil.which(given or name)
     if found is None and not given and folder:

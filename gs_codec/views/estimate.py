@@ -211,7 +211,7 @@ def _whole(seen: Evidence, view: Camera) -> Camera:
 def _rate_overviews(
     seen: Evidence, views: list[Camera], progress: Progress | None
 ) -> NDArray[np.float64]:
-    """Score of each view as an overview, higher is better."""
+    """Score of each view as an overview; higher is better."""
     points = _subject(seen)
 
     def judge(view: Camera) -> float:

@@ -154,7 +154,7 @@ def _room(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _forward(rng: np.random.Generator) -> tuple[Array, Array]:
-    """A small plane of cameras that look in the same direction."""
+    """A small planar grid of cameras that look in the same direction."""
     x, z = np.meshgrid(np.linspace(-0.55, 0.55, 7), np.linspace(-0.28, 0.28, 5))
     centres = np.stack([x.ravel(), np.full(x.size, -2.2), 0.75 + z.ravel()], axis=1)
     centres += 0.03 * rng.standard_normal(centres.shape)

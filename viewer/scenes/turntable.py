@@ -24,10 +24,10 @@ _INWARD = 0.5
 #: Maximum gap between cameras, degrees, for a capture all around the scene.
 _GAP = 140.0
 
-#: Maximum steepness of a view of the centre, degrees.
+#: Maximum elevation of a view of the centre, degrees.
 _STEEPEST = 80.0
 
-#: Maximum steepness of a look around from inside, degrees.
+#: Maximum elevation when looking around from inside, degrees.
 _LEVEL = 20.0
 
 #: Share of the cameras' range of angles that a sway covers.

@@ -274,6 +274,6 @@ def _line(entry: Try | Opened) -> str:
 
 
 def _short(size: int) -> str:
-    """A size in bytes with a unit: three digits, or whole."""
+    """A size in bytes with a unit: a whole number or three digits."""
     number, unit = size_text(size).split()
     return f"{float(number):{'.3g' if float(number) < 999.5 else '.0f'}} {unit}"

@@ -1,9 +1,9 @@
 """Step sizes of every attribute of every Gaussian, camera-guided or camera-free.
 
 A parameter of sensitivity s with step size d adds the error s d^2 / 12, and halving d costs one
-bit. So the total error is smallest for a given size if all parameters add the same error. The class
-of a Gaussian covers most of the differences in sensitivity; a rule predicts the rest from
-attributes that are decoded earlier. FORMAT.md, section "Notes on our encoder".
+bit. So the total error at a given size is smallest if all parameters add equal errors. The class of
+a Gaussian covers most of the differences in sensitivity; a rule predicts the rest from attributes
+that are decoded earlier. FORMAT.md, section "Notes on our encoder".
 
 Without cameras, log2 of a step size is log2 of the profile's fineness, minus a constant, minus a
 linear function of min(logit, 0) and of the log-scales relative to the scene's median. The
@@ -65,7 +65,7 @@ _SAMPLE = 20_000
 #: Rounds of fitting all rules.
 _ROUNDS = 4
 
-#: Iterations when fitting one rule.
+#: Number of iterations to fit one rule.
 _TURNS = 12
 
 #: Largest coefficient of opacity or of a scale in a rule, in units of 1 / 2**16; its product with a

@@ -54,8 +54,8 @@ def flipped(value, minus):
 def read_token(words, position, states, symbol, spans, slots, row, bits, used, rarely):
     """Decode an integer, symbol number `symbol` of a pass, with table number `row`.
 
-    `rarely` says that few tokens have raw bits, so that a branch on them is well predicted. Returns
-    the integer and the positions after it in words and bits.
+    If `rarely`, few tokens have raw bits, so a branch on them is predicted well. Returns the
+    integer and the positions after it in words and bits.
     """
     token, position = pull(
         words, position, states, symbol & (LANES - 1),

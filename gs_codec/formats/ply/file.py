@@ -138,7 +138,7 @@ _COLOURS = ("red", "green", "blue")
 def read_ply(path: str | Path, extra: Extra = "keep", max_bytes: int | None = None) -> Scene:
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
-    The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
+    The file has the trainer's layout, with properties in any order, or PlayCanvas's packed layout.
     Raises InvalidInput if the file is not a PLY, is truncated, lacks properties, or has properties
     that `extra` rejects.
 

@@ -168,7 +168,7 @@ def _scenes(found: dict[str, NDArray]) -> list[Scene]:
 def pack_usd(scene: Scene, suffix: str) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a file with this suffix, and sentences on what it cannot represent.
 
-    Raises InvalidInput if a value is not finite, or a scale too large for a float32. Raises
+    Raises InvalidInput if a value is not finite, or a scale is too large for a float32. Raises
     MissingTool if usd-core is not installed.
     """
     require_usd_core()

@@ -1,8 +1,8 @@
 """Read the stage of a USD file in a separate process, because the native code may crash.
 
 Run by `usd.py`; arguments are the file, the output file, and the maximum bytes of floats. It writes
-NumPy arrays by name, with all Gaussians concatenated; or, as ``refused``, the reason for rejecting
-the file.
+named NumPy arrays of all Gaussians. If it rejects the file, it writes only the reason, as
+``refused``.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ export class Ending {
     this.#ended = new Promise((_, reject) => {
       this.signal.addEventListener('abort', () => reject(this.signal.reason));
     });
-    this.#ended.catch(() => {}); // possibly nobody waits for it
+    this.#ended.catch(() => {}); // possibly nobody awaits it
     const given = signals.filter(Boolean);
     this.#links = given.map((signal) => ({ signal, abort: () => this.end(signal.reason) }));
     for (const { signal, abort } of this.#links) {

@@ -10,7 +10,7 @@ NEW_VENV := .ci/dots $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
 PIP := PYTHONWARNINGS=ignore .ci/dots $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test test-all test-ci lint check wheel docs web boundscheck scaling suite fuzz peers dist release clean
+.PHONY: demo quick test extras test-all lint check wheel docs web boundscheck scaling suite fuzz peers dist release clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -37,18 +37,24 @@ demo: $(VENV)/installed
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-# Tests of what is not installed are skipped, and say what they miss; `make test-all` installs it.
-test: $(VENV)/installed-test
-	$(PYTEST) $(CHOSEN)
+# One test of each file, in one process. The first run compiles kernels.
+quick: $(VENV)/installed-test
+	$(BIN)/python -m pytest --quick
 
-# `test-ci` is without tests that take seconds each, to show more of what others show: on more processes, windows,
-# browsers and real scenes, for every bit, or for all cases of large tables. They are marked `thorough`, or `one_in`.
-test-ci: CHOSEN := -m "not thorough"
-test-all test-ci: $(VENV)/compiled $(WEB)/node_modules/.package-lock.json tests/web/node_modules/.package-lock.json
-	$(PYTEST) $(CHOSEN)
+# What CI runs: no tests marked `thorough` or left out by `one_in`, which take seconds and repeat what others show in
+# other processes, windows, browsers or real scenes, for every bit, or for all cases of large tables. Tests whose
+# requirements are missing are skipped; `make extras` installs these.
+test: $(VENV)/compiled
+	$(PYTEST) -m "not thorough"
+
+extras: $(VENV)/installed-all $(WEB)/node_modules/.package-lock.json tests/web/node_modules/.package-lock.json
+
+# Every test, and the lines of each module that none of them runs.
+test-all: extras $(VENV)/compiled
+	$(PYTEST) --cov --cov-report=term
 
 # What tests import is compiled once, before every worker would. If that fails, tests say why.
-$(VENV)/compiled: $(VENV)/installed-all
+$(VENV)/compiled: $(VENV)/installed-test
 	@$(BIN)/python -m pytest --collect-only --quiet >/dev/null || true
 	@touch $@
 
@@ -156,7 +162,7 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 	@touch $@
 
 $(VENV)/installed-test: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec and the tools for tests and lint into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
+	@echo "Installing gs-codec and the tools for tests and lint into $(VENV): pytest, pytest-cov, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
 	.ci/system-packages
 	$(NEW_VENV)
 	$(PIP) install --no-compile -e '.[test]'

@@ -53,12 +53,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--rounds", type=int, default=1, metavar="N", help="N times as many random examples"
     )
+    parser.addoption(
+        "--quick", action="store_true", help="of each file, the first test that is not slow"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     rounds = config.getoption("rounds")
     config.addinivalue_line("markers", "rounds(n): `seed` goes from 0 to n times --rounds")
     config.addinivalue_line("markers", "thorough: takes seconds; for `make test-all`, not for CI")
+    config.addinivalue_line("markers", "slow: takes a second or more; not for `make quick`")
     config.addinivalue_line("markers", "one_in(n): all but one case in n are thorough")
     # The same examples on every run, however slow the machine.
     hypothesis.settings.register_profile(
@@ -74,7 +78,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)  # before any are deselected
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     order = {name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path.name, len(FIRST)))
     numbers: Counter[tuple[Path, str]] = Counter()
@@ -91,6 +95,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if digits % n:
                 item.add_marker("thorough")
             numbers[test] += 1
+    if config.getoption("quick"):
+        left = (item for item in reversed(items) if not {"thorough", "slow"} & marks_of(item))
+        firsts = {item.path: item for item in left}
+        config.hook.pytest_deselected(items=[x for x in items if firsts.get(x.path) is not x])
+        items[:] = [x for x in items if firsts.get(x.path) is x]
+
+
+def marks_of(item: pytest.Item) -> set[str]:
+    """Names of a test's marks, and of those of its file."""
+    return {mark.name for mark in item.iter_markers()}
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many tests were skipped for each reason."""
+    reports = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in reports)
+    if reasons:
+        terminalreporter.section("skipped, and why")
+    for reason, number in reasons.most_common():
+        terminalreporter.line(f"{number:5}  {reason}")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

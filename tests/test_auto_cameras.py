@@ -27,6 +27,8 @@ from gs_codec.views.estimate import (
 from gs_codec.views.evidence import gather_evidence
 from samples.generate import generate
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def still_life():

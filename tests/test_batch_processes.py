@@ -26,6 +26,8 @@ from gs_codec.files.coding import encode_file
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 
+pytestmark = pytest.mark.slow
+
 TESTS = Path(__file__).parent
 
 ASCII = b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n"

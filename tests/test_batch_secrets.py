@@ -25,6 +25,8 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.redaction import redact_process, redacted, without_secrets
 
+pytestmark = pytest.mark.slow
+
 LIMIT = 600
 
 PASSWORD, SIGNATURE, TOKEN = "pAss/w rd!", "sIg+n/a==tUre", "tOkEnOfRedirect"

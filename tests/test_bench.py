@@ -23,6 +23,8 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.rendering.renderer import render
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory) -> tuple[list[dict], str]:

@@ -689,8 +689,9 @@ def test_interrupt_leaves_nothing(folder, command, place):
 
 
 SMALL_DISK = """
-import resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+import atexit, resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, -1))
+atexit.register(resource.setrlimit, resource.RLIMIT_FSIZE, (-1, -1))  # for measured coverage
 from gs_codec.cli.main import main
 main()
 """

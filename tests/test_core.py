@@ -11,6 +11,8 @@ from command_line import python
 
 from gs_codec.cli.main import NAMES, _Commands
 
+pytestmark = pytest.mark.slow
+
 #: Packages that other distributions of gs-codec, or Open3D, install.
 ABSENT = ("open3d", "plotly", "dash", "scipy", "skimage", "sklearn", "matplotlib", "pandas")
 

@@ -28,7 +28,10 @@ from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.runtime.optional import is_available
 from gs_codec.scene import Scene
 
-pytestmark = pytest.mark.skipif(not is_available("torch"), reason="torch is not installed")
+pytestmark = [
+    pytest.mark.skipif(not is_available("torch"), reason="torch is not installed"),
+    pytest.mark.slow,
+]
 
 HERE = Path(__file__).parent
 GOLDEN = [f"v1-{name}" for name in ("l", "s", "guided", "carried-m", "empty-m", "paper-m")]

@@ -28,6 +28,8 @@ from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate, orbit_cameras
 
+pytestmark = pytest.mark.slow
+
 
 def compacting(strength: float) -> AdaptiveProfile:
     return replace(ADAPTIVE_PROFILES["m"], compaction=strength)

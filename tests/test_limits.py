@@ -142,6 +142,7 @@ def one_of_each(target: Path) -> list[Path]:
     return sorted(target.iterdir())
 
 
+@pytest.mark.slow
 def test_every_format_is_held_to_a_stated_limit(tmp_path):
     for path in one_of_each(tmp_path):
         floats = read_scene(path).float_bytes

@@ -27,6 +27,8 @@ from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
 
+pytestmark = pytest.mark.slow
+
 FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz", "v4.spz")
 
 

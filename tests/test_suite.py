@@ -32,6 +32,8 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.rendering.renderer import render
 from samples.generate import generate, orbit_cameras
 
+pytestmark = pytest.mark.slow
+
 WIDTH = 36
 
 

@@ -17,6 +17,8 @@ from gs_codec.bench.suite.results import Results
 from gs_codec.bench.suite.tables import headline
 from gs_codec.errors import InvalidInput, MissingTool
 
+pytestmark = pytest.mark.slow
+
 Line = dict[str, Any]
 
 #: Codec, bits per Gaussian, PSNR, delta-PSNR, seconds to encode and to decode.

@@ -16,7 +16,7 @@ from windows import check_drags, drive, make_folder, needs_display
 import gs_codec
 from viewer.scenes.numbers import quality_text
 
-pytestmark = needs_display
+pytestmark = [needs_display, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.index import levels_of, open_level
 
-pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node")
+pytestmark = [pytest.mark.skipif(NODE is None, reason="needs Node"), pytest.mark.slow]
 
 
 def as_view(camera: Camera) -> dict:

@@ -19,6 +19,8 @@ import pytest
 
 import gs_codec
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 SOURCES = (
     ".ci", ".github", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "Makefile",

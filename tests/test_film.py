@@ -453,8 +453,14 @@ def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):
         (["--turntable", "out", "--fps", "10"], "fps: has no effect on a folder of frames"),
         (["--turntable", "out.mp4", "--fps", "0"], "fps 0: expected 1 to 120"),
         (["--turntable", "out", "--frames", "1"], "frames 1: expected 2 to 99999"),
-        (["--turntable", "out", "--flythrough", "o"], "turntable and flythrough: expected one"),
-        (["--turntable", "out", "--screenshot", "o"], "screenshot and turntable: expected one"),
+        (
+            ["--turntable", "out", "--flythrough", "o"],
+            "turntable and flythrough cannot be combined",
+        ),
+        (
+            ["--turntable", "out", "--screenshot", "o"],
+            "screenshot and turntable cannot be combined",
+        ),
         (["--flythrough", "out"], "flythrough: needs cameras from a file"),
         (["--flythrough", "out", "--cameras", "auto"], "flythrough: needs cameras from a file"),
         (["--flythrough", "out", "--cameras", "c", "--view", "1"], "view: has no effect on a fly"),

@@ -81,7 +81,7 @@ def command(
         int | None,
         typer.Option(
             metavar="N",
-            help="Maximum size of a scene's floats, bytes; by default 1 GiB or 1000 x the file.",
+            help="Maximum size of a scene's floats, bytes; by default 1 GiB, or 1000x the file.",
             rich_help_panel=_INPUT,
         ),
     ] = None,

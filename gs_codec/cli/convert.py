@@ -47,7 +47,7 @@ def command(
         Path,
         typer.Argument(
             metavar="OUT",
-            help=f"File to write: {WRITTEN_SHOWN}; {listed(LEVELLED)}. - is stdout.",
+            help=f"File to write: {WRITTEN_SHOWN}; streamed: {listed(LEVELLED)}; - is stdout.",
         ),
     ],
     typed: Typed,

@@ -38,7 +38,7 @@ OPTIONS = {
         int, metavar="SIZE", shown="no limit", unit="bytes",
     ),
     "max_bytes": Option(
-        "Maximum size of a scene's floats, bytes.", int, shown="1 GiB or 1000 times the file"
+        "Maximum size of a scene's floats, bytes.", int, shown="1 GiB, or 1000x the file if more"
     ),
     "preset": Option(
         "Run the paper's whole pipeline; --refine and -p paper-* change it.",

@@ -37,8 +37,9 @@ os.environ["GS_CODEC_PROGRESS"] = "0"
 #: Number of examples per property test.
 EXAMPLES = 25
 
-#: Of these, files with kernels of their own come first: workers that need the same kernels wait for
-#: one to compile them.
+#: Start the slowest files first, so that no worker ends long after the others; among these, files
+#: with kernels of their own, because workers that need the same kernels wait for one to compile
+#: them. Tests that wait for windows and browsers leave the processors to others.
 FIRST = (
     "test_viewer_more.py", "test_viewer_window.py", "test_optimise.py", "test_interchange.py",
     "test_web_page.py", "test_rate.py", "test_tutorial.py", "test_readme.py", "test_distributed.py",

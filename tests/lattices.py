@@ -1,4 +1,4 @@
-"""What profiles l, m and s decode to: shapes on lattices, positions in cells."""
+"""Expected decoded values of profiles l, m and s: shapes on lattices, positions in cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes encoded as requested, for tests of what comes of it."""
+"""Encode scenes from requests, for tests of the results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def as_requested(
     rate: RateTarget | Mapping[str, float] | None = None,
     ply_bytes: int = 1,
 ) -> tuple[bytes, EncodeReport]:
-    """The bytes of an encoded scene, and what was done."""
+    """The bytes of an encoded scene, and its report."""
     request = Request(config, plan, as_rate_target(rate))
     parts, report = encode(scene, request, None, ply_bytes)
     return b"".join(parts), report
@@ -32,6 +32,6 @@ def to_rate(
     plan: Plan | None = None,
     original: Scene | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """As `encoded`, to a target that is relative to the original; losses are not measured."""
+    """Like `as_requested`, to a target relative to the original; losses are not measured."""
     parts, report = encode_to_rate(scene, original or scene, Request(config, plan, target))
     return b"".join(parts), report

@@ -352,7 +352,7 @@ def test_report_that_cannot_be_written_ends_the_batch(folder):
     assert err.splitlines()[-1] == line
 
 
-# What is done again
+# Scenes encoded again
 
 
 def resumed(folder: Folder, *options: str) -> Summary:
@@ -531,7 +531,7 @@ def test_surprises_are_errors_of_their_scene(folder):
     assert records()[0]["error"] == {"kind": "ZeroDivisionError", "text": text}
 
 
-# Reports that are not to be trusted
+# Untrusted reports
 
 GOOD = json.dumps({"input": "s", "output": "o", "input_bytes": 3, "error": None})
 

@@ -655,7 +655,7 @@ def test_scenes_without_a_match_are_refused(folder):
     assert (status, "do not match" in strict_json(out)["error"]["text"]) == (2, True)
 
 
-# What only another process shows
+# Visible only in a separate process
 
 HOOK = """
 import importlib, os, signal, sys

@@ -122,7 +122,7 @@ def test_changing_the_scene_made_of_a_cloud_leaves_the_cloud_alone():
         np.testing.assert_array_equal(cloud.point[name].numpy(), array)
 
 
-# Attributes that are there or not
+# Present and missing attributes
 
 
 def test_linear_scale_alone_is_enough_seed4():
@@ -298,7 +298,7 @@ def test_normals_that_are_not_zero_are_refused_kept_or_dropped():
     assert from_cloud(cloud, "drop").extra == {}
 
 
-# What Open3D does with our attributes
+# Our attributes in Open3D's methods
 
 
 def test_open3d_reads_the_strided_attributes_right_seed7():

@@ -93,7 +93,7 @@ def room() -> Opened:
     )
 
 
-# Where the camera goes
+# Camera paths
 
 
 def test_it_goes_once_around_the_middle_of_what_cameras_see(ball):
@@ -199,7 +199,7 @@ def test_real_scenes_look_from_around_as_their_cameras_do(name):
     assert min(drawing.alpha.mean() for _, drawing in drawn) > 0.95
 
 
-# From pose to pose
+# Flights from pose to pose
 
 
 def test_a_flight_passes_all_poses_evenly_and_smoothly():

@@ -990,7 +990,7 @@ def test_another_reader_gives_the_same(name):
     np.testing.assert_allclose(ours.opacity[0, inner], theirs.opacities[inner], atol=1e-4)
 
 
-# Files that are no scene
+# Files that are not scenes
 
 
 def page(size: int) -> bytes:

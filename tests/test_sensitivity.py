@@ -200,7 +200,7 @@ def test_noise_on_all_gaussians_adds_what_is_predicted(name):
     assert measured == pytest.approx(predicted, rel=0.25)
 
 
-# What it must not depend on, and edges
+# Invariance, and edge cases
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])

@@ -473,7 +473,7 @@ def test_a_zip_without_a_file_that_its_scene_needs_is_refused(copy, tmp_path):
         read_scene(path)
 
 
-# What is not sound
+# Invalid files
 
 
 def changed(**members: Any) -> Callable[[dict[str, Any]], Any]:

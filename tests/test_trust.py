@@ -33,7 +33,7 @@ def test_views_that_agree_are_trusted(scene):
 
 
 def test_views_are_trusted_less_the_less_regions_tell_of_one_another(scene):
-    """A Gaussian is visible from one side; what others see of it is random."""
+    """A Gaussian is visible from one side; all other views of it are random."""
     expected = expected_of(scene).colour
     shares = []
     for width in (VIEWS, VIEWS // 4, 2):

@@ -142,7 +142,7 @@ def test_rules_choose_what_statistics_count(file):
     assert np.flatnonzero(by_rule(scene, "duplicate")).tolist() == [701]
 
 
-# Steps, and the way back
+# Undo and redo
 
 
 def test_any_steps_are_those_of_plain_sets_and_are_undone(scene):

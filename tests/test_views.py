@@ -96,7 +96,7 @@ def test_means_and_differences_of_qualities():
     assert mean_quality([same, a]).psnr == math.inf
 
 
-# Comparing what cameras see
+# Comparing rendered views
 
 
 def test_views_are_those_of_the_renderer(pair):

@@ -173,7 +173,7 @@ def test_core_is_the_same_code_with_fewer_dependencies(wheel, sources, tmp_path)
 
 
 def test_open3d_is_asked_for_where_it_has_wheels(wheel):
-    """Where it has none, as for a later Python, pip installs the rest."""
+    """Elsewhere, as for a later Python, pip installs everything else."""
     packaging = pytest.importorskip("packaging.requirements")
     archive = zipfile.ZipFile(wheel)
     metadata = archive.read(f"gs_codec-{gs_codec.__version__}.dist-info/METADATA").decode()
@@ -225,7 +225,7 @@ def test_the_viewer_has_a_second_name_and_is_loaded_once(unpacked, tmp_path):
 
 
 def test_unpacked_wheel_loads_every_command(unpacked, tmp_path):
-    """Commands load the modules of theirs, so a package left out would show late."""
+    """Commands import their modules lazily, so a missing package would show late."""
     code = (
         "import importlib, pkgutil, gs_codec.cli as cli\n"
         "for module in pkgutil.iter_modules(cli.__path__):\n"
@@ -250,7 +250,7 @@ print(gs_codec.__file__, _range_of.stats.cache_path, *_range_of.stats.cache_hits
 
 @pytest.fixture
 def venv(tmp_path, monkeypatch) -> Path:
-    """An environment that `run` then runs, with the packages of this one but gs_codec."""
+    """An environment for `run`, with the packages of this one except gs_codec."""
     folder = tmp_path / "venv"
     run("-m", "venv", "--without-pip", folder, cwd=tmp_path)
     (site,) = folder.glob("lib/python*/site-packages")
@@ -273,7 +273,7 @@ def few_kernels(sources) -> Iterator[Path]:
 def test_an_installed_copy_that_has_run_gives_way_to_another(
     wheel, sources, venv, tmp_path, monkeypatch
 ):
-    """Files that pip does not know, in the package, would keep it there: in the way of another."""
+    """Unknown files in the package would make pip leave its folder, which hides another copy."""
     (site,) = venv.glob("lib/python*/site-packages")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
@@ -313,7 +313,7 @@ def test_a_wheel_with_compiled_kernels_compiles_nothing(few_kernels, tmp_path, m
 def test_an_image_by_the_dockerfile_has_nothing_to_compile(
     few_kernels, venv, tmp_path, monkeypatch
 ):
-    """Its steps, without Docker: in an environment that has the packages."""
+    """Runs its steps without Docker, in an environment that has the packages."""
     text = (ROOT / "gs_codec/cli/COMMANDS.md").read_text()
     (steps,) = re.findall("```dockerfile\n(.*?)```", text, re.DOTALL)
     (setting,) = re.findall(r"^ENV NUMBA_CACHE_DIR=(\S+)$", steps, re.MULTILINE)

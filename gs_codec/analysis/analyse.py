@@ -147,7 +147,7 @@ def analyse_scene(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Analysis:
-    """Analyse a scene; Gaussians with NaN or infinity are dropped; a note counts them.
+    """Analyse a scene; Gaussians with NaN or infinity are dropped, and counted in a note.
 
     Raises InvalidInput if there is no Gaussian, or no camera.
 

@@ -47,7 +47,7 @@ def config_of(typed: Typed, target: Path | None = None) -> Config:
 
 
 def _format_of(typed: Typed, target: Path | None) -> str:
-    """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
+    """The format of a target's suffix; without a file name, that of the option; "" if unknown."""
     if target is None or is_stdout(target):
         return typed["format"] or EGS
     form = format_name(known_suffix(target))

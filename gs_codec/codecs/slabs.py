@@ -102,8 +102,8 @@ def opened_slabs(
 
     Raises InvalidInput if the file cannot be read. Raises CorruptStream, TruncatedStream or
     UnsupportedVersion if it is not a valid `.egs` file; damaged blocks raise when a slab is
-    decoded. Raises MissingTool if it uses G-PCC and the program (`tmc3`, or from the environment)
-    is not installed; or likewise torchac.
+    decoded. Raises MissingTool if it needs G-PCC's program (`tmc3`, or from the environment) or
+    torchac, and that is not installed.
     """
     with using_threads(threads), bounded(max_memory), opened(path) as data:
         start = time.perf_counter()
@@ -152,9 +152,9 @@ def verify_file(
     """Check all checksums of an `.egs` file and decode all of it, without writing.
 
     Raises InvalidInput if the file cannot be read. Raises CorruptStream, TruncatedStream or
-    UnsupportedVersion if it is not a valid `.egs` file. Raises MissingTool or ToolFailed if it uses
-    G-PCC and the program (`tmc3`, or from the environment) is not installed or fails; or likewise
-    torchac.
+    UnsupportedVersion if it is not a valid `.egs` file. Raises MissingTool or ToolFailed if it
+    needs G-PCC's program (`tmc3`, or from the environment) or torchac, and that is not installed or
+    fails.
     """
     start = time.perf_counter()
     with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:

@@ -1,7 +1,7 @@
-"""Options that have no effect in a combination are refused, all of them here.
+"""Reject options that have no effect in a combination; all such checks are here.
 
-`check_*` look at values, for every caller. `refuse_*` look at what was typed for a command, where
-an option is refused even if it was typed with its default.
+`check_*` functions check values, for every caller. `refuse_*` functions check the typed options of
+a command, and reject one even if it was typed with its default.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from gs_codec.preparation.steps import Plan, Steps
 
 _ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)
 
-# Values, for every caller
+# Values, for all callers
 
 
 def check_request(
@@ -52,13 +52,13 @@ def check_request(
 
 
 def check_levels(config: Config, max_memory: int | None) -> None:
-    """Reject levels of detail below a memory limit, where workers do not divide the scene."""
+    """Reject levels of detail below a memory limit, unless workers divide the scene."""
     if config.lod and max_memory is not None:
         raise InvalidInput("lod: with max-memory, dask is needed too")
 
 
 def _check_divided(config: Config, others: bool) -> None:
-    """Reject what needs all Gaussians at once."""
+    """Reject options that need all Gaussians at once."""
     if others:
         raise InvalidInput("dask: cannot be combined with views, preparation, actions or a target")
     if config.profile not in ADAPTIVE_PROFILES or config.format != EGS:
@@ -87,21 +87,21 @@ def _check_rate(config: Config, rate: RateTarget, steps: Steps) -> None:
         )
 
 
-# What was typed, for commands
+# Typed options, for commands
 
 
 class Typed(Protocol):
-    """What was typed for the options of a command."""
+    """The typed options of a command."""
 
     @property
     def actions(self) -> Sequence[Action]:
-        """The actions, in the order typed."""
+        """The typed actions, in order."""
 
     def __getitem__(self, name: str) -> Any:
         """The value of an option by its name."""
 
     def refuse(self, names: Iterable[str], why: str) -> None:
-        """Reject options that were typed; `why` says what they lack."""
+        """Reject these options if they were typed; `why` states what they need."""
 
 
 #: Options of `Config` that also apply to other formats than `.egs`; and those for formats without
@@ -116,7 +116,7 @@ _OF_VIEWS = ("views", "width", "background")
 
 
 def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
-    """Reject options of coding that have no effect on a format other than `.egs`."""
+    """Reject coding options that have no effect on a format other than `.egs`."""
     where, known = target or form, format_of(f".{form}")
     settings: list[Any] = [Config]
     if known.writes == "floats":
@@ -152,7 +152,7 @@ def _has_target(typed: Typed) -> bool:
 
 
 def refuse_preparation(typed: Typed) -> None:
-    """Reject options of steps of preparation that are not done."""
+    """Reject options of preparation steps that do not run."""
     if not typed["prune_geometry"]:
         typed.refuse(["geometry_rule"], "needs --prune-geometry")
     if not typed["refine"]:
@@ -162,14 +162,14 @@ def refuse_preparation(typed: Typed) -> None:
 
 
 def has_views(typed: Typed, config: Config) -> bool:
-    """Whether coding without preparation is camera-guided; rejects what has no effect."""
+    """Whether coding without preparation is camera-guided; rejects options without effect."""
     profile, measured = config.profile, typed["max_psnr_drop"] is not None
     if not measured:
         typed.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
     if profile not in ADAPTIVE_PROFILES:
         why = f"has no effect on profile '{profile}', expected {_ADAPTIVE}, --prune or --refine"
         typed.refuse(["cameras", *_OF_VIEWS], why)
-    # If step sizes cannot be chosen, a target prunes.
+    # If step sizes cannot be chosen, pruning meets the target.
     prunes = config.scene_format.writes != "steps" and _has_target(typed)
     if config.scene_format.is_exact and not prunes:
         why = f"has no effect on .{config.format}, whose values are exact: use --prune or --refine"

@@ -1,4 +1,4 @@
-"""The loss of a coded scene, measured in windows that did not choose its step sizes."""
+"""The loss of a coded scene, measured in windows that were not used to choose its step sizes."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
-"""The order of an encode: what happens to a scene, from top to bottom.
+"""The stages of an encode, in order.
 
 - edit: the actions of the request, in their order
-- prepare: prune, refine, ..., as its plan says
-- guide: measure what the plan's views see of each Gaussian; without a plan,
-- calibrate: choose how coarse the scene may be
-- shape: round everything but the colours
-- colour: compact and refit the colours to the views, for the rounded shapes
+- prepare: prune, refine, ... according to its plan
+- guide: measure the visibility of each Gaussian in the plan's views; or, without a plan,
+- calibrate: choose the coarseness of the scene
+- shape: quantise everything except colours
+- colour: compact colours and refit them to the views, given the quantised shapes
 - code: write the stream
-- check: measure what rendered views lose; shape, colour and code again, finer, if it is too much
+- check: measure the loss of rendered views; if it is too high, repeat from shape with finer steps
 
-To meet a rate target, `gs_codec.rate` repeats shape, colour and code with other step sizes.
+To meet a rate target, `gs_codec.rate` repeats shape, colour and code with different step sizes.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: Minimum share of the Gaussians that a scene's cameras see: with other cameras, unseen Gaussians
-#: would be very coarse.
+#: Minimum share of the Gaussians visible to the cameras; otherwise the many unseen ones would be
+#: very coarse.
 _LEAST_SEEN = 0.1
 
 
@@ -61,8 +61,8 @@ def encode(
 ) -> Encoded:
     """Encode a scene to the consecutive pieces of a file.
 
-    Raises InvalidInput if values are not finite, there are no cameras, nothing would be left, the
-    rate cannot be reached, or views lose too much and the configuration is strict. Raises
+    Raises InvalidInput if values are not finite, there are no cameras, no Gaussian would be left,
+    the rate cannot be reached, or views lose too much and the configuration is strict. Raises
     MissingTool or ToolFailed if a program that the configuration asks for is missing or fails.
 
     Parameters
@@ -72,12 +72,11 @@ def encode(
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
     ply_bytes : int
-        Size of the scene before it is encoded, from which a ratio counts; after actions it counts
-        from the floats.
+        Reference size for compression ratios; after actions, the floats are used instead.
     translated : bool
-        Whether the first action, a translation, was done when the scene was read.
+        Whether the first action, a translation, was already applied when the scene was read.
     finest : bool
-        Whether a format other than `.egs` is written as finely as it can be, whatever the profile.
+        Whether to write a format other than `.egs` as finely as possible, whatever the profile.
 
     Returns
     -------
@@ -118,7 +117,7 @@ def _edit(
 
 
 def _encode_finest(scene: Scene, config: Config) -> Encoded:
-    """Encode a scene as finely as its format can, and measure what that loses."""
+    """Encode a scene as finely as its format allows, and measure the loss."""
     from gs_codec.encoding.loss import Check
 
     times = StageTimes()
@@ -156,7 +155,7 @@ def _encode_edited(
 
 
 def _prepare(scene: Scene, request: Request, progress: Progress | None, ply_bytes: int) -> Encoded:
-    """Prepare a scene by its plan, and encode what it then is."""
+    """Prepare a scene according to its plan, and encode the result."""
     from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene
     from gs_codec.rate.allocate import step_error_for
@@ -219,7 +218,7 @@ def encode_prepared(
     progress: Progress | None = None,
     references: ReferenceViews | None = None,
 ) -> Encoded:
-    """Encode a prepared scene by a plan's views, or camera-free if there are none that fit it.
+    """Encode a prepared scene guided by its plan's views; camera-free if no views fit.
 
     `references` are these views, if already known.
     """
@@ -246,7 +245,7 @@ def _guiding_views(
     progress: Progress | None,
     references: ReferenceViews | None,
 ) -> ReferenceViews | None:
-    """The plan's views, if the encoder can go by them."""
+    """The plan's views, if they can guide the encoder."""
     config, plan = request.config, request.plan
     fixed = config.profile not in ADAPTIVE_PROFILES or config.scene_format.is_exact
     if plan is None or fixed or not scene.count:
@@ -303,7 +302,7 @@ def _guide(
     times: StageTimes,
     progress: Progress | None,
 ) -> Guidance | None:
-    """What views see of each Gaussian; None if that is too little."""
+    """Visibility of each Gaussian in the views; None if too few are visible."""
     from gs_codec.encoding.retry import warn_misfit
     from gs_codec.guidance.guide import guide
 
@@ -319,7 +318,7 @@ def _guide(
 def _calibrate(
     scene: Scene, config: Config, times: StageTimes, progress: Progress | None
 ) -> tuple[Config, Windows]:
-    """The configuration with the coarseness that suits a scene, and windows on it."""
+    """The configuration with the calibrated coarseness, and windows of the scene."""
     from gs_codec.guidance.calibrate import calibrated
     from gs_codec.guidance.windows import choose_windows, sample_of
 
@@ -351,7 +350,7 @@ def _code(
 def _check_whole(
     scene: Scene, request: Request, parts: list[bytes | memoryview], report: EncodeReport
 ) -> Encoded:
-    """Measure what views lose against the scene before preparation."""
+    """Measure the loss of views relative to the scene before preparation."""
     from gs_codec.encoding.loss import Check
     from gs_codec.encoding.retry import warn_of_loss
 

@@ -1,4 +1,4 @@
-"""What an encode is asked for, by commands, functions, batches, workers and the viewer alike."""
+"""A request to encode a scene, shared by commands, functions, batches, workers and the viewer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Request:
-    """How a scene is to be encoded.
+    """How to encode a scene.
 
     Raises InvalidInput if an option has no effect in this combination.
 
@@ -23,12 +23,12 @@ class Request:
     ----------
     config : Config
     plan : Plan or None
-        How to prepare the scene, and the views that guide this and the encoder.
+        Steps of preparation, and the views that guide them and the encoder.
     rate : RateTarget or None
     actions : tuple of Action
-        What is done to the scene first, in this order.
+        Edits to apply first, in this order.
     by_profile : bool
-        Whether values that come rounded are rounded again to the steps of the profile.
+        Whether values from a format that quantises are rounded to the steps of the profile.
     max_memory, max_bytes : int or None
         Limits: memory, and the scene's floats.
     dask : str or None

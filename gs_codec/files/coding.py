@@ -76,7 +76,7 @@ def encode_file(
     InvalidInput
         As in `read` and `encode`; or if the target cannot be written, or `max_memory` is too low.
     CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
-        As for `read` and `encode`.
+        As in `read` and `encode`.
 
     Examples
     --------

@@ -79,7 +79,7 @@ def decode_file(
         As in `decode`; or if the source cannot be read, the target cannot be written, or
         `max_memory` is not enough for one block.
     CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
-        As for `decode`.
+        As in `decode`.
 
     Examples
     --------

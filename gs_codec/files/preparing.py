@@ -47,7 +47,7 @@ def prepare_file(
     source, target : str or Path
         Scenes; the suffix of the target selects its format.
     plan, progress
-        As for `prepare`.
+        As in `prepare`.
     config : Config or str, optional
         As in `prepare`; an encoded target equals the output of `encode_file`.
     report_folder : str or Path, optional

@@ -72,8 +72,8 @@ def stated_size(path: Path, data: Sized) -> tuple[int, int]:
 def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     """The bytes of a `.splat` file, and sentences on what it cannot represent.
 
-    Raises InvalidInput if there are no Gaussians, a value is not finite, or a scale too large for a
-    float32.
+    Raises InvalidInput if there are no Gaussians, a value is not finite, or a scale is too large
+    for a float32.
     """
     check_finite(scene, ".splat")
     if not scene.count:

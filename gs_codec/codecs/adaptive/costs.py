@@ -47,7 +47,7 @@ class BlockCosts:
 
 @kernel
 def _add(spans, rows, values, contexts, owners, cycle, costs):
-    """Add the bits of values, of tokens and raw ones, to ``costs (streams, n)``."""
+    """Add the bits of values (tokens and raw bits) to ``costs (streams, n)``."""
     for symbol in range(len(values)):
         token = token_of(np.int64(values[symbol]))
         row = np.int64(rows[contexts[symbol]])

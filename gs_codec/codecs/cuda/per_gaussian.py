@@ -19,7 +19,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 @launched
 def find_widths(numbers, limits, planes, lefts, widths, shifts):
-    """Fill widths of low bits and shifts of colours, ``(N,)``; rules are of positions, colours."""
+    """Fill widths of low bits and shifts of colours, ``(N,)``; rules: positions, colours."""
     for i in range(cuda.grid(1), len(widths), cuda.gridsize(1)):
         logit, longest = np.int64(planes[2, i]), np.int64(planes[3, i])
         middle, shortest = np.int64(planes[4, i]), np.int64(planes[5, i])

@@ -1,6 +1,6 @@
 """Add the kernels that tests and documents have compiled to the list of kernels.
 
-    NUMBA_CACHE_DIR=build/kernels make test
+    NUMBA_CACHE_DIR=build/kernels make test-all
     .venv/bin/python .ci/record_kernels.py build/kernels
 
 It prints new lines, and lines that were not compiled; `--write` updates the list.

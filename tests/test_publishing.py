@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
 import re
 import shutil
 import subprocess
@@ -39,6 +40,24 @@ def written(tmp_path_factory) -> Path:
 def load(path: Path):
     yaml = pytest.importorskip("ruamel.yaml", reason="check-jsonschema is not installed")
     return yaml.YAML(typ="safe").load(path)
+
+
+def test_the_citation_agrees_with_the_package_and_the_paper():
+    cited = load(ROOT / "CITATION.cff")
+    assert {"cff-version", "message", "title", "authors"} <= cited.keys()
+    assert cited["version"] == gs_codec.__version__
+    assert (
+        f"\n## {cited['version']} ({cited['date-released']})\n"
+        in (ROOT / "CHANGELOG.md").read_text()
+    )
+    assert f'license = "{cited["license"]}"' in PROJECT
+    assert f"keywords = {json.dumps(cited['keywords'])}" in PROJECT
+    assert all(
+        f'authors = [{{ name = "{author["name"]}" }}]' in PROJECT for author in cited["authors"]
+    )
+    [paper] = cited["references"]
+    assert f"({paper['url']})" in (ROOT / "gs_codec" / "PAPER.md").read_text()
+    assert paper["doi"].removeprefix("10.48550/arXiv.") in paper["url"]
 
 
 def test_checksums_are_of_all_files(written):

@@ -23,8 +23,8 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
 SOURCES = (
-    ".ci", ".github", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "Makefile",
-    "README.md", "gs_codec", "pyproject.toml", "samples", "setup.py", "tests", "viewer",
+    ".ci", ".github", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in",
+    "Makefile", "README.md", "gs_codec", "pyproject.toml", "samples", "setup.py", "tests", "viewer",
 )  # fmt: skip
 
 

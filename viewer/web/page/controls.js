@@ -1,15 +1,15 @@
-// Mouse, touch and keys.
+// Mouse, touch and keyboard.
 
-/** Radians of a pixel. */
+/** Radians per pixel. */
 const TURN = 0.005;
 
-/** How far a key goes in a second: radians; the distance to what is looked at. */
+/** Speed of keys, per second: radians, and movement relative to the distance of the target. */
 const [ANGLE, PACE] = [1.2, 0.6];
 
-/** How much faster keys fly with shift. */
+/** Factor of the flying speed with shift. */
 const FASTER = 4;
 
-/** What keys do while they are held: sideways and upwards turn, right, down, forward. */
+/** Movements of held keys: turn sideways and upwards; move right, down, forward. */
 const HELD = {
   ArrowLeft: [1, 0, 0, 0, 0],
   ArrowRight: [-1, 0, 0, 0, 0],
@@ -24,7 +24,7 @@ const HELD = {
 };
 
 /**
- * Let a canvas be turned, shifted and flown.
+ * Control a viewer by mouse, touch and keys on its canvas.
  *
  * @param {HTMLElement} element
  * @param {object} viewer has `pose`, `up`, `focal` (pixels of the page), and `moved()`
@@ -55,7 +55,7 @@ export function control(element, viewer) {
     if (other) {
       const apart = (at) => Math.hypot(at[0] - other[0], at[1] - other[1]) + 1;
       pose.zoom(apart(before) / apart(now));
-      shift(x / 2, y / 2); // two fingers move what is between them by half of each
+      shift(x / 2, y / 2); // each of two fingers moves the point between them by half
     } else if (event.ctrlKey || event.shiftKey || event.buttons & 6) {
       shift(x, y);
     } else {
@@ -67,7 +67,7 @@ export function control(element, viewer) {
   element.addEventListener(
     'wheel',
     (event) => {
-      // In a page of another, the wheel is that page's until the scene is clicked on.
+      // In an embedded page, the wheel belongs to the outer page until the scene is clicked.
       if (self !== top && !document.hasFocus()) return;
       event.preventDefault();
       const lines = event.deltaY * [1, 30, 300][event.deltaMode];
@@ -97,7 +97,7 @@ export function control(element, viewer) {
     const { code, target } = event;
     isFast = event.shiftKey;
     if (!HELD[code] || event.ctrlKey || event.altKey || event.metaKey) return;
-    // Arrows move in what has the focus, letters choose in lists.
+    // Arrow keys belong to the focused element, letters to lists.
     const isElsewhere = target !== element && target !== document.body;
     if (target.tagName === 'SELECT' || (isElsewhere && code.startsWith('Arrow'))) return;
     event.preventDefault();
@@ -114,6 +114,6 @@ export function control(element, viewer) {
   addEventListener('blur', () => held.clear());
 }
 
-/** Whether a camera stands on its feet or on its head: to the right is to the right. */
+/** Sign that makes a drag to the right turn to the right, for an upright or inverted camera. */
 const handed = ({ turn }, up) =>
   turn[1].reduce((sum, value, k) => sum + value * up[k], 0) > 0 ? -1 : 1;

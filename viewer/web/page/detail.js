@@ -1,66 +1,64 @@
-// Levels of detail of a scene: which blocks are fetched, which are on the graphics card, and which are
-// drawn.
-//
-// A block is kept only while that which stands for it is kept, too. So wherever finer blocks are not
-// there, or not all of those in view, there is a coarser one to draw in their place.
+// Levels of detail of a scene: blocks to fetch, to keep on the graphics card, and to draw.
+// A block is kept only as long as the coarser block that replaces it. So if finer blocks in view
+// are missing, there is always a coarser one to draw.
 import { CorruptError, SourceError } from '../src/index.js';
 import { childrenOf, inView, look, refine } from '../src/selection.js';
 import { ROW } from './limits.js';
 import { Splats } from './renderer.js';
 
-/** Error in pixels at which a block is drawn in place of finer ones. */
+/** Maximum error in pixels of a block drawn in place of finer ones. */
 const TOLERANCE = 1;
 
-/** Requests that wait for an answer at once, each for blocks that one coarser stands for. */
+/** Number of concurrent requests, each for the blocks that one coarser block replaces. */
 const REQUESTS = 4;
 
-/** Decoded blocks that may wait for a place. */
+/** Maximum number of decoded blocks waiting for a slot. */
 const MOST_WAITING = 16;
 
-/** Milliseconds after which blocks that a connection lost are asked for again, one time after another. */
+/** Milliseconds until blocks lost by a connection are requested again, for successive attempts. */
 export const AGAIN = [1000, 3000];
 
-/** Levels of a file are fewer. */
+/** Upper bound of the number of levels of a file. */
 const LEVELS = 64;
 
 const keyOf = ({ level, block }) => block * LEVELS + level;
 const parentOf = ({ level, block }) => ({ level: level + 1, block: block >> 2 });
 
 export class Detail {
-  #resident = new Map(); // blocks with a place, by key: {level, block, place, used}
-  #waiting = new Map(); // decoded blocks without one, by key: {level, block, scene, first}
+  #resident = new Map(); // blocks with a slot, by key: {level, block, place, used}
+  #waiting = new Map(); // decoded blocks without a slot, by key: {level, block, scene, first}
   #requests = new Set(); // {blocks, controller}
-  #failed = new Map(); // blocks that did not come, by key: {times, again, error}, again at a time
-  #free; // places
-  #leaving = []; // places that are to be free, once they are in no order
-  #wanted = []; // blocks, in the order in which they are fetched; the first `needed` for this view
-  #wantedKeys = new Map(); // and their place in it
-  #refined = new Set(); // keys of blocks in whose place finer ones are wanted
+  #failed = new Map(); // blocks that failed, by key: {times, again, error}; retried at time `again`
+  #free; // slots
+  #leaving = []; // slots to free once no order uses them
+  #wanted = []; // blocks in fetching order; the first `needed` are for this view
+  #wantedKeys = new Map(); // and their positions in it
+  #refined = new Set(); // keys of blocks to be replaced by finer ones
   #seen = null;
-  #shown = new Set(); // places of the order that is drawn
-  #asked = new Set(); // of that which is made
+  #shown = new Set(); // slots in the order being drawn
+  #asked = new Set(); // slots in the order being made
   #aim = '';
   #moment = 0;
-  #top; // decoded, as it is always needed; without `scene` if it is damaged
+  #top; // decoded, because it is always needed; without `scene` if damaged
 
   /**
    * @param {EgsFile} file with levels
    * @param {WebGL2RenderingContext} gl
-   * @param {object} tell `changed()` if others are to be drawn, `progress()`, `put(first, positions)`
-   *   of x, y, z of Gaussians that are new, `sized(count, moves, size)` if there is room for so many, of which `size` went from
-   *   one place to another by each of `moves`
+   * @param {object} tell `changed()` if the blocks to draw change, `progress()`, `put(first,
+   *   positions)` with x, y, z of new Gaussians, `sized(count, moves, size)` if the capacity
+   *   becomes `count`; each of `moves` moved `size` Gaussians
    */
   constructor(file, gl, tell) {
     Object.assign(this, { file, gl, tell });
     this.needed = 0;
     this.drawn = 0; // Gaussians
     this.isStopped = false;
-    this.isPictured = false; // whether a first picture of it has been drawn
-    this.rows = Math.ceil(file.levels[0].blockSize / ROW); // of a place
+    this.isPictured = false; // whether its first picture has been drawn
+    this.rows = Math.ceil(file.levels[0].blockSize / ROW); // texture rows of a slot
     this.top = file.levels.length - 1;
   }
 
-  /** Fetch what everything is drawn by at first. */
+  /** Fetch everything that is needed for the first picture. */
   async begin(budget) {
     try {
       const { scene, parts } = await this.#decode(this.top, [0]);
@@ -69,7 +67,7 @@ export class Detail {
       if (!(error instanceof CorruptError) || this.top === 0) throw error;
       this.#top = { level: this.top, block: 0 };
       this.#failed.set(keyOf(this.#top), { times: 1, again: Infinity, error });
-      this.isPictured = true; // as far as it can be
+      this.isPictured = true; // as far as possible
     }
     this.resize(budget);
   }
@@ -80,7 +78,9 @@ export class Detail {
     return { scene: await this.file.decode(level, blocks, { onBlock, signal }), parts };
   }
 
-  /** Hold so many Gaussians at most, or those of the coarsest level; what has a place keeps one. */
+  /**
+   * Hold at most `budget` Gaussians, but at least the coarsest level; blocks with a slot keep one.
+   */
   resize(budget) {
     const { file, gl, rows, splats: before } = this;
     const blocks = file.levels.reduce((sum, level) => sum + level.blocks, 0);
@@ -104,7 +104,7 @@ export class Detail {
     this.#place();
   }
 
-  /** Give blocks places among others than before, the last used first: where from and to. */
+  /** Assign new slots, most recently used blocks first; returns the moves. */
   #move() {
     const { places } = this;
     this.#shown.clear();
@@ -125,7 +125,7 @@ export class Detail {
       });
   }
 
-  /** See to what a view needs; see `EgsFile.select`. */
+  /** Fetch and select what a view needs; see `EgsFile.select`. */
   aim(view) {
     if (!this.splats || this.isStopped) return;
     const aim = JSON.stringify(view);
@@ -139,7 +139,7 @@ export class Detail {
   #select(view) {
     const { file, top } = this;
     const seen = (this.#seen = look(file.described, view));
-    // In place of blocks that cannot be had, that which stands for them stays.
+    // Failed blocks are drawn as the coarser block that replaces them.
     for (const [key, { again }] of this.#failed) {
       const { level, block } = parentOf({ level: key % LEVELS, block: Math.floor(key / LEVELS) });
       if (again > performance.now() && level <= top) seen[level].errors[block] = 0;
@@ -150,7 +150,7 @@ export class Detail {
     const { refined } = refine(seen, inView(seen[top]), TOLERANCE, fits);
     const isLost = (one) => this.#failed.get(keyOf(one))?.again > performance.now();
     const needed = refined.flatMap(({ children }) => children.filter((one) => !isLost(one)));
-    // Neighbours just out of view, but of the finest level: a turn would show coarser blocks instead.
+    // Prefetch the finest neighbours just out of view; otherwise a turn would show coarser blocks.
     const beside = refined.flatMap(({ parent: { level, block } }) =>
       level > 1 ? childrenOf(level, block, file.levels[level - 1].blocks) : [],
     );
@@ -162,7 +162,7 @@ export class Detail {
     }
     this.#drop();
     this.#place();
-    this.tell.changed(); // as other blocks are drawn
+    this.tell.changed(); // because the blocks to draw change
   }
 
   #want(needed, beside) {
@@ -180,14 +180,14 @@ export class Detail {
     this.#wanted = [...found.values()];
   }
 
-  /** Forget decoded blocks that are not wanted any more. */
+  /** Discard decoded blocks that are no longer wanted. */
   #drop() {
     for (const key of this.#waiting.keys()) {
       if (!this.#wantedKeys.has(key)) this.#waiting.delete(key);
     }
   }
 
-  /** Blocks of this view that are not there yet, and those that will be asked for again. */
+  /** Blocks of this view that are missing, including those to be requested again. */
   get missing() {
     const now = performance.now();
     const again = [...this.#failed.values()].filter(
@@ -198,13 +198,13 @@ export class Detail {
     return wanted.reduce((sum, block) => sum + !isThere(block), again.length);
   }
 
-  /** Why blocks are given up. */
+  /** Errors of blocks that are given up. */
   get errors() {
     const given = [...this.#failed.values()].filter(({ again }) => again === Infinity);
     return given.map(({ error }) => error);
   }
 
-  /** What a connection has lost that will be asked for again, if anything. */
+  /** The error of blocks lost by a connection and to be requested again, if any. */
   get lost() {
     const now = performance.now();
     const isAwaited = ([key, { again }]) =>
@@ -212,7 +212,7 @@ export class Detail {
     return [...this.#failed].find(isAwaited)?.[1].error;
   }
 
-  /** Ask once more for what connections have lost. */
+  /** Retry blocks lost by connections. */
   retry() {
     for (const [key, { error }] of this.#failed) {
       if (error instanceof SourceError) this.#failed.delete(key);
@@ -220,12 +220,12 @@ export class Detail {
     this.#aim = '';
   }
 
-  /** Whether all that this view needs is there, or nothing more comes. */
+  /** Whether the view is complete, or nothing more will arrive. */
   get isComplete() {
     return this.isStopped || (this.splats !== undefined && this.missing === 0);
   }
 
-  /** Ask for what is missing, the coarsest and the largest error first. */
+  /** Request missing blocks: coarsest first, then largest error first. */
   #fetch() {
     if (this.isStopped || !this.isPictured) return;
     const coming = new Set();
@@ -272,13 +272,13 @@ export class Detail {
     this.tell.progress();
   }
 
-  /** Take note that blocks did not come. */
+  /** Record that blocks failed. */
   #lose(blocks, error) {
     const times = this.#failed.get(keyOf(blocks[0]))?.times ?? 0;
     const wait = error instanceof SourceError ? AGAIN[times] : undefined;
     const again = performance.now() + (wait ?? Infinity);
     for (const block of blocks) this.#failed.set(keyOf(block), { times: times + 1, again, error });
-    // Others are needed now, and then these.
+    // Other blocks may be needed first now; then these.
     const aimAgain = () => {
       this.#aim = '';
       this.tell.progress();
@@ -287,14 +287,14 @@ export class Detail {
     if (wait !== undefined) setTimeout(aimAgain, wait + 1);
   }
 
-  /** Fetch nothing more. */
+  /** Stop fetching. */
   stop() {
     this.isStopped = true;
     for (const { controller } of this.#requests) controller.abort();
     this.tell.progress();
   }
 
-  /** Give decoded blocks places, in the order in which they are wanted. */
+  /** Give decoded blocks slots, in fetching order. */
   #place() {
     let isChanged = false;
     for (const one of this.#wanted) {
@@ -326,7 +326,7 @@ export class Detail {
     this.tell.put(at, block);
   }
 
-  /** A place of a block that is not wanted; undefined if there is none, or not yet. */
+  /** Free the slot of an unwanted block; undefined if there is none, or not yet. */
   #evict() {
     if (this.#leaving.length >= this.#waiting.size) return undefined;
     const above = new Set([...this.#resident.values()].map((one) => keyOf(parentOf(one))));
@@ -345,7 +345,7 @@ export class Detail {
     return this.#evict();
   }
 
-  /** Blocks to draw: `[first, end]` of their Gaussians, for an order that will be made. */
+  /** Ranges `[first, end]` of the Gaussians to draw, for a new order. */
   ranges() {
     const { file, rows } = this;
     const found = [];
@@ -376,14 +376,14 @@ export class Detail {
     return found;
   }
 
-  /** A picture has been drawn: the first comes before all else that is fetched. */
+  /** Record that a picture has been drawn; the first has priority over further fetching. */
   pictured() {
     if (this.isPictured || this.#shown.size === 0) return;
     this.isPictured = true;
     this.#fetch();
   }
 
-  /** The order of what `ranges` gave last is there. */
+  /** Record that the order of the last `ranges` is ready. */
   ordered() {
     this.#shown = this.#asked;
     const isIn = (place) => this.#shown.has(place);

@@ -1,8 +1,8 @@
-// Numbers of 16 bits for the graphics card.
+// 16-bit numbers for the graphics card.
 const float = new Float32Array(1);
 const bits = new Uint32Array(float.buffer);
 
-/** The half nearest to a number, as its bits; what is too large is the largest. */
+/** Bits of the half float nearest to a number; large numbers are clamped. */
 export function half(value) {
   float[0] = value;
   const sign = (bits[0] >>> 16) & 0x8000;
@@ -12,8 +12,8 @@ export function half(value) {
   return sign | ((magnitude - 0x38000000 + 0xfff + ((magnitude >>> 13) & 1)) >>> 13);
 }
 
-/** A number from -1 to 1, as `unpackSnorm2x16` of shaders reads it. */
+/** A number from -1 to 1, encoded for `unpackSnorm2x16` in shaders. */
 export const fraction = (value) => Math.round(value * 32767) & 0xffff;
 
-/** Two numbers of 16 bits in one, the first in its lower half. */
+/** Pack two 16-bit numbers into one, the first in the lower half. */
 export const pair = (low, high) => (low | (high << 16)) >>> 0;

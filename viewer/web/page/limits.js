@@ -1,7 +1,7 @@
-// What the graphics card and the sorter must agree on.
+// Constants shared by shaders and the sorter.
 
-/** Gaussians in a row of a texture. */
+/** Gaussians per texture row. */
 export const ROW = 1024;
 
-/** How far ahead of the camera what is seen begins, scene units. */
+/** Near plane, scene units. */
 export const NEAR = 0.2;

@@ -1,4 +1,4 @@
-// A scene of the page: it is decoded, put on the graphics card and kept in order.
+// A scene of the page: decoded, uploaded to the graphics card, and sorted.
 import sorterText from 'text:./sorter.js';
 import workerText from 'text:../src/worker.js';
 
@@ -8,15 +8,15 @@ import { axesOf } from './pose.js';
 import { Splats } from './renderer.js';
 
 /**
- * How old an order may be that a picture is drawn in while a newer one is made, and how long it waits
- * for that, milliseconds.
+ * Maximum age of an order that may be drawn while a newer one is made, and maximum wait for that,
+ * milliseconds.
  */
 const [RECENT, PATIENCE] = [100, 60];
 
-/** Errors of a scene that are told. */
+/** Maximum number of errors shown for a scene. */
 const MOST_TOLD = 4;
 
-/** A worker from its bundled text: pages on disk may not load one from a file. */
+/** A worker from its bundled text, because pages on disk may not load one from a file. */
 function worker(text) {
   const url = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
   try {
@@ -26,7 +26,7 @@ function worker(text) {
   }
 }
 
-/** What a page holds in itself: a file as base64. */
+/** A file embedded in the page as base64. */
 function inPage(id) {
   const element = document.getElementById(id);
   const text = element.textContent;
@@ -37,33 +37,34 @@ function inPage(id) {
 
 export class Loaded {
   /**
-   * @param {{name: string, url?: string, data?: string}} entry what the page says of the scene:
-   *   where it is, or the element that holds it; `levels`, if it has levels of detail
+   * @param {{name: string, url?: string, data?: string}} entry description of the scene: its URL,
+   *   or the element that contains it; `levels`, if it has levels of detail
    * @param {(scene: Loaded) => void} changed called when more can be drawn, or something is lost
    */
   constructor(entry, changed) {
     this.entry = entry;
     this.changed = changed;
-    this.isLoaded = false; // of a scene with levels, as far as all views need it
-    this.failures = []; // of the last try to load it
-    this.trouble = null; // a failure after which it is tried again
-    this.splats = null; // until the first block is there
+    this.isLoaded = false; // with levels: whether everything that all views need is loaded
+    this.failures = []; // of the last attempt to load it
+    this.trouble = null; // an error after which loading is retried
+    this.splats = null; // null until the first block arrives
     this.detail = null; // of a scene with levels
-    this.share = 0; // of the file that has been read
+    this.share = 0; // of the file, read so far
     this.sorter = worker(sorterText);
-    this.sorted = null; // the last that was sorted for
+    this.sorted = null; // the last pose sorted for
     this.sorter.onmessage = ({ data }) => this.#take(data);
     this.busy = false;
-    this.since = 0; // when the sorter was asked
-    this.madeFor = 0; // when it was asked for the order that there is
+    this.since = 0; // time of the last request to the sorter
+    this.madeFor = 0; // time of the request for the current order
   }
 
   /**
-   * Decode, and draw blocks as they come; of a scene with levels, until the coarsest is there.
+   * Decode the scene, and draw blocks as they arrive; with levels, until the coarsest level is
+   * complete.
    *
    * @param {WebGL2RenderingContext} gl
    * @param {AbortSignal} signal
-   * @param {() => number} budget most Gaussians of a scene with levels
+   * @param {() => number} budget maximum Gaussians of a scene with levels
    */
   async load(gl, signal, budget) {
     for (const wait of [...AGAIN, undefined]) {
@@ -101,7 +102,7 @@ export class Loaded {
         await this.#open(source, gl, signal, budget);
         return;
       } catch (error) {
-        // Of a damaged level, the scene itself may be sound.
+        // If a level is damaged, the scene itself may be intact.
         if (!error.level || error instanceof SourceError || signal.aborted) throw error;
         this.failures.push(error);
       }
@@ -109,20 +110,20 @@ export class Loaded {
     await this.#decode(source, gl, signal);
   }
 
-  /** Why it is not all there, beside what is asked for again. */
+  /** Errors that make the scene incomplete, except those that are retried. */
   get errors() {
     const found = [...this.failures, ...(this.detail?.errors ?? [])];
     const more = found.splice(MOST_TOLD).length;
     return more ? [...found, new Error(`and ${more} more`)] : found;
   }
 
-  /** An error in words. */
+  /** The message of an error. */
   told({ message }) {
     const { name, url } = this.entry;
-    return `${name}: ${message.replace(`${url}: `, '')}`; // that it is of this file is said once
+    return `${name}: ${message.replace(`${url}: `, '')}`; // the file is named only once
   }
 
-  /** What was lost and is asked for again, if anything. */
+  /** The error of lost blocks that are requested again, if any. */
   get lost() {
     return this.trouble ?? this.detail?.lost;
   }
@@ -154,7 +155,7 @@ export class Loaded {
     this.detail = detail;
     signal.addEventListener('abort', () => detail.stop());
     this.scene = { count, degree, profile, bytes };
-    this.share = 1; // what comes later is of the views
+    this.share = 1; // later progress depends on views
   }
 
   async #decode(source, gl, signal) {
@@ -174,7 +175,7 @@ export class Loaded {
         this.changed(this);
       },
     });
-    splats ??= this.#begin(gl, scene); // of an empty scene no block comes
+    splats ??= this.#begin(gl, scene); // an empty scene has no blocks
     splats.complete();
   }
 
@@ -187,7 +188,7 @@ export class Loaded {
       profile: scene.profile,
       bytes: scene.bytes,
     };
-    this.splats?.dispose(); // of a try before
+    this.splats?.dispose(); // of an earlier attempt
     this.splats = null;
     return (this.splats = new Splats(gl, scene));
   }
@@ -202,7 +203,7 @@ export class Loaded {
     this.sorted = null;
   }
 
-  /** See to the blocks that a view needs, in the world's axes: `lens` is in pixels of the picture. */
+  /** Fetch the blocks that a view needs; the pose is in world axes, the lens in picture pixels. */
   aim(pose, { focal, centre, size }) {
     if (!this.detail) return;
     const { eye, turn } = pose.within(this.axes);
@@ -218,23 +219,23 @@ export class Loaded {
     });
   }
 
-  /** Whether what the last view needs is there. */
+  /** Whether everything that the last view needs is loaded. */
   get isComplete() {
     return !this.detail || this.detail.isComplete;
   }
 
-  /** Whether it is in the order of a pose, and nothing more is on its way. */
+  /** Whether it is sorted for a pose, and no sorting is in progress. */
   isInOrder(pose) {
     return !this.splats || (this.sorted === pose && !this.busy);
   }
 
-  /** Whether to draw it now: in a moment it may be in the right order. */
+  /** Whether to draw now: otherwise it may soon be sorted correctly. */
   get isNearlyInOrder() {
     const now = performance.now();
     return !this.busy || now - this.since > PATIENCE || now - this.madeFor < RECENT;
   }
 
-  /** Bring it into the order of a pose, an object that is another whenever the camera moves. */
+  /** Sort for a pose; a new object whenever the camera moves. */
   sort(pose) {
     if (!this.splats || this.sorted === pose) return;
     if (this.busy) return;
@@ -247,7 +248,7 @@ export class Loaded {
 
   #take({ order, size }) {
     this.busy = false;
-    if (this.detail && size !== this.room) return this.changed(this); // of a budget before
+    if (this.detail && size !== this.room) return this.changed(this); // of an earlier budget
     this.madeFor = this.since;
     this.splats.sort(order);
     this.detail?.ordered();

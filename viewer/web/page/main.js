@@ -9,10 +9,10 @@ import { Renderer } from './renderer.js';
 
 const BACKGROUNDS = { black: [0, 0, 0], grey: [0.5, 0.5, 0.5], white: [1, 1, 1] };
 
-/** The up axis that cameras say; views are shown as these were. */
+/** Name of the up axis given by the cameras; views are then shown as captured. */
 const BY_CAMERAS = 'cameras';
 
-/** Gaussians of scenes with levels that this device holds at once, unless another number is given. */
+/** Default maximum number of Gaussians of scenes with levels on this device. */
 function defaultBudget() {
   if (matchMedia('(pointer: coarse)').matches) return 1e6;
   return (navigator.deviceMemory ?? 4) >= 8 ? 3e6 : 1.5e6;
@@ -21,14 +21,14 @@ function defaultBudget() {
 class Viewer {
   constructor({ scenes, views, home, middle, ups, up }) {
     this.views = views;
-    this.home = home; // the number of the view that is an overview
+    this.home = home; // number of the overview
     this.middle = middle;
     this.ups = ups; // vectors by name, the cameras' first
     this.axis = up;
     this.canvas = document.getElementById('view');
     this.abort = new AbortController();
     this.pace = new Pace();
-    this.shrink = null; // by what the sides of the last picture were divided
+    this.shrink = null; // divisor of the last picture's sides
     this.isSaving = false;
     this.failures = []; // of the device
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
@@ -58,7 +58,7 @@ class Viewer {
     await this.#load();
   }
 
-  /** Load what is not there yet. */
+  /** Load everything that is missing. */
   async #load() {
     const { signal } = this.abort;
     const missing = this.scenes.filter(({ isLoaded }) => !isLoaded);
@@ -71,7 +71,7 @@ class Viewer {
     this.#arrived();
   }
 
-  /** Ask once more for what connections have lost. */
+  /** Retry what connections lost. */
   retry() {
     for (const { detail } of this.scenes) detail?.retry();
     if (this.isLoaded) this.#load();
@@ -82,7 +82,7 @@ class Viewer {
     this.#tell();
   }
 
-  /** What could not be had, and what to say of it. */
+  /** Current failures, as messages. */
   get #errors() {
     const ofScenes = this.scenes.flatMap((scene) =>
       scene.errors.map((error) => ({ text: scene.told(error), error })),
@@ -90,7 +90,7 @@ class Viewer {
     return [...this.failures.map((error) => ({ text: error.message, error })), ...ofScenes];
   }
 
-  /** Say what is wrong, or that nothing is. */
+  /** Show the current failures, or clear the message. */
   #tell() {
     const errors = this.#errors;
     const isStopped = this.abort.signal.aborted;
@@ -102,12 +102,12 @@ class Viewer {
     this.panel.tell(text, errors.length > 0, mayRetry);
   }
 
-  /** The share of the budget that a scene with levels has. */
+  /** A scene's share of the budget, if it has levels. */
   get #share() {
     return this.budget / this.scenes.filter(({ entry }) => entry.levels).length;
   }
 
-  /** Hold so many Gaussians of scenes with levels on the graphics card. */
+  /** Set the maximum number of Gaussians of scenes with levels on the graphics card. */
   resize(budget) {
     this.budget = budget;
     try {
@@ -119,13 +119,13 @@ class Viewer {
   }
 
   #arrived() {
-    if (!this.isLoaded) this.panel.progress(this.scenes); // orders come later, too
+    if (!this.isLoaded) this.panel.progress(this.scenes); // orders arrive later, too
     this.panel.detailed(this.scenes, this.abort.signal.aborted);
     this.#tell();
     this.redraw();
   }
 
-  /** Go to a view by its number. */
+  /** Go to a view, by its number. */
   choose(index) {
     const count = this.views.length;
     this.view = ((index % count) + count) % count;
@@ -135,12 +135,12 @@ class Viewer {
     this.redraw();
   }
 
-  /** What is up, of length 1. */
+  /** The up axis, of length 1. */
   get up() {
     return this.ups[this.axis];
   }
 
-  /** Take another axis for up, by its name, and roll the picture upright. */
+  /** Set the up axis, by its name, and roll the picture upright. */
   setUp(axis) {
     this.axis = axis;
     this.pose.roll(this.up);
@@ -148,27 +148,27 @@ class Viewer {
     this.moved();
   }
 
-  /** The camera has moved, and may go on. */
+  /** Record that the camera has moved, and may move again. */
   moved() {
     this.pace.move();
-    this.pose = this.pose.copy(); // scenes know by it which order they are in
+    this.pose = this.pose.copy(); // a new object, by which scenes know what they are sorted for
     this.redraw();
   }
 
-  /** Show otherwise: `show` (a, b, wipe, error), `split`, `degree`, `background`. */
+  /** Change display settings: `show` (a, b, wipe, error), `split`, `degree`, `background`. */
   set(look) {
     Object.assign(this.look, look);
     this.panel.shown(this.look);
     this.redraw();
   }
 
-  /** Pixels of the page by which a thing as far away as it is large is seen. */
+  /** Focal length in pixels of the page. */
   get focal() {
     const { width, height } = this.canvas;
     return this.#lens(width, height).focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
   }
 
-  /** The lens of the view, whose frame is all in w x h pixels. */
+  /** The lens of the view, with its whole frame inside w x h pixels. */
   #lens(w, h) {
     const { width, height, fx, fy, cx, cy } = this.views[this.view];
     const scale = Math.min(w / width, h / height);
@@ -187,7 +187,7 @@ class Viewer {
     this.asked ??= requestAnimationFrame(() => this.#drawIfDone());
   }
 
-  /** Draw unless the last picture is not done: on slow devices many would wait. */
+  /** Draw, unless the last picture is unfinished: on slow devices, pictures would queue up. */
   #drawIfDone() {
     const { renderer } = this;
     const lens = this.#lens(...this.#size(1));
@@ -195,7 +195,8 @@ class Viewer {
       scene.aim(this.pose, lens);
       scene.sort(this.pose);
     }
-    // While scenes load, or are refined for a camera at rest, a third of the time is for pictures.
+    // While scenes load, or are refined for a resting camera, pictures take at most a third of the
+    // time.
     const isBusy = !this.isLoaded || (this.pace.isResting && !this.#isThere);
     const isTime = !isBusy || renderer.rested > 2 * renderer.took;
     if (renderer.isDone() && isTime && this.scenes.every((scene) => scene.isNearlyInOrder)) {
@@ -206,29 +207,29 @@ class Viewer {
     }
   }
 
-  /** Whether all that the view needs is there. */
+  /** Whether everything that the view needs is loaded. */
   get #isThere() {
     return this.isLoaded && this.scenes.every(({ isComplete }) => isComplete);
   }
 
-  /** By what to divide the sides of the next picture: what is saved or compared is never a draft. */
+  /** Divisor of the next picture's sides; saved and compared pictures are never drafts. */
   get #shrink() {
     const isCompared = this.look.show === 'wipe' || this.look.show === 'error';
     return this.isSaving || isCompared ? 1 : this.pace.shrink;
   }
 
-  /** Pixels of a picture, by what its sides are divided. */
+  /** Size of a picture in pixels, given the divisor of its sides. */
   #size(shrink) {
     const dots = Math.min(globalThis.devicePixelRatio || 1, 2) / shrink;
     const { clientWidth, clientHeight } = this.canvas;
     return [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(side * dots)));
   }
 
-  /** Give the canvas its size. */
+  /** Set the canvas size. */
   #resize() {
     const { canvas } = this;
     const [width, height] = this.#size(this.shrink);
-    // To set it clears the picture.
+    // Setting it clears the picture.
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
   }
@@ -258,7 +259,7 @@ class Viewer {
     this.waiting = setTimeout(() => this.redraw(), REST);
   }
 
-  /** Save the picture, after it has been drawn in full. */
+  /** Save the picture, after drawing it in full. */
   save() {
     this.isSaving = true;
     this.redraw();
@@ -276,6 +277,6 @@ class Viewer {
   }
 }
 
-// On telephones, and in pages of others, there is no room for both.
+// On phones, and in embedded pages, there is no room for both.
 document.getElementById('panel').open = innerWidth > (self === top ? 560 : 1000);
 new Viewer(JSON.parse(document.getElementById('scene-list').textContent)).run();

@@ -1,37 +1,39 @@
-// How fine pictures are: drafts while the camera moves on slow devices, in full when it rests.
+// How fine pictures are: drafts while the camera moves on slow devices, full pictures at rest.
 
-/** Milliseconds without a move after which the camera rests. */
+/** Milliseconds without motion after which the camera is at rest. */
 export const REST = 250;
 
-/** Milliseconds that a picture may take during a move: from slower devices, drafts are taken. */
+/** Maximum milliseconds for a picture during motion; slower devices draw drafts. */
 const BUDGET = 50;
 
-/** By how much a draft's sides are divided at most. */
+/** Maximum divisor of a draft's sides. */
 const COARSEST = 4;
 
-/** So many full pictures in a row are slow before drafts are drawn: a busy moment is no reason. */
+/**
+ * Number of slow full pictures in a row before drafts are drawn; one may be due to a busy moment.
+ */
 const LAST = 2;
 
 export class Pace {
   #movedAt = -Infinity;
   #times = [];
 
-  /** The camera moves. */
+  /** Record that the camera moves. */
   move() {
     this.#movedAt = performance.now();
   }
 
-  /** A full picture took so many milliseconds. */
+  /** Record the milliseconds of a full picture. */
   took(time) {
     this.#times = [...this.#times, time].slice(-LAST);
   }
 
-  /** Whether the camera has not moved for a while. */
+  /** Whether the camera is at rest. */
   get isResting() {
     return performance.now() - this.#movedAt >= REST;
   }
 
-  /** By what to divide the sides of the next picture. */
+  /** Divisor of the next picture's sides. */
   get shrink() {
     if (this.isResting || this.#times.length < LAST) return 1;
     const time = Math.min(...this.#times);

@@ -1,9 +1,9 @@
-// What stands beside the picture, and the keys.
+// The panel next to the picture, and the keys.
 import { counted } from '../src/wording.js';
 
 const $ = (id) => document.getElementById(id);
 
-/** Streams of a file, by what they hold. */
+/** Streams of a file, by attribute. */
 const ATTRIBUTES = {
   positions: ['geometry', 'low-bits', 'far'],
   'SH-DC': ['sh-dc'],
@@ -111,32 +111,32 @@ export class Panel {
     actions[event.key.toLowerCase()]?.();
   }
 
-  /** The axis after the one that is up. */
+  /** The axis after the current up axis. */
   get #nextUp() {
     const names = Object.keys(this.viewer.ups);
     return names[(names.indexOf(this.viewer.axis) + 1) % names.length];
   }
 
-  /** Say something, below the picture; what connections have lost may be asked for again. */
+  /** Show a message below the picture; with `mayRetry`, lost data can be requested again. */
   tell(text, isError, mayRetry) {
-    // What is written anew is read out anew.
+    // Writing the same text would make screen readers repeat it.
     if ($('status').textContent !== text) $('status').textContent = text;
     $('told').hidden = !text;
     $('told').classList.toggle('error', isError);
     $('retry').hidden = !mayRetry;
   }
 
-  /** Which view is shown. */
+  /** Show which view is selected. */
   chosen(index) {
     $('views').value = index;
   }
 
-  /** Which axis is up. */
+  /** Show which axis is up. */
   upright(axis) {
     $('ups').value = axis;
   }
 
-  /** How it is shown. */
+  /** Show the display settings. */
   shown({ show, split, degree, background }) {
     for (const input of $('shows').querySelectorAll('input')) input.checked = input.value === show;
     $('wipe').hidden = show !== 'wipe';
@@ -147,7 +147,7 @@ export class Panel {
     $('degree').value = degree;
   }
 
-  /** How far scenes are loaded. */
+  /** Show the loading progress of scenes. */
   progress(scenes) {
     const least = Math.min(...scenes.map(({ share }) => share));
     this.#title(`Loading: ${Math.floor(100 * least)} %`);
@@ -167,7 +167,7 @@ export class Panel {
     });
   }
 
-  /** What there is of scenes with levels, for the present view. */
+  /** Show the loaded detail of scenes with levels, for the current view. */
   detailed(scenes, isStopped) {
     const refined = scenes.filter(({ detail }) => detail?.splats);
     if (refined.length === 0) return;
@@ -188,7 +188,7 @@ export class Panel {
         : `${counted(missing, 'block')} of this view missing: drawn, compared and saved coarser there.`;
   }
 
-  /** List bits by attribute, and the degrees that there are. */
+  /** List bits by attribute, and the available SH degrees. */
   #list(scenes) {
     const known = scenes.map(({ scene }) => scene).filter(Boolean);
     const highest = Math.max(...known.map(({ degree }) => degree));
@@ -210,12 +210,12 @@ export class Panel {
     }
   }
 
-  /** What stands above the panel, and is seen where it is closed. */
+  /** Set the title above the panel, which is visible when the panel is closed. */
   #title(text) {
     $('panel').firstElementChild.textContent = text;
   }
 
-  /** Everything is there, or has failed. */
+  /** Show that loading is finished, or has failed. */
   loaded() {
     this.#title('Scene');
     $('stop').hidden = true;

@@ -1,4 +1,4 @@
-// Where the camera is: `eye`, and `turn`, whose rows point right, down and forward in the world.
+// The camera's pose: `eye`, and `turn`, whose rows point right, down and forward in the world.
 
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const plus = (a, b, times = 1) => a.map((value, k) => value + times * b[k]);
@@ -10,14 +10,14 @@ const cross = (a, b) => [
 ];
 const unit = (a) => times(a, 1 / Math.hypot(...a));
 
-/** A vector turned about an axis of length 1. */
+/** A vector rotated about a unit axis. */
 function turned(vector, axis, angle) {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
   const along = times(axis, dot(axis, vector) * (1 - cos));
   return plus(plus(along, vector, cos), cross(axis, vector), sin);
 }
 
-/** How near to straight up or down one may look, as the sine of the angle. */
+/** Minimum angle to straight up or down, as a sine. */
 const STEEP = 0.02;
 
 /** Sine of the angle to straight up or down below which a picture has no upper side. */
@@ -27,7 +27,7 @@ export class Pose {
   /**
    * @param {number[]} eye
    * @param {number[][]} turn
-   * @param {number} distance to what it turns about, straight ahead
+   * @param {number} distance to the point straight ahead that it orbits
    */
   constructor(eye, turn, distance) {
     this.eye = eye;
@@ -35,7 +35,7 @@ export class Pose {
     this.distance = distance;
   }
 
-  /** The pose of a camera, as cameras.json has it; it turns about the depth of a point. */
+  /** The pose of a camera from cameras.json; it orbits a point at the depth of `middle`. */
   static of({ position, rotation }, middle) {
     const turn = [0, 1, 2].map((axis) => rotation.map((row) => row[axis]));
     const away = plus(middle, position, -1);
@@ -50,7 +50,7 @@ export class Pose {
     return plus(this.eye, this.turn[2], this.distance);
   }
 
-  /** Turn about the target by angles: to the side about `up`, and upwards. */
+  /** Orbit the target by angles: sideways about `up`, and upwards. */
   orbit(aside, upwards, up) {
     const { target } = this;
     this.#turn(aside, upwards, up);
@@ -62,7 +62,7 @@ export class Pose {
     const tilted = sideways.map((row) => turned(row, sideways[0], upwards));
     const steep = (rows) => Math.hypot(...cross(rows[2], up));
     const kept = steep(tilted) > STEEP || steep(tilted) > steep(sideways) ? tilted : sideways;
-    // Rounding adds up.
+    // Avoids accumulating rounding errors.
     const forward = unit(kept[2]);
     const right = unit(cross(kept[1], forward));
     this.turn = [right, cross(forward, right), forward];
@@ -74,14 +74,14 @@ export class Pose {
     this.eye = plus(plus(plus(this.eye, x, right), y, down), z, forward);
   }
 
-  /** Come nearer to the target, or go away from it. */
+  /** Move towards the target, or away from it. */
   zoom(factor) {
     const { target } = this;
     this.distance *= factor;
     this.eye = plus(target, this.turn[2], -this.distance);
   }
 
-  /** Roll until `up` points up in the picture; straight up or down, nothing does. */
+  /** Roll until `up` points up in the picture; no effect when looking straight up or down. */
   roll(up) {
     const [, , forward] = this.turn;
     const level = cross(forward, up);
@@ -90,7 +90,7 @@ export class Pose {
     this.turn = [right, cross(forward, right), forward];
   }
 
-  /** The same in other axes: rows of `axes` are those of the world, in the other's. */
+  /** The same pose in other axes: rows of `axes` are the world's axes, in those. */
   within(axes) {
     const given = (vector) =>
       [0, 1, 2].map((k) =>
@@ -103,7 +103,7 @@ export class Pose {
   }
 }
 
-/** The axes right, down, forward of the world in those of a file, three letters of RLUDBF. */
+/** The axes right, down, forward of the world in those of a file: three letters of RLUDBF. */
 export function axesOf(coordinates) {
   return ['RL', 'DU', 'FB'].map((pair) =>
     [...(coordinates ?? 'RDF')].map((letter) => [1, -1, 0][(pair.indexOf(letter) + 3) % 3]),

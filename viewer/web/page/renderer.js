@@ -1,10 +1,10 @@
-// Draws scenes by WebGL 2.
+// Draw scenes with WebGL 2.
 import { counted } from '../src/wording.js';
 import { fraction, half, pair } from './half.js';
 import { ROW } from './limits.js';
 import { HARMONICS, PROJECTION, SCREEN, SHAPE, SPLATS } from './shaders.js';
 
-/** The graphics card, or its driver, does not do what is needed. */
+/** The graphics card or its driver lacks a required feature. */
 export class DeviceError extends Error {}
 
 function compile(gl, [vertex, fragment]) {
@@ -87,20 +87,21 @@ export class Splats {
   }
 
   /**
-   * Take what a scene has of `count` Gaussians, from `begin` on, up to a degree, as those from
-   * `first` on.
+   * Copy `count` Gaussians of a scene, from `begin` on, up to a degree, to those from `first` on.
    */
   load(scene, begin, first, count, degree) {
     const [from, until] = [Math.floor(first / ROW), Math.ceil((first + count) / ROW)];
-    // Rows at once: what there is before and after is of other blocks, which are loaded once more, or
-    // is not drawn.
+    // Upload whole rows: the Gaussians before and after belong to other blocks, which are uploaded
+    // again, or are not drawn.
     const shift = begin - first;
     const span = [from * ROW + shift, Math.min(until * ROW + shift, scene.count)];
     if (degree === 0) this.#loadShapes(scene, span, from, until);
     else this.#loadHarmonics(scene, span, from, until);
   }
 
-  /** Take from another of the same degree `rows` rows for each `[from, to]`, numbers of Gaussians. */
+  /**
+   * Copy `rows` rows from another of the same degree for each `[from, to]`, numbers of Gaussians.
+   */
   copy(other, moves, rows) {
     const { gl } = this;
     for (const [name, texels] of [
@@ -162,20 +163,20 @@ export class Splats {
     gl.texSubImage2D(gl.TEXTURE_2D, 0, ...area, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
   }
 
-  /** Nothing more comes: keep what is needed to draw. */
+  /** Keep only what is needed to draw, because the scene is complete. */
   complete() {
     const { count, degree, antialiased } = this.scene;
     this.scene = { count, degree, antialiased };
   }
 
-  /** Free the memory of the graphics card. */
+  /** Free memory on the graphics card. */
   dispose() {
     const { gl, shapes, harmonics, order, projected, target } = this;
     gl.deleteFramebuffer(target);
     for (const image of [shapes, harmonics, order, ...projected]) gl.deleteTexture(image);
   }
 
-  /** Take the order in which to draw: farthest first. */
+  /** Set the drawing order: farthest first. */
   sort(order) {
     const { gl } = this;
     gl.bindTexture(gl.TEXTURE_2D, this.order);
@@ -199,7 +200,7 @@ export class Renderer {
     const wanted = { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true };
     const gl = canvas.getContext('webgl2', { ...wanted, powerPreference: 'high-performance' });
     if (!gl) throw new DeviceError('this browser has no WebGL 2');
-    // Sums of many splats, each rounded to 8 bits, would be off by some levels.
+    // With 8 bits, rounding errors of many splats would add up to several levels.
     this.format = gl.getExtension('EXT_color_buffer_float') ? gl.RGBA16F : gl.RGBA8;
     this.canvas = canvas;
     this.gl = gl;
@@ -208,7 +209,7 @@ export class Renderer {
     this.screen = compile(gl, SCREEN);
     this.pictures = [];
     this.size = [0, 0];
-    this.fence = null; // of a picture that is being drawn
+    this.fence = null; // of the picture being drawn
     this.begun = this.done = performance.now();
   }
 
@@ -228,7 +229,7 @@ export class Renderer {
     return this.done - this.begun;
   }
 
-  /** Milliseconds since. */
+  /** Milliseconds since then. */
   get rested() {
     return performance.now() - this.done;
   }
@@ -251,12 +252,12 @@ export class Renderer {
   /**
    * Draw scenes.
    *
-   * @param {{splats: Splats | null, axes: number[][]}[]} scenes one or two, and the axes of the world
+   * @param {{splats: Splats | null, axes: number[][]}[]} scenes one or two, with the world's axes
    *   in theirs
    * @param {Pose} pose
    * @param {object} lens `focal` and `centre`, pixels of the canvas
-   * @param {object} look `degree`, `background` (RGB, 0-1), `split` (0-1: the share of the width
-   *   that the first scene has), `errors`
+   * @param {object} look `degree`, `background` (RGB, 0-1), `split` (0-1: the first scene's share
+   *   of the width), `errors`
    */
   draw(scenes, pose, lens, look) {
     const { gl, screen } = this;
@@ -304,7 +305,7 @@ export class Renderer {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  /** Project a scene's Gaussians, each once, and colour what is seen from `from` to `until`. */
+  /** Project a scene's Gaussians, and compute colours of those visible from `from` to `until`. */
   #project(splats, { eye, turn }, { focal, centre }, span, degree) {
     const { gl } = this;
     const { program, uniforms } = this.projection;

@@ -1,17 +1,17 @@
-// Shaders: splats as gs_codec's rasteriser draws them (EWA projection of 3DGS), and what the screen
-// shows of one or two pictures of them.
+// Shaders: splats drawn like gs_codec's rasteriser (EWA projection of 3DGS), and the final picture
+// of one or two scenes.
 import { NEAR, ROW } from './limits.js';
 
 /**
- * Texels of a Gaussian: position and opacity; deviations, and R and G of SH-DC as halves; two by two,
- * its quaternion as fractions, and B.
+ * Texels of a Gaussian: position and opacity; deviations, and R and G of SH-DC as halves; its
+ * quaternion as pairs of fractions, and B.
  */
 export const SHAPE = 3;
 
 /** Texels of a Gaussian's SH-AC by SH degree: eight halves each, coefficient by coefficient. */
 export const HARMONICS = [0, 2, 3, 6];
 
-/** One triangle that covers all of the target. */
+/** One triangle that covers the whole target. */
 const wholeVertex = `#version 300 es
 void main() {
   gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
@@ -26,11 +26,11 @@ const fetched = (first, end) =>
     })
     .join('\n');
 
-/** Shader text of a coefficient, a colour, of pairs that have been fetched. */
+/** Shader text of a coefficient (one colour) from the fetched pairs. */
 const coefficient = (k) =>
   `vec3(${[0, 1, 2].map((i) => `h${(3 * k + i) >> 1}.${'xy'[(3 * k + i) & 1]}`)})`;
 
-/** Each pixel is a Gaussian: where it is in the picture, and how it looks from there. */
+/** Each pixel is a Gaussian: its position in the picture, and its appearance from there. */
 const projectionFragment = `#version 300 es
 precision highp float;
 precision highp int;
@@ -141,7 +141,7 @@ void main() {
   light.zw = uvec2(packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
 }`;
 
-/** A triangle about each Gaussian that is seen, of which all but an ellipse stays empty. */
+/** A triangle around each visible Gaussian; only an ellipse inside it is drawn. */
 const splatVertex = `#version 300 es
 precision highp float;
 precision highp int;

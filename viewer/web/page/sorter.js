@@ -1,8 +1,8 @@
-// A worker that orders Gaussians by depth, farthest first.
+// A worker that sorts Gaussians by depth, farthest first.
 import { NEAR } from './limits.js';
 
 let positions = new Float32Array(0); // x, y, z of each Gaussian
-let known = []; // [first, end] of what is decoded, or is to be drawn
+let known = []; // ranges [first, end] that are decoded, or to be drawn
 
 self.onmessage = ({ data }) => {
   if (data.count !== undefined) {
@@ -41,10 +41,10 @@ function ordered(eye, [x, y, z]) {
   return byDepth(new Uint32Array(depths.buffer, 0, seen), indices);
 }
 
-/** Indices by depth, farthest first; `keys` are the bits of depths, in 65,536 steps or more. */
+/** Indices by depth, farthest first; `keys` are the bits of depths, in at least 65,536 steps. */
 function byDepth(keys, indices) {
   if (keys.length === 0) return keys;
-  // Bits of positive numbers are in the order of the numbers, and finer the nearer.
+  // Bits of positive floats sort like the numbers, and are finer for nearer ones.
   let [least, most] = [2 ** 32, 0];
   for (const key of keys) {
     if (key < least) least = key;

@@ -543,7 +543,7 @@ class Config:
 
     def asked_depths(self) -> dict[str, int]:
         """Bits of the groups in `DEPTH_GROUPS` that `depths` sets."""
-        asked = {}
+        given = {}
         for group, bits in self.depths.items():
             members = SH_STREAMS if group == "sh-ac" else (group,)
             for member in members:
@@ -551,8 +551,8 @@ class Config:
                     known = ", ".join((*DEPTH_GROUPS, "sh-ac"))
                     raise InvalidInput(f"depth group '{group}': expected one of {known}")
                 Option("", int, low=1, high=MAX_DEPTH[member]).check(f"depth of {group}", bits)
-                asked[member] = bits
-        return asked
+                given[member] = bits
+        return given
 
     def resolved_depths(self) -> dict[str, int]:
         """Bits of every group in `DEPTH_GROUPS` of a paper profile, with overrides applied."""

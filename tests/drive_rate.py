@@ -17,7 +17,7 @@ from typing import Any
 from drive_viewer import Driver, give_up, tell
 
 from viewer.scenes.opened import Progress
-from viewer.scenes.trial_list import Asked, Tries
+from viewer.scenes.trial_list import EncodingSettings, Trials
 from viewer.scenes.view_request import Request
 
 #: Maximum seconds of an encode on a busy machine that compiles kernels.
@@ -30,12 +30,12 @@ class Rates:
     def __init__(self, driver: Driver) -> None:
         self.driver, self.encoding = driver, driver.viewer.encoding
         self.tab = driver.viewer.panel.rate
-        self.begun: list[Asked] = []
+        self.begun: list[EncodingSettings] = []
         encode = self.encoding.encode
 
-        def begin(asked: Asked) -> None:
-            self.begun.append(asked)
-            encode(asked)
+        def begin(settings: EncodingSettings) -> None:
+            self.begun.append(settings)
+            encode(settings)
 
         self.encoding.encode = begin
 
@@ -86,12 +86,12 @@ class Rates:
 
     def files(self) -> list[str]:
         """Names of the trial files."""
-        return sorted(path.name for path in self.encoding.tries.folder.iterdir())
+        return sorted(path.name for path in self.encoding.trials.folder.iterdir())
 
     def state(self) -> dict[str, Any]:
         """The visible state, and messages."""
         names = [scene.name for scene in self.driver.viewer.stage.scenes]
-        return {"names": names, "lines": self.tab.lines, "told": self.tab.told}
+        return {"names": names, "lines": self.tab.lines, "told": self.tab.numbers_text}
 
 
 def encodings(rates: Rates) -> dict:
@@ -103,7 +103,7 @@ def encodings(rates: Rates) -> dict:
     found["m"] = rates.state()
     rates.choose("s", 2)
     rates.slide()
-    found["bits"] = rates.tab.asked.value
+    found["bits"] = rates.tab.settings.value
     rates.encode()
     rates.finish()
     found["sized"] = rates.state()
@@ -120,18 +120,18 @@ def encodings(rates: Rates) -> dict:
 
 def stop(rates: Rates) -> dict:
     """The display while a scene is encoded, and what is left after Cancel."""
-    driver, visits, encode = rates.driver, rates.driver.viewer.visits, Tries.encode
+    driver, visits, encode = rates.driver, rates.driver.viewer.visits, Trials.encode
     started, go_on = threading.Event(), threading.Event()
 
-    def held(tries: Tries, asked: Asked, progress: Progress) -> Any:
+    def held(trials: Trials, settings: EncodingSettings, progress: Progress) -> Any:
         def slow(stage: str, done: int, total: int) -> None:
             progress(stage, done, total)
             started.set()
             go_on.wait(_PATIENCE)
 
-        return encode(tries, asked, slow)
+        return encode(trials, settings, slow)
 
-    Tries.encode = held  # type: ignore[method-assign, assignment]
+    Trials.encode = held  # type: ignore[method-assign, assignment]
     rates.choose("l", 0)
     rates.encode()
     rates.wait(lambda: started.is_set() and ":" in (rates.encoding.doing or "?")[0])
@@ -143,7 +143,7 @@ def stop(rates: Rates) -> dict:
     rates.wait(lambda: rates.encoding.doing is None)
     go_on.set()
     rates.wait(lambda: not rates.encoding.worker.busy)
-    Tries.encode = encode  # type: ignore[method-assign]
+    Trials.encode = encode  # type: ignore[method-assign]
     driver.rest()
     return found | {"stopped": rates.state(), "files": rates.files()}
 
@@ -179,7 +179,7 @@ def run(folder: Path) -> dict:
     driver.tick(3, redraw=True)
     rates = Rates(driver)
     found = encodings(rates) | history(rates)
-    files = rates.encoding.tries.folder.parent
+    files = rates.encoding.trials.folder.parent
     found["left"] = [files.exists()]
     subprocess.run(["xdotool", "key", "Escape"], check=True)
     found["closes"] = any(not driver.app.run_one_tick() for _ in range(100))

@@ -12,7 +12,7 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec.bench import host
-from gs_codec.bench.processes import run_apart
+from gs_codec.bench.processes import run_in_process
 from gs_codec.bench.sources import held_out_views, tile_scene
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import write_png
@@ -160,13 +160,13 @@ def test_auto_views_to_measure_in_are_not_those_to_encode_by():
 
 
 def test_a_process_of_its_own_is_measured(tmp_path):
-    used = run_apart(["--version"])
+    used = run_in_process(["--version"])
     assert used.seconds > 0
     assert used.cpu_seconds > 0
     # Small compared with this process, which starts it.
     assert 5e6 < used.peak_bytes < 2e8
     with pytest.raises(GsCodecError, match=r"^.*no directory"):
-        run_apart(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])
+        run_in_process(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])
 
 
 @pytest.mark.thorough

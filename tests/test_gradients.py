@@ -16,7 +16,7 @@ from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.rendering.project import MIN_ALPHA
-from gs_codec.rendering.tiles_float32 import MOMENT_YY, take_back_rows
+from gs_codec.rendering.tiles_float32 import MOMENT_YY, sum_gradients
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 pytestmark = pytest.mark.thorough
@@ -230,7 +230,7 @@ def test_rows_draw_the_same_image(seed, size):
     frame = make_frame(scene, camera)
     expected, alpha, _ = frame.draw(TEAL, np.float64, np.zeros((0, 4)))
     assert alpha.max() > 0.9
-    error = np.abs(frame.draw_rows(TEAL)[0] - expected)
+    error = np.abs(frame.draw_float32(TEAL)[0] - expected)
     # Some pixels are on different sides of the alpha threshold.
     assert np.quantile(error, 0.9) < 1e-5
     assert error.max() < 2 * MIN_ALPHA
@@ -240,10 +240,10 @@ def test_splats_behind_finished_pixels_have_no_sums():
     camera = straight(16, 16)
     scene = splats([(0, 0, 2 + k) for k in range(9)], opacity=9.0, log_scale=3.0)
     frame = make_frame(scene, camera)
-    colour, state = frame.draw_rows(TEAL)
+    colour, state = frame.draw_float32(TEAL)
     sums = np.full((frame.pairs, MOMENT_YY + 1), np.nan)
     slopes = np.ones(colour.shape)
-    frame.over_tiles(take_back_rows, np.array(TEAL), slopes, *state, sums)
+    frame.over_tiles(sum_gradients, np.array(TEAL), slopes, *state, sums)
     assert sums[0].any()
     assert not sums[3:].any()
 

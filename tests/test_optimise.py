@@ -83,7 +83,7 @@ def test_steps_are_small_where_little_is_to_win(scale):
 
 
 def test_what_fits_already_stays():
-    fitted, _ = refit(10, SCENE, [make_frame(SCENE, c).draw_rows((0, 0, 0))[0] for c in CAMERAS])
+    fitted, _ = refit(10, SCENE, [make_frame(SCENE, c).draw_float32((0, 0, 0))[0] for c in CAMERAS])
     assert_same_floats(fitted, SCENE)
 
 

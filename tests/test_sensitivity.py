@@ -234,7 +234,7 @@ def test_weights_of_views_are_those_of_drawing(opaque):
     np.testing.assert_allclose(weights.sum(axis=0), total.colour, rtol=1e-5)
     assert weights.any()
     for image, camera in zip(images, CAMERAS, strict=True):
-        np.testing.assert_array_equal(image, make_frame(scene, camera).draw_rows(TEAL)[0])
+        np.testing.assert_array_equal(image, make_frame(scene, camera).draw_float32(TEAL)[0])
     assert sensitivity(plain, references(CAMERAS))[1].shape == (3, 50)
 
 

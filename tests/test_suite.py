@@ -18,7 +18,7 @@ from gs_codec.bench import processes as apart
 from gs_codec.bench import processes as scaling
 from gs_codec.bench import side_by_side as beside
 from gs_codec.bench.peers import AbsentPeer
-from gs_codec.bench.sources import open_beside
+from gs_codec.bench.sources import open_with_cameras
 from gs_codec.bench.suite import run
 from gs_codec.bench.suite.run import GROUPS, Options, run_suite, scene_line
 from gs_codec.bench.suite.tables import escaped
@@ -69,7 +69,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
         return [*others, AbsentPeer("third", "third: get it")]
 
     for module in (measure, scaling):
-        patch.setattr(module, "run_apart", run_here)
+        patch.setattr(module, "run_in_process", run_here)
     patch.setattr(run, "find_peers", peers)
     patch.setattr(run, "SIZES", (150, 300))
     patch.setattr(run, "REFINED", (10.0, 5000.0))
@@ -313,13 +313,13 @@ def test_marked_cameras_are_held_out_as_they_say(tmp_path):
     for number, camera in enumerate(cameras):
         camera["split"] = "test" if number in (1, 4) else "train"
     (tmp_path / "scene" / "cameras.json").write_text(json.dumps(cameras))
-    measured = open_beside(path, WIDTH)
+    measured = open_with_cameras(path, WIDTH)
     assert [camera.name for camera in measured.cameras] == ["00001", "00004"]
     assert scene_line(measured)["encoded_by_views"] == 4
 
 
 def test_one_camera_is_measured_in_and_encoded_by(tmp_path):
-    line = scene_line(open_beside(make_scene(tmp_path / "scene", 50, 1), WIDTH))
+    line = scene_line(open_with_cameras(make_scene(tmp_path / "scene", 50, 1), WIDTH))
     assert (line["measured_views"], line["encoded_by_views"]) == (1, 1)
 
 
@@ -327,7 +327,7 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
     path = make_scene(tmp_path / "scene", 50, 3)
     (tmp_path / "scene" / "images").mkdir()
     with pytest.raises(InvalidInput, match="no image of 1 camera"):
-        open_beside(path, WIDTH)
+        open_with_cameras(path, WIDTH)
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def site(tmp_path_factory) -> Site:
 
 
 @dataclass
-class Asked:
+class FileQuestion:
     """The requests that a server received."""
 
     ranges: list[tuple[int, int]] = field(default_factory=list)
@@ -93,7 +93,7 @@ class serving:  # noqa: N801
         stalls: Callable[[int, int], bool] = lambda begin, end: False,
         fails: Callable[[int, int], bool] = lambda begin, end: False,
     ) -> None:
-        asked = self.asked = Asked()
+        asked = self.asked = FileQuestion()
 
         class Handler(http.server.SimpleHTTPRequestHandler):
             def __init__(self, *given: Any) -> None:
@@ -147,7 +147,7 @@ class serving:  # noqa: N801
 
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
 
-    def __enter__(self) -> tuple[str, Asked]:
+    def __enter__(self) -> tuple[str, FileQuestion]:
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
         return f"http://127.0.0.1:{self.server.server_port}/", self.asked
 

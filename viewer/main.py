@@ -312,10 +312,10 @@ def _film(
 ) -> Film | None:
     """The requested film, if any; rejects options that have no effect."""
     outputs = {"screenshot": screenshot, "turntable": turntable, "flythrough": flythrough}
-    asked = [name for name, path in outputs.items() if path is not None]
-    if len(asked) > 1:
-        raise gs_codec.GsCodecError(f"{asked[0]} and {asked[1]} cannot be combined")
-    if overwrite and not asked:
+    given = [name for name, path in outputs.items() if path is not None]
+    if len(given) > 1:
+        raise gs_codec.GsCodecError(f"{given[0]} and {given[1]} cannot be combined")
+    if overwrite and not given:
         raise gs_codec.GsCodecError("overwrite: needs --screenshot, --turntable or --flythrough")
     path = turntable or flythrough
     if path is None:
@@ -333,8 +333,8 @@ def _write_film(request: Request, film: Film) -> None:
     from viewer.pictures.film import write_film
 
     with progress_bar() as progress:
-        told = write_film(request, film, progress)
-    print_text(f"{film.path}: {counted(film.frames, 'frame')}, {told}")
+        described = write_film(request, film, progress)
+    print_text(f"{film.path}: {counted(film.frames, 'frame')}, {described}")
 
 
 def main() -> None:

@@ -361,7 +361,7 @@ class Actions:
         from open3d.visualization import gui
 
         from viewer.window.dialogs import Modal
-        from viewer.window.file_dialog import Asked, FileDialog
+        from viewer.window.file_dialog import FileDialog, FileQuestion
 
         if not self._attached:
             return
@@ -380,7 +380,10 @@ class Actions:
         scene = self.scene.path if self.scene is not None else Path()
         folder = scene.absolute().parent if scene.name else Path.cwd()
         dialog = FileDialog(
-            modal, Asked(title, kind, folder), lambda path: self._try(lambda: then(path)), close
+            modal,
+            FileQuestion(title, kind, folder),
+            lambda path: self._try(lambda: then(path)),
+            close,
         )
         window.set_on_key(modal.key)
         window.set_on_tick_event(modal.tick)

@@ -156,10 +156,10 @@ def _leading_to(url: str) -> Iterator[str]:
 
 def _range_of(text: str, size: int) -> range | None:
     """The requested bytes of a file; None for all of them, or for unsupported kinds of range."""
-    asked = re.fullmatch(r"bytes=(\d{1,18})-(\d{0,18})", text)
-    if asked is None:
+    found = re.fullmatch(r"bytes=(\d{1,18})-(\d{0,18})", text)
+    if found is None:
         return None
-    first, last = int(asked[1]), int(asked[2] or size - 1)
+    first, last = int(found[1]), int(found[2] or size - 1)
     return range(first, max(first, min(last + 1, size)))
 
 

@@ -256,7 +256,7 @@ def _complete(
 
 
 def _sum_up(
-    path: str, records: list[Record], known: list[Record], asked: int, seconds: float
+    path: str, records: list[Record], known: list[Record], expected: int, seconds: float
 ) -> Summary:
     done = [record for record in records if record.error is None]
     complete = [*done, *known]
@@ -267,7 +267,7 @@ def _sum_up(
         len(done),
         len(known),
         len(records) - len(done),
-        asked - len(records),
+        expected - len(records),
         sum(record.gaussians or 0 for record in complete),
         sum(record.input_bytes or 0 for record in complete),
         written,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_scene
+from gs_codec.bench.sources import MeasuredScene, cameras_of, open_scene
 from gs_codec.cameras.camera import Camera
 from gs_codec.config import RateTarget
 from gs_codec.errors import InvalidInput
@@ -92,7 +92,7 @@ def measure_losses(paths: Sequence[Path], progress: Progress | None = None) -> I
 
 
 def _open(path: Path) -> MeasuredScene:
-    cameras = cameras_beside(path)
+    cameras = cameras_of(path)
     if cameras == "auto":
         raise InvalidInput(f"{path}: no cameras.json in its folder, expected one to measure losses")
     capture = open_scene(path, cameras, None, None)

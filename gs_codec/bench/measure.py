@@ -11,8 +11,8 @@ from typing import Any
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
 from gs_codec.bench.peers import find_peers
-from gs_codec.bench.processes import run_apart
-from gs_codec.bench.side_by_side import measure_beside, our_codecs
+from gs_codec.bench.processes import run_in_process
+from gs_codec.bench.side_by_side import measure_alternating, our_codecs
 from gs_codec.bench.sources import MeasuredScene, open_scene
 from gs_codec.config import Config, changed_options
 from gs_codec.encoding.order import encode
@@ -41,7 +41,7 @@ def measure_scenes(
         measured = open_scene(path, cameras, truth, width, extra, tile)
         ours = our_codecs(configs, measured.plan if cameras else None)
         others = find_peers(extra, threads) if peers else []
-        yield from measure_beside(measured, [*ours, *others], repeats)
+        yield from measure_alternating(measured, [*ours, *others], repeats)
         if not peers:
             for config in configs:
                 yield from _details(measured, config)
@@ -78,8 +78,8 @@ def measure_memory(
     options = [text for name, value in typed for text in (f"--{name}", str(value))]
     threads = [] if config.threads is None else ["--threads", str(config.threads)]
     stream = str(back.with_suffix(".egs"))
-    encode = run_apart(["encode", str(ply), stream, *options, "--overwrite"]).peak_bytes
-    decode = run_apart(["decode", stream, str(back), *threads, "--overwrite"]).peak_bytes
+    encode = run_in_process(["encode", str(ply), stream, *options, "--overwrite"]).peak_bytes
+    decode = run_in_process(["decode", stream, str(back), *threads, "--overwrite"]).peak_bytes
     return {
         "kind": "memory",
         "scene": measured.name,

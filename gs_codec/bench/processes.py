@@ -43,7 +43,7 @@ class Usage:
     peak_bytes: int
 
 
-def run_apart(arguments: list[str]) -> Usage:
+def run_in_process(arguments: list[str]) -> Usage:
     """Run ``gs-codec ARGUMENTS``.
 
     Raises GsCodecError if it fails, with the command's own message.
@@ -71,9 +71,12 @@ def measure_scaling(
                 encode = ["encode", str(ply), str(stream), "-p", profile, *options, "--overwrite"]
                 decode = ["decode", str(stream), str(back), *options, "--overwrite"]
                 if not number:  # the first compiles and does not count
-                    run_apart(encode)
-                    run_apart(decode)
+                    run_in_process(encode)
+                    run_in_process(decode)
                 line = {"kind": "scaling", "scene": name, "profile": profile, "gaussians": size}
-                line |= {"encode": asdict(run_apart(encode)), "decode": asdict(run_apart(decode))}
+                line |= {
+                    "encode": asdict(run_in_process(encode)),
+                    "decode": asdict(run_in_process(decode)),
+                }
                 file_bytes = stream.stat().st_size
                 yield line | {"float_bytes": tiled.float_bytes, "output_bytes": file_bytes}

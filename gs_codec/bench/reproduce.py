@@ -13,7 +13,7 @@ from typing import Any
 
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
-from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
+from gs_codec.bench.sources import MeasuredScene, cameras_of, check_names, open_with_cameras
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
@@ -53,7 +53,7 @@ def open_scenes(paths: Sequence[Path]) -> list[MeasuredScene]:
     name.
     """
     check_names(paths)
-    return [open_beside(path, None) for path in paths]
+    return [open_with_cameras(path, None) for path in paths]
 
 
 def reproduce(
@@ -73,7 +73,7 @@ def reproduce(
         lpips = os.environ.get(LPIPS_VARIABLE) or None
         plan = Plan(
             steps,
-            cameras_beside(measured.path),
+            cameras_of(measured.path),
             measured.truth,
             checkpoint=folder / f"{measured.name}.checkpoint",
         )

@@ -139,7 +139,7 @@ def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:
     return replace(camera_free(config), name=name, encode=encode_refined, once=True)
 
 
-def measure_beside(
+def measure_alternating(
     measured: MeasuredScene, codecs: Sequence[Peer | AbsentPeer], repeats: int
 ) -> Iterator[dict[str, Any]]:
     """A result line for each codec.

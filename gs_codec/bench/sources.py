@@ -72,7 +72,7 @@ class MeasuredScene:
             {(camera.name, *camera.position) for camera in cameras}
             for cameras in (self.cameras, self.guides)
         )
-        if cameras_beside(self.path) == "auto" or measured & guides:
+        if cameras_of(self.path) == "auto" or measured & guides:
             return []
         cameras = [replace(camera, split="train") for camera in self.guides]
         cameras += [replace(camera, split="test") for camera in self.cameras]
@@ -119,17 +119,17 @@ def open_scene(
     return MeasuredScene(path, scene_name(path), scene, measured, guides, truth)
 
 
-def open_beside(path: Path, width: int | None) -> MeasuredScene:
+def open_with_cameras(path: Path, width: int | None) -> MeasuredScene:
     """A scene with the cameras and photographs next to it; raises like `open_scene`."""
-    cameras, images = cameras_beside(path), path.with_name("images")
+    cameras, images = cameras_of(path), path.with_name("images")
     truth = images if cameras != "auto" and images.is_dir() else None
     return open_scene(path, cameras, truth, width)
 
 
-def cameras_beside(path: Path) -> str:
+def cameras_of(path: Path) -> str:
     """The cameras next to a scene, or ``auto``."""
-    beside = path.with_name("cameras.json")
-    return str(beside) if beside.is_file() else "auto"
+    file = path.with_name("cameras.json")
+    return str(file) if file.is_file() else "auto"
 
 
 def held_out_views(

@@ -106,14 +106,14 @@ def find_model(folder: Path, places: Sequence[str]) -> Path | None:
         if len(models) > 1:
             counts = [len(_images(model)) for model in models]
             most = models[counts.index(max(counts))]
-            told = [
+            named = [
                 f"{model.relative_to(folder)} {n}" for model, n in zip(models, counts, strict=True)
             ]
             log.warning(
                 "%s: %d COLMAP models (images: %s); using %s",
                 folder,
                 len(models),
-                ", ".join(told[:9]),
+                ", ".join(named[:9]),
                 most.relative_to(folder),
             )
             return most

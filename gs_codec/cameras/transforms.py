@@ -121,11 +121,11 @@ def _splits(path: Path, shared: Mapping[str, Any]) -> dict[str, str]:
 
 def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], float]:
     """Matrix ``(4, 4)`` and scale by which nerfstudio moved the file's cameras, if it did."""
-    beside = path.with_name(_MOVED)
-    if not os.path.isfile(beside):
+    moved = path.with_name(_MOVED)
+    if not os.path.isfile(moved):
         return np.eye(4), 1.0
-    where = str(beside)
-    found = as_object(where, load_json(beside), "the transform that nerfstudio applied")
+    where = str(moved)
+    found = as_object(where, load_json(moved), "the transform that nerfstudio applied")
     # From COLMAP's world to the trained scene's; the file may use a third world.
     move, applied = np.eye(4), np.eye(4)
     move[:3] = as_pose(where, "transform", get(where, found, "transform"))

@@ -332,10 +332,10 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
     elif header.profile in ADAPTIVE_PROFILES:
         own, expected = {SectionId.LATTICE}, adaptive_sections(header.sh_degree)
     else:
-        from gs_codec.codecs.entropygs.decode import channel_sections, sections_beside
+        from gs_codec.codecs.entropygs.decode import channel_sections, scene_sections
 
         expected = channel_sections(file)
-        own = sections_beside(file, expected)
+        own = scene_sections(file, expected)
     if header.count:
         own = own | {SectionId.INDEX}
     if is_level:

@@ -137,13 +137,13 @@ class Pairing:
 
 def _differences(a: NDArray, b: NDArray, others: NDArray, looks: NDArray) -> NDArray[np.float64]:
     """Terms of centres ``(n, 3)`` and appearance ``(n, 7)`` against ``(n, k, ...)``."""
-    apart = np.abs(looks - b[:, None])
+    differences = np.abs(looks - b[:, None])
     return np.stack(
         [
             np.sqrt(((others - a[:, None]) ** 2).sum(axis=2)),
-            apart[..., :3].max(axis=2),
-            apart[..., 3],
-            apart[..., 4:].max(axis=2),
+            differences[..., :3].max(axis=2),
+            differences[..., 3],
+            differences[..., 4:].max(axis=2),
         ],
         axis=2,
     )

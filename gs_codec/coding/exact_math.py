@@ -108,7 +108,7 @@ def combine(coefficients: NDArray[np.float64], rows: NDArray[np.float64]) -> NDA
 
 
 @kernel
-def _turn_apart(rows, turns):
+def _orthogonalise(rows, turns):
     """Rotate pairs of rows until all are orthogonal (Jacobi); rotate `turns` too."""
     for _ in range(_SWEEPS):
         done = True
@@ -145,7 +145,7 @@ def fitting(rows: NDArray[np.float64], least: float = 0.0) -> NDArray[np.float64
     the largest count as 0.
     """
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
-    _turn_apart(turned, turns)
+    _orthogonalise(turned, turns)
     squares = np.sum(turned * turned, axis=1)
     cut = max(np.finfo(np.float64).eps * max(rows.shape), least)
     kept = squares > squares.max(initial=0.0) * cut * cut
@@ -159,5 +159,5 @@ def main_axis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     It has unit length; its sign is arbitrary.
     """
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
-    _turn_apart(turned, turns)
+    _orthogonalise(turned, turns)
     return turns[np.argmax(np.sum(turned * turned, axis=1))]

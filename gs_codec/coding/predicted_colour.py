@@ -54,8 +54,8 @@ def weigh(distances, row, found, weights):
     # Exact because the dividend is below 2**53; float division is faster.
     wide = np.float64(256 * (distances[row, 0] + 1))
     for k in range(NEIGHBOURS):
-        apart = np.float64(distances[row, k] + distances[row, 0] + 1)
-        weights[k] = np.int64(wide / apart) * np.int64(k < found)
+        distance = np.float64(distances[row, k] + distances[row, 0] + 1)
+        weights[k] = np.int64(wide / distance) * np.int64(k < found)
 
 
 @inlined

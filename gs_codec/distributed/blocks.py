@@ -107,11 +107,11 @@ def _counted(
     """Extents of all blocks, number of clamped values, and the sum of `count_tokens`."""
     extents, clamped, counted = list[NDArray[np.float32]](), 0, list[NDArray[np.int64]]()
     for number in range(chunks.number):
-        told = folder.load(f"quantise-{number}")
-        extents += list(told.pop("extents"))
-        clamped += int(told.pop("clamped"))
-        counted = counted or [np.zeros_like(counts) for counts in told.values()]
-        for total, counts in zip(counted, told.values(), strict=True):
+        found = folder.load(f"quantise-{number}")
+        extents += list(found.pop("extents"))
+        clamped += int(found.pop("clamped"))
+        counted = counted or [np.zeros_like(counts) for counts in found.values()]
+        for total, counts in zip(counted, found.values(), strict=True):
             total += counts
     return extents, clamped, counted
 
@@ -122,10 +122,10 @@ def _code(folder: Folder, described: bytes, chunks: Chunks, number: int) -> None
 
 
 def write_blocks(
-    target: Path, coded: CodedBlocks, beside: Sequence[Section] = ()
+    target: Path, coded: CodedBlocks, further: Sequence[Section] = ()
 ) -> list[tuple[int, int]]:
-    """Write a file of coded blocks and sections `beside`; return id and size of each section."""
-    header, sections = coded.chunks.header, in_file_order([*coded.sections, *beside])
+    """Write a file of coded blocks and sections `further`; return id and size of each section."""
+    header, sections = coded.chunks.header, in_file_order([*coded.sections, *further])
     pieces = [(p, k) for p in range(1 + header.sh_degree) for k in range(coded.chunks.number)]
     table = [Listed.of(section) for section in sections]
     for place, number in pieces:

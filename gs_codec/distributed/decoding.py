@@ -97,8 +97,8 @@ def decode_with(crew: Crew, source: Path, target: Path, part: Part, size: int) -
             task = partial(_decode, folder, source, part, chunks)
             crew.do_all(folder, "decode", task, len(chunks))
         names = [f"decode-{k}" for k in range(len(chunks))]
-        told = [folder.load(name, "count", "bytes_read") for name in names]
-        count = sum(int(each["count"]) for each in told)
+        found = [folder.load(name, "count", "bytes_read") for name in names]
+        count = sum(int(each["count"]) for each in found)
         if count or bounds is None:
             with times.stage("write"), atomic_writer(target) as out:
                 out.write(ply_header(head, count))
@@ -106,7 +106,7 @@ def decode_with(crew: Crew, source: Path, target: Path, part: Part, size: int) -
                     out.write(folder.load(name, "rows")["rows"].data)
     if bounds is not None and not count:
         raise InvalidInput(f"{source}: no Gaussians in the box, {box_text(bounds)}")
-    read = described + sum(int(each["bytes_read"]) - described for each in told)
+    read = described + sum(int(each["bytes_read"]) - described for each in found)
     return DecodeReport(count, degree, read, os.path.getsize(source), times.seconds)
 
 
@@ -118,5 +118,5 @@ def _decode(
         rows = [vertex_rows(scene) for scene in slabs.scenes()]
         read = slabs.bytes_read
     content = np.concatenate(rows)
-    told = {"count": np.array(len(content)), "bytes_read": np.array(read)}
-    folder.save(f"decode-{number}", {"rows": content.view(np.uint8), **told})
+    found = {"count": np.array(len(content)), "bytes_read": np.array(read)}
+    folder.save(f"decode-{number}", {"rows": content.view(np.uint8), **found})

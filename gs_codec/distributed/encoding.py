@@ -141,15 +141,15 @@ def encode_with(
                 raise nothing_left(sources.count)
         quantised, chosen, loss = _quantise_all(crew, job, looked, size, times)
         coded = code_blocks(crew, quantised, times)
-        beside = carried_sections(sources.head, np.empty(0, np.int64))
+        further = carried_sections(sources.head, np.empty(0, np.int64))
         if config.lod:
             with times.stage("levels"):
                 levels = code_levels(crew, coded, sources.head, config, size)
             for number, path in enumerate(levels, 1):
                 data = stack.enter_context(opened(path))[:]
-                beside.append(Section(SectionId.LEVEL, number, data, optional=True))
+                further.append(Section(SectionId.LEVEL, number, data, optional=True))
         with times.stage("write"):
-            sized = write_blocks(target, coded, beside)
+            sized = write_blocks(target, coded, further)
     report = EncodeReport(
         count=count,
         raw_bytes=coded.chunks.header.float_bytes,

@@ -111,9 +111,9 @@ def find_floaters(
     finite, labels = in_place_order(scene), np.zeros(scene.count, np.uint8)
     if not len(finite):
         return labels
-    apart = np.zeros(scene.count)
-    apart[finite] = _apart(scene.take(finite))
-    labels[apart > _FAR] = FLOATERS.index("isolated")
+    isolation = np.zeros(scene.count)
+    isolation[finite] = _isolation(scene.take(finite))
+    labels[isolation > _FAR] = FLOATERS.index("isolated")
     far = np.zeros(scene.count, bool)
     if found := find_far(scene.positions[:, finite], scene.log_scale[:, finite]):
         far[finite[found.far]] = True
@@ -121,7 +121,7 @@ def find_floaters(
         labels[far & (labels == 0)] = FLOATERS.index("outside")
     if cameras is not None:
         sight = _look(scene, cameras, progress)
-        before = (apart > _FAR_BEFORE) & (sight.closest < _BEFORE)
+        before = (isolation > _FAR_BEFORE) & (sight.closest < _BEFORE)
         labels[before] = FLOATERS.index("isolated")
         faint = sight.weight < _FAINT * sight.weight[finite].mean()
         hardly = faint & (sight.held >= _VIEWS)
@@ -135,16 +135,18 @@ def find_floaters(
     return labels
 
 
-def _apart(scene: Scene) -> NDArray[np.float64]:
+def _isolation(scene: Scene) -> NDArray[np.float64]:
     """Distance from others, in usual distances, ``(N,)`` of a finite scene; 0 if small."""
-    apart = np.zeros(scene.count)
+    isolation = np.zeros(scene.count)
     if scene.count > NEIGHBOURS:
         spacing = find_spacing(scene)
         usual = usual_distance(spacing)
         # The eighth nearest in units of sizes is at most as far as the eighth nearest by centre.
-        asked = np.flatnonzero(spacing.in_sizes().max(axis=1) > _FAR_BEFORE * usual)
-        apart[asked] = far_from_others(spacing, asked) / max(usual, np.finfo(float).tiny)
-    return apart
+        candidates = np.flatnonzero(spacing.in_sizes().max(axis=1) > _FAR_BEFORE * usual)
+        isolation[candidates] = far_from_others(spacing, candidates) / max(
+            usual, np.finfo(float).tiny
+        )
+    return isolation
 
 
 def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) -> _Sight:
@@ -185,12 +187,12 @@ def _outside(
     scene: Scene,
     cameras: Sequence[Camera],
     seen: NDArray[np.bool_],
-    asked: NDArray[np.bool_],
+    candidates: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
     """Indices of those candidates that are far from cameras and from everything they see."""
     from scipy import spatial
 
-    asking = np.flatnonzero(asked)
+    asking = np.flatnonzero(candidates)
     points = np.concatenate([[camera.position for camera in cameras], scene.positions.T[seen]])
     if not len(asking) or not seen.any():
         return asking[:0]

@@ -59,8 +59,8 @@ def check_boxes(file: EgsFile, boxes: NDArray[np.float32]) -> None:
     Raises CorruptStream.
     """
     # Adding 0 turns -0 into 0.
-    found, told = boxes + np.float32(0), np.ascontiguousarray(index_of(file)[:, :6])
-    differ = np.any(found.view(np.uint32) != told.view(np.uint32), axis=1)
+    found, stated = boxes + np.float32(0), np.ascontiguousarray(index_of(file)[:, :6])
+    differ = np.any(found.view(np.uint32) != stated.view(np.uint32), axis=1)
     if differ.any():
         raise CorruptStream(f"{_WHERE}: does not match block {np.argmax(differ)}")
 

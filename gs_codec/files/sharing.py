@@ -181,8 +181,8 @@ def _views(
     """The views of a page and its overview, the possible up axes by name, and the current one."""
     home = 0
     if str(cameras) == "auto":
-        asked = None if up is None else up_axis(up)
-        found = estimate_views(scene, COUNT, asked, progress)
+        axis = None if up is None else up_axis(up)
+        found = estimate_views(scene, COUNT, axis, progress)
         views, by_cameras = found.cameras, found.up
         if up is None and not found.up_certain:
             log.warning(UNSURE)

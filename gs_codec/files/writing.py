@@ -90,10 +90,10 @@ def keeps_rounding(
 
     False if a profile or a coarseness is requested.
     """
-    asked = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
+    chosen = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
     known = format_of(suffix)
     takes_steps = known.is_rounded and known.writes in ("steps", "levels")
-    return not asked and takes_steps and all(map(_is_rounded, sources))
+    return not chosen and takes_steps and all(map(_is_rounded, sources))
 
 
 def _is_rounded(source: str | Path) -> bool:

@@ -195,9 +195,11 @@ def _choose_colours(values, by_step, table, of_green, of_red, of_blue, near, lev
                 cost = error * error + of_green[g]
                 if cost >= least:
                     continue
-                r, more = _beside(g, near[i, 0, k], values[i, 0, k], by_step[i, k], table, of_red)
+                r, more = _level_of(g, near[i, 0, k], values[i, 0, k], by_step[i, k], table, of_red)
                 cost += more
-                b, more = _beside(g, near[i, 2, k], values[i, 2, k], by_step[i, k], table, of_blue)
+                b, more = _level_of(
+                    g, near[i, 2, k], values[i, 2, k], by_step[i, k], table, of_blue
+                )
                 cost += more
                 if cost < least:
                     red, green, blue = r, g, b
@@ -206,7 +208,7 @@ def _choose_colours(values, by_step, table, of_green, of_red, of_blue, near, lev
 
 
 @kernel
-def _beside(green, near, value, by_step, table, price):
+def _level_of(green, near, value, by_step, table, price):
     """The level of another channel, and its cost."""
     least, best = np.inf, 0
     for j in range(-_REACH, _REACH + 2):

@@ -252,7 +252,7 @@ def draw_parts(scene: Scene, parts: Sequence[Part]) -> list[tuple[NDArray[np.flo
 
     def draw(part: Part) -> tuple[NDArray[np.float32], float]:
         frame = make_frame(scene.between(part.start, part.stop), part.window)
-        colour, (left, _, _) = frame.draw_rows((0.0, 0.0, 0.0))
+        colour, (left, _, _) = frame.draw_float32((0.0, 0.0, 0.0))
         return np.fmin(colour, 1), float(np.mean(np.abs(left)))
 
     return run_all(draw, parts)

@@ -79,14 +79,14 @@ class Run:
     scene: Scene
 
     @cached_property
-    def apart(self) -> float:
+    def distance(self) -> float:
         """Distance between neighbours; see `spacing`."""
         return spacing(blobs_of(self.scene))
 
     def merged(self, footprint: float) -> Scene:
         """A quarter of them, merged for pixels of this size; see `Clusters.merged`."""
         number = -(-self.scene.count // FANOUT)
-        together = min(footprint, _TOGETHER * self.apart) if footprint else 0.0
+        together = min(footprint, _TOGETHER * self.distance) if footprint else 0.0
         into = merge_group(self.scene, number, together)
         return Clusters(self.scene, into, number).merged(footprint)
 
@@ -113,20 +113,20 @@ class Run:
 
 def _picture(scene: Scene, camera: Camera, antialiased: bool) -> tuple[NDArray, NDArray]:
     """Colour ``(H, W, 3)``, clamped to 1, and transmittance of all pixels."""
-    colour, (left, _, _) = make_frame(scene, camera, antialiased).draw_rows((0.0, 0.0, 0.0))
+    colour, (left, _, _) = make_frame(scene, camera, antialiased).draw_float32((0.0, 0.0, 0.0))
     return np.fmin(colour, 1), np.abs(left, dtype=np.float64)
 
 
 def error_of(group: Scene, antialiased: bool) -> float:
     """Pixel size, in scene units, at which a quarter of a group looks like the whole group."""
     runs = _runs(group)
-    apart = float(np.mean([run.apart for run in runs]))
-    if not 0 < apart < np.inf:
+    distance = float(np.mean([run.distance for run in runs]))
+    if not 0 < distance < np.inf:
         return 0.0
     wanted = _ALIKE if antialiased else _MIXED
     with np.errstate(all="ignore"):
         exact = [run.merged(0.0) for run in runs]
-        pixel = _where_alike(lambda size: _mean(runs, exact, size, True) / wanted, apart)
+        pixel = _where_alike(lambda size: _mean(runs, exact, size, True) / wanted, distance)
         if not antialiased:
             plain = [run.merged(FOOTPRINT * pixel) for run in runs]
             # The block's share of a picture decreases with the square of the distance.
@@ -151,17 +151,17 @@ def _mean(runs: list[Run], others: list[Scene], pixel: float, antialiased: bool)
     return squares / covered if covered > 0 else 0.0
 
 
-def _where_alike(error: Callable[[float], float], apart: float) -> float:
-    """The pixel size at which an error is 1, interpolated between octaves of `apart`."""
-    octave, found = 0, max(error(apart), _NONE)
+def _where_alike(error: Callable[[float], float], distance: float) -> float:
+    """The pixel size at which an error is 1, interpolated between octaves of `distance`."""
+    octave, found = 0, max(error(distance), _NONE)
     step = 1 if found > 1 else -1
     while _LEAST < octave < _MOST:
         before, octave = found, octave + step
-        found = max(error(apart * 2.0**octave), _NONE)
+        found = max(error(distance * 2.0**octave), _NONE)
         if (found > 1) != (step > 0):
             part = math.log(before) / math.log(before / found)
-            return apart * 2.0 ** (octave - step + step * part)
-    return apart * 2.0**octave
+            return distance * 2.0 ** (octave - step + step * part)
+    return distance * 2.0**octave
 
 
 @dataclass(frozen=True)

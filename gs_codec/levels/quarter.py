@@ -214,8 +214,8 @@ def spacing(blobs: Blobs) -> float:
     means, mass = blobs.means[order], blobs.mass[order]
     near = np.empty((len(means), 2), np.int64)
     _find_after(means, _WINDOW, near)
-    apart = np.sqrt(((means[near[:, 1]] - means) ** 2).sum(axis=1))
-    return weighted_quantile(apart, mass, 0.5)
+    spacings = np.sqrt(((means[near[:, 1]] - means) ** 2).sum(axis=1))
+    return weighted_quantile(spacings, mass, 0.5)
 
 
 def weighted_quantile(

@@ -71,7 +71,7 @@ def stream_levels(
         leaves = _leaves(nearer.take(spatial_order(scene.positions, scene.log_scale)), leaf)
         files: dict[str, bytes] = {}
         runs: list[list[Run]] = []
-        told: list[str] = [*moved]
+        losses: list[str] = [*moved]
         names: list[str] = []
         chosen = config
         for level, parts in enumerate(zip(*leaves, strict=True)):
@@ -90,12 +90,12 @@ def stream_levels(
                 contents, lost = sog_files_of(part, own)
                 files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
                 names.append(f"{level}_{number}/{UNBUNDLED}")
-                told += lost
+                losses += lost
         boxes = run_all(_box, leaves)
     described = [
         Leaf(*box, of_levels) for box, of_levels in zip(boxes, zip(*runs, strict=True), strict=True)
     ]
-    return files | {STREAMED: describe_levels(described, names)}, tuple(dict.fromkeys(told))
+    return files | {STREAMED: describe_levels(described, names)}, tuple(dict.fromkeys(losses))
 
 
 def _leaves(scene: Scene, most: int) -> list[list[Scene]]:

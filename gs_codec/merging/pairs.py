@@ -155,8 +155,8 @@ def _minor(covariance, axis):
 
 
 @inlined
-def _merge_two(means, covariances, mass, i, j, apart, merged):
-    """Fill ``apart (3,)``, the vector from i to j, and the merged covariance, ``merged (6,)``.
+def _merge_two(means, covariances, mass, i, j, offset, merged):
+    """Fill ``offset (3,)``, the vector from i to j, and the merged covariance, ``merged (6,)``.
 
     Returns the share of j in the mass, and the merged opacity.
     """
@@ -164,10 +164,10 @@ def _merge_two(means, covariances, mass, i, j, apart, merged):
     share = mass[j] / whole
     minors = 0.0
     for axis in range(3):
-        apart[axis] = means[j, axis] - means[i, axis]
+        offset[axis] = means[j, axis] - means[i, axis]
     for axis in range(3):
         for k, other in ((axis, axis), (3 + axis, (axis + 1) % 3)):
-            between = share * (1.0 - share) * apart[axis] * apart[other]
+            between = share * (1.0 - share) * offset[axis] * offset[other]
             mean = covariances[i, k] + share * (covariances[j, k] - covariances[i, k])
             merged[k] = mean + between
     for axis in range(3):
@@ -178,35 +178,37 @@ def _merge_two(means, covariances, mass, i, j, apart, merged):
 @kernel
 def _merge_all(means, covariances, mass, first, second, merged, of_pair):
     """Fill ``merged (M, 6)`` and ``of_pair (2, M)``: mass shares of `second`, and opacities."""
-    apart = np.empty(3)
+    offset = np.empty(3)
     for n in range(len(first)):
-        share, opacity = _merge_two(means, covariances, mass, first[n], second[n], apart, merged[n])
+        share, opacity = _merge_two(
+            means, covariances, mass, first[n], second[n], offset, merged[n]
+        )
         of_pair[0, n], of_pair[1, n] = share, opacity
 
 
 @inlined
-def _product(first, second, apart, axis, share):
-    """Integral over pi of the product of two splats of height 1, at distance `share * apart`."""
+def _product(first, second, offset, axis, share):
+    """Integral over pi of the product of two splats of height 1, at distance `share * offset`."""
     area, a, b, c = _minor(first, axis)
     other_area, d, e, f = _minor(second, axis)
     a, b, c = a + d, b + e, c + f
     sharp = a * c - b * b
     if not sharp > 0.0:
         return 0.0
-    x, y = share * apart[axis], share * apart[(axis + 1) % 3]
+    x, y = share * offset[axis], share * offset[(axis + 1) % 3]
     q = (x * x * c - 2.0 * x * y * b + y * y * a) / sharp
     return 2.0 * np.sqrt(area / sharp * other_area) * exact_exp(-0.5 * q)
 
 
 @kernel
 def _merge_errors(means, covariances, opacity, mass, colours, alone, near, start, errors):
-    merged, apart = np.empty(6), np.empty(3)
+    merged, offset = np.empty(6), np.empty(3)
     for row, column in np.ndindex(errors.shape):
         i, j = start + row, near[start + row, column]
         errors[row, column] = np.inf
         if i == j or (j < i and _is_in(near[j], i)):
             continue
-        share, height = _merge_two(means, covariances, mass, i, j, apart, merged)
+        share, height = _merge_two(means, covariances, mass, i, j, offset, merged)
         both = with_i = with_j = itself = 0.0
         for channel in range(colours.shape[1]):
             a, b = opacity[i] * colours[i, channel], opacity[j] * colours[j, channel]
@@ -218,9 +220,9 @@ def _merge_errors(means, covariances, opacity, mass, colours, alone, near, start
         error = alone[i] + alone[j]
         for axis in range(3):
             error += itself * np.sqrt(_minor(merged, axis)[0])
-            error += 2.0 * both * _product(covariances[i], covariances[j], apart, axis, 1.0)
-            error -= 2.0 * with_i * _product(covariances[i], merged, apart, axis, share)
-            error -= 2.0 * with_j * _product(covariances[j], merged, apart, axis, 1.0 - share)
+            error += 2.0 * both * _product(covariances[i], covariances[j], offset, axis, 1.0)
+            error -= 2.0 * with_i * _product(covariances[i], merged, offset, axis, share)
+            error -= 2.0 * with_j * _product(covariances[j], merged, offset, axis, 1.0 - share)
         if error < np.inf:
             errors[row, column] = max(error, 0.0)
 

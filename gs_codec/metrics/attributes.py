@@ -70,7 +70,7 @@ def _errors_in_part(
 ) -> ShapeErrors:
     pair = [(log_scale, _unit(rot)) for log_scale, rot in (first, second)]
     stored = ShapeErrors(
-        differences(first[0], second[0]), _apart_of_either_sign(first[1], second[1]), _turn(*pair)
+        differences(first[0], second[0]), _rotation_differences(first[1], second[1]), _turn(*pair)
     )
     # With axes sorted from the longest.
     log_scales, vectors = zip(
@@ -81,7 +81,7 @@ def _errors_in_part(
     near = nearest_quaternions(vectors[1], first_rot)
     moved = ShapeErrors(
         differences(*log_scales),
-        _apart_of_either_sign(first_rot, near),
+        _rotation_differences(first_rot, near),
         _turn((log_scales[0], first_rot), (log_scales[1], second_rot)),
     )
     nearer = _cost(moved) < (1 - _ROUNDING) * _cost(stored) - _ROUNDING
@@ -101,7 +101,7 @@ def differences(first: NDArray, second: NDArray) -> NDArray[np.float64]:
         return np.where(first == second, 0.0, np.abs(first.astype(np.float64) - second))
 
 
-def _apart_of_either_sign(first: NDArray, second: NDArray) -> NDArray[np.float64]:
+def _rotation_differences(first: NDArray, second: NDArray) -> NDArray[np.float64]:
     """Differences of quaternions; q and -q are the same rotation."""
     same, opposite = differences(first, second), differences(first, -second)
     return np.where(np.linalg.norm(opposite, axis=0) < np.linalg.norm(same, axis=0), opposite, same)

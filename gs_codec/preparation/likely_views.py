@@ -133,15 +133,15 @@ def cameras_between(cameras: Sequence[Camera]) -> list[Camera]:
     np.fill_diagonal(squares, np.inf)
     spacing = max(float(np.median(squares.min(axis=1))), 1e-30)
     cosines = forward @ forward.T
-    apart = squares / spacing + 2 * _TURN**2 * (1 - cosines)
+    distances = squares / spacing + 2 * _TURN**2 * (1 - cosines)
     # For turns above 120 degrees, the mean of two rotations is not meaningful.
     traces = np.einsum("aij,bij->ab", rotations, rotations)
-    apart[(cosines < _TOGETHER) | (traces <= 0)] = np.inf
+    distances[(cosines < _TOGETHER) | (traces <= 0)] = np.inf
     found: dict[tuple[int, int], Camera] = {}
-    for first, order in enumerate(np.argsort(apart, axis=1, kind="stable")[:, :_NEIGHBOURS]):
+    for first, order in enumerate(np.argsort(distances, axis=1, kind="stable")[:, :_NEIGHBOURS]):
         for second in order:
             pair = min(first, int(second)), max(first, int(second))
-            if np.isfinite(apart[pair]) and pair not in found:
+            if np.isfinite(distances[pair]) and pair not in found:
                 found[pair] = _halfway(cameras[first], cameras[second])
     return list(found.values())
 

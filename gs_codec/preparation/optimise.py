@@ -172,11 +172,11 @@ def _rates(
     behind = views.background
     own = draw_targets(scene, views.cameras, behind, device)
     other = draw_targets(with_values(scene, moved), views.cameras, behind, device)
-    wanted, changed = (_apart(own.images, images) for images in (views.images, other.images))
+    wanted, changed = (_difference(own.images, images) for images in (views.images, other.images))
     return min(1.0, _SHARE * math.sqrt(wanted / changed)) if changed > 0 else 1.0
 
 
-def _apart(first: Sequence[NDArray], second: Sequence[NDArray]) -> float:
+def _difference(first: Sequence[NDArray], second: Sequence[NDArray]) -> float:
     """Mean squared difference of images, in their displayed range."""
     pairs = zip(first, second, strict=True)
     return float(np.mean([np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2) for a, b in pairs]))

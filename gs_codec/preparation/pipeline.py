@@ -94,7 +94,7 @@ def prepare_scene(
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
     for step in _STEPS:
-        if not step.is_asked(plan.steps):
+        if not step.is_wanted(plan.steps):
             continue
         start = time.perf_counter()
         stay, scene, details = step.run(scene, context)
@@ -345,7 +345,7 @@ class _Step(NamedTuple):
     """A step: its name, when it runs, its function, and the label of the Gaussians it removes."""
 
     name: str
-    is_asked: Callable[[Steps], bool]
+    is_wanted: Callable[[Steps], bool]
     run: Callable[[Scene, _Context], _Outcome]
     label: str = ""
 

@@ -31,7 +31,7 @@ from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.preparation.steps import GeometryRule, Steps
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.renderer import render
-from gs_codec.rendering.tiles_float32 import leave_out_rows
+from gs_codec.rendering.tiles_float32 import sum_errors_without
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
@@ -124,7 +124,7 @@ def leave_one_out(
     for camera in views.cameras:
         frame = make_frame(scene, camera)
         errors = np.zeros((frame.pairs, 1))
-        frame.over_tiles(leave_out_rows, camera.width, camera.height, behind, errors)
+        frame.over_tiles(sum_errors_without, camera.width, camera.height, behind, errors)
         scores += frame.sum_pairs(scene.count, errors)[:, 0]
         advance()
     if views.origin == "anywhere":
@@ -169,14 +169,14 @@ def prune_leave_one_out(
         current = scene.take(kept)
         scores = leave_one_out(current, views.renders, f"round {len(rounds) + 1}", progress)
         rounds.append({"gaussians": len(kept)})
-        asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
+        planned = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
         if max_drop is not None:
-            removed = _allowed(current, scores, asked, references, before, max_drop, progress)
+            removed = _allowed(current, scores, planned, references, before, max_drop, progress)
         left = kept[keep_highest(scores, removed)]
         if balance is not None and not balance.pays(scene.take(left)):
             break
         kept = left
-        if removed < asked:
+        if removed < planned:
             break
     return kept, {"rounds": rounds}
 

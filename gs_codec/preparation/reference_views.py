@@ -182,7 +182,7 @@ def draw_targets(
     def draw(camera: Camera) -> NDArray[np.float32]:
         if values is not None:
             return gsplat_backend.draw(values, camera, background, scene.antialiased)[0]
-        return make_frame(scene, camera).draw_rows(background)[0]
+        return make_frame(scene, camera).draw_float32(background)[0]
 
     advance, threads = step_counter(progress, "draw", len(cameras)), 1 if on_device else None
     images = run_all(draw, cameras, threads, advance)

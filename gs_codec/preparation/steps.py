@@ -167,8 +167,8 @@ class Steps:
     def balanced(self) -> bool:
         """Whether pruning stops when it no longer pays off: no amount given, then refinement."""
         limits = (self.prune, self.gaussians, self.prune_max_psnr_drop)
-        asked = self.prune_geometry or self.prune_importance or any(x is not None for x in limits)
-        return self.refine > 0 and not asked
+        prunes = self.prune_geometry or self.prune_importance or any(x is not None for x in limits)
+        return self.refine > 0 and not prunes
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ _LEAST_STEP = 0.02
 #: Resolution of the search, log2; and the offsets, in units of it, of further points that are tried
 #: if the measurement is noisy.
 _NARROW = 1e-3
-_BESIDE = (3, -3, 6, -6, 9, -9, 12, -12)
+_SHIFTS = (3, -3, 6, -6, 9, -9, 12, -12)
 
 #: Lower bound of measurements.
 _LEAST = 1e-6
@@ -91,7 +91,7 @@ def search(
         bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
         if bracket is not None:
             octaves = _root(height, *bracket)
-            for shift in _BESIDE:
+            for shift in _SHIFTS:
                 height(min(max(octaves + shift * _NARROW, FINEST), COARSEST))
             octaves = below[max(below)]
             measure(octaves)

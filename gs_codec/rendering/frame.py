@@ -23,7 +23,7 @@ from gs_codec.rendering.project import (
     project,
     to_tile,
 )
-from gs_codec.rendering.tiles_float32 import draw_rows
+from gs_codec.rendering.tiles_float32 import draw_float32
 from gs_codec.rendering.tiles_float64 import draw_tiles
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import available_threads, run_all, using_threads
@@ -81,10 +81,10 @@ class Frame(NamedTuple):
         self.over_tiles(draw_tiles, behind, colour, alpha, depth, sums)
         return colour, alpha, depth
 
-    def draw_rows(
+    def draw_float32(
         self, background: Sequence[float]
     ) -> tuple[NDArray[np.float32], tuple[NDArray, NDArray, NDArray]]:
-        """Render colour ``(H, W, 3)`` in float32; also return the inputs of `take_back_rows`."""
+        """Render colour ``(H, W, 3)`` in float32; also return the inputs of `sum_gradients`."""
         tiles = self.columns * self.rows
         state = (
             np.empty((tiles, TILE * TILE), np.float32),
@@ -92,7 +92,7 @@ class Frame(NamedTuple):
             np.empty(tiles, np.int64),
         )
         colour = np.empty((self.camera.height, self.camera.width, 3), np.float32)
-        self.over_tiles(draw_rows, np.array(background, np.float64), colour, *state)
+        self.over_tiles(draw_float32, np.array(background, np.float64), colour, *state)
         return colour, state
 
     def sum_pairs(self, count: int, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -34,7 +34,7 @@ from gs_codec.rendering.tiles_float32 import (
     MOMENT_XY,
     MOMENT_Y,
     MOMENT_YY,
-    take_back_rows,
+    sum_gradients,
 )
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import GROUPS, SH_C0, Scene, channel_count
@@ -54,7 +54,7 @@ def differentiate_gaussians(
     """Fill ``slopes (stop - start, 14 + 3 K)``, with columns in the order of `GROUPS`.
 
     They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
-    `take_back_rows`.
+    `sum_gradients`.
     """
     fx, fy, cx, cy = intrinsics
     to_world = rotation.T
@@ -182,7 +182,7 @@ def _differentiate_turn(rot, i, quaternion, columns, slope):
 class Differentiated(NamedTuple):
     """A view of a scene, its mean squared error, and the derivatives of its loss by splat.
 
-    ``sums (N, 9)`` are the sums of `take_back_rows`. ``chosen (M,)`` lists, ascending, the visible
+    ``sums (N, 9)`` are the sums of `sum_gradients`. ``chosen (M,)`` lists, ascending, the visible
     Gaussians: those whose sums are not all 0.
     """
 
@@ -231,11 +231,11 @@ def differentiate(
         RGB behind everything.
     """
     frame = make_frame(scene, camera)
-    colour, state = frame.draw_rows(background)
+    colour, state = frame.draw_float32(background)
     by_colour, squared_error = differentiate_loss(colour, target)
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
     behind = np.array(background, np.float64)
-    frame.over_tiles(take_back_rows, behind, by_colour, *state, pairs)
+    frame.over_tiles(sum_gradients, behind, by_colour, *state, pairs)
     sums = frame.sum_pairs(scene.count, pairs)
     chosen = np.empty(len(frame.splats.gaussians), np.int64)
     count = _choose(sums, chosen)

@@ -92,7 +92,7 @@ def splat_of(field):
 
 
 @inlined
-def rows_of(field, x0, y0, height):
+def place_in_tile(field, x0, y0, height):
     """First and end row of a splat in a tile, and its centre there."""
     v = field[CENTRE_Y] - y0
     high = math.sqrt(field[REACH]) / field[FACTOR_YY]
@@ -158,7 +158,7 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
     for pair in range(start, end):
         field, number = fields[splats[pair]], np.int32(pair - start)
         slope, reach, opacity, red, green, blue = splat_of(field)
-        top, bottom, u, v = rows_of(field, x0, y0, height)
+        top, bottom, u, v = place_in_tile(field, x0, y0, height)
         for y in range(top, bottom):
             offset, across = row_of(field, u, v, y)
             row = light[y * TILE : y * TILE + BEHIND]
@@ -190,7 +190,7 @@ def walk_back(take, total, fields, splats, start, end, x0, y0, height, light, en
         splat, number = splats[pair], np.int32(pair - start)
         field = fields[splat]
         slope, reach, opacity, red, green, blue = splat_of(field)
-        top, bottom, u, v = rows_of(field, x0, y0, height)
+        top, bottom, u, v = place_in_tile(field, x0, y0, height)
         columns[:] = _ZERO
         for y in range(top, bottom):
             offset, across = row_of(field, u, v, y)
@@ -266,7 +266,9 @@ def open_tile(x0, x1, y0, y1, light, ends):
 
 
 @kernel
-def draw_rows(fields, splats, starts, first, end, columns, background, colour, left, ends, reached):
+def draw_float32(
+    fields, splats, starts, first, end, columns, background, colour, left, ends, reached
+):
     """Render tiles `first` to `end` into an image ``(H, W, 3)``, float32.
 
     ``left (tiles, 256)`` and ``ends (tiles, 256)`` receive the transmittance behind all splats, and
@@ -299,10 +301,10 @@ def put_tile(light, x0, x1, y0, y1, background, colour):
 
 
 @kernel
-def take_back_rows(
+def sum_gradients(
     fields, splats, starts, first, end, columns, background, by_colour, left, ends, reached, sums
 ):  # fmt: skip
-    """Fill ``sums (pairs, 9)`` for tiles `first` to `end`, from the results of `draw_rows`.
+    """Fill ``sums (pairs, 9)`` for tiles `first` to `end`, from the results of `draw_float32`.
 
     ``by_colour (H, W, 3)`` is the derivative of the loss by the image.
     """
@@ -332,7 +334,9 @@ def take_back_rows(
 
 
 @kernel
-def leave_out_rows(fields, splats, starts, first, end, columns, width, height, background, errors):
+def sum_errors_without(
+    fields, splats, starts, first, end, columns, width, height, background, errors
+):
     """Squared error of tiles `first` to `end` without each single splat: ``errors (pairs, 1)``."""
     light, ends = np.empty(BEHIND, np.float32), np.empty(PIXELS, np.int32)
     by_column = np.empty(TILE, np.float32)

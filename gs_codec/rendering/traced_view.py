@@ -15,8 +15,8 @@ from gs_codec.rendering.tiles_float32 import (
     PIXELS,
     alpha_at,
     cover,
+    place_in_tile,
     row_of,
-    rows_of,
     splat_of,
     total_of,
 )
@@ -193,7 +193,7 @@ def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends,
             if still_open < PIXELS:
                 field = fields[splats[pair]]
                 slope, reach, opacity, _, _, _ = splat_of(field)
-                top, bottom, u, v = rows_of(field, x0, y0, height)
+                top, bottom, u, v = place_in_tile(field, x0, y0, height)
                 for y in range(top, bottom):
                     offset, across = row_of(field, u, v, y)
                     row = light[y * TILE : y * TILE + TILE]

@@ -24,7 +24,7 @@ class _Compiled:
     seconds = 0.0
     calls = 0
     begun: float | None = None
-    told: float | None = None
+    logged_at: float | None = None
     done = threading.Event()
 
 
@@ -64,15 +64,15 @@ def begin() -> None:
 def _tell(done: threading.Event) -> None:
     """Log messages until compiling is done."""
     wait = _MOMENT - _Compiled.seconds
-    if _Compiled.told is not None:
-        wait = _PAUSE - (time.monotonic() - _Compiled.told)
+    if _Compiled.logged_at is not None:
+        wait = _PAUSE - (time.monotonic() - _Compiled.logged_at)
     while not done.wait(max(wait, 0.0)):
-        if _Compiled.told is None:
+        if _Compiled.logged_at is None:
             _tell_first()
         else:
             seconds = elapsed() or _Compiled.seconds  # compilation may have just ended
             log.info("compiling kernels: %d so far, %.0f s", _Compiled.kernels, seconds)
-        _Compiled.told, wait = time.monotonic(), _PAUSE
+        _Compiled.logged_at, wait = time.monotonic(), _PAUSE
 
 
 def _tell_first() -> None:

@@ -106,13 +106,13 @@ class QualityChart:
             last = max(round(left + (place + 0.85) * step) - 1, first)
             colour = _WHITE if index == self.here else _SCENES[1]
             pen.rectangle((first, row(self.decibels[index]) - 1, last, bottom), fill=colour)
-        pen.text((left, 5), self._told(), _WHITE, _font())
+        pen.text((left, 5), self._caption(), _WHITE, _font())
         if len(finite):
             mean = row(float(finite.mean()))
             pen.line((left, mean, right, mean), _SCENES[0], 2)
         return from_pillow(canvas)
 
-    def _told(self) -> str:
+    def _caption(self) -> str:
         """Text of the chart."""
         done, count = len(self.decibels), len(self.names)
         if not done:
@@ -248,12 +248,12 @@ class HistogramChart:
             pen.text((column, bottom + 4), f"{shown:.3g}", _WHITE, _font(), "ma")
         pen.text((left - 6, top), f"{most:,}", _WHITE, _font(), "ra")
         first = self.scenes[0]
-        told = f"{first.name}, {first.unit}"
-        told += ": A blue, B orange" if len(self.scenes) > 1 else ""
+        caption = f"{first.name}, {first.unit}"
+        caption += ": A blue, B orange" if len(self.scenes) > 1 else ""
         if self.chosen is not None:
-            told += f"; {self.chosen[0]:.4g} to {self.chosen[1]:.4g}"
+            caption += f"; {self.chosen[0]:.4g} to {self.chosen[1]:.4g}"
         hint = " Drag to select a range." if self.selects else ""
-        pen.text((left, 5), f"{told}.{hint}", _WHITE, _font())
+        pen.text((left, 5), f"{caption}.{hint}", _WHITE, _font())
         return from_pillow(canvas)
 
     def _outline(

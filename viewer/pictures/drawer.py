@@ -64,7 +64,7 @@ class Drawer:
         def draw() -> NDArray[np.float32]:
             camera = as_camera(pose.camera(width, height))
             frame = make_frame(self._drawn(look, every), camera)
-            return frame.draw_rows(look.appearance.background)[0]
+            return frame.draw_float32(look.appearance.background)[0]
 
         return self._known((pose, width, height, every), look, draw)
 

@@ -89,7 +89,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     """
     film.check(request)
     scenes = request.scenes()
-    poses, told = _find_path(request, film, scenes[0])
+    poses, described = _find_path(request, film, scenes[0])
     shown = shown_of(request, scenes)
     advance = step_counter(progress, "frames", len(poses))
     views: dict[Opened, Drawer] = {}
@@ -97,7 +97,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
         for pose in poses:
             add(compose(pose, shown, request.mode, 0.5, request.size, views=views))
             advance()
-    return told
+    return described
 
 
 def _find_path(request: Request, film: Film, scene: Opened) -> tuple[list[Pose], str]:

@@ -39,16 +39,16 @@ def scale_marks(low: float, high: float, scale: str) -> NDArray[np.float64]:
         return _log_marks(low, high)
     step = 10.0 ** np.floor(np.log10((high - low or 1.0) / MARKS))
     sizes = [k * ten * step for ten in (1, 10, 100) for k in _STEPS]
-    tries = [size * (np.floor(low / size + _LESS) + np.arange(MARKS)) for size in sizes]
-    return next((marks for marks in tries if marks[-1] * _MORE >= high), tries[-1])
+    candidates = [size * (np.floor(low / size + _LESS) + np.arange(MARKS)) for size in sizes]
+    return next((marks for marks in candidates if marks[-1] * _MORE >= high), candidates[-1])
 
 
 def _log_marks(low: float, high: float) -> NDArray[np.float64]:
     power = 10.0 ** np.floor(np.log10(low))
     firsts = [step * power for step in reversed(_STEPS) if step * power <= low * _MORE]
     for count in range(MARKS, LEAST - 1, -1):
-        tries = [first * float(k) ** np.arange(count) for first in firsts for k in _FACTORS]
-        around = [marks for marks in tries if marks[-1] * _MORE >= high and _is_round(marks)]
+        candidates = [first * float(k) ** np.arange(count) for first in firsts for k in _FACTORS]
+        around = [marks for marks in candidates if marks[-1] * _MORE >= high and _is_round(marks)]
         found = min(around, key=lambda marks: round(marks[-1] / marks[0], 6))
         if np.log(high / low) >= _FILLED * np.log(found[-1] / found[0]):
             break

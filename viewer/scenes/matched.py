@@ -102,8 +102,8 @@ def _numbered(scene: Scene) -> Scene:
 def _nearest(position: NDArray, positions: NDArray) -> int | None:
     """Index of the nearest of finite positions ``(3, N)``; None if there are none."""
     with np.errstate(over="ignore", invalid="ignore"):
-        apart = np.sum((positions - position[:, None]) ** 2, axis=0)
-    return int(np.nanargmin(apart)) if np.isfinite(apart).any() else None
+        distances = np.sum((positions - position[:, None]) ** 2, axis=0)
+    return int(np.nanargmin(distances)) if np.isfinite(distances).any() else None
 
 
 def _with_axes_alike(first: Scene, second: Scene) -> tuple[Scene, Scene]:

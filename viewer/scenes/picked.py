@@ -234,6 +234,6 @@ def _point_at(
 ) -> int | None:
     """Index of the point ``(n, 3)`` near a pixel that is nearest to the camera."""
     places, depth = pose.project(positions, *size)
-    apart = np.abs(places - np.array(pixel)).max(axis=1)
-    near = np.flatnonzero((apart <= _NEAR) & (depth > 0))
+    distances = np.abs(places - np.array(pixel)).max(axis=1)
+    near = np.flatnonzero((distances <= _NEAR) & (depth > 0))
     return int(near[np.argmin(depth[near])]) if len(near) else None

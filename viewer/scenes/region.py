@@ -80,8 +80,8 @@ def in_region(
     pixels, depth = pose.project(scene.positions, *size)
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     near = (depth > NEAR) & ((pixels >= low) & (pixels <= high)).all(axis=1)
-    asked = np.flatnonzero(near if drawn is None else near & drawn)
-    chosen[asked] = in_polygon(pixels[asked], corners)
+    candidates = np.flatnonzero(near if drawn is None else near & drawn)
+    chosen[candidates] = in_polygon(pixels[candidates], corners)
     return chosen
 
 

@@ -17,7 +17,7 @@ from viewer.scenes.opened import Opened, Progress, Pruned
 
 #: Names of rules other than the shares in statistics.
 _FLOATERS = "floaters"
-_APART = "outside the largest cluster"
+_OUTLIERS = "outside the largest cluster"
 _PRUNED = "pruned by "
 
 
@@ -49,7 +49,7 @@ def in_range(scene: Opened, name: str, low: float, high: float) -> NDArray[np.bo
 def rules(pruned: Pruned | None) -> list[str]:
     """Names of the rules for `by_rule`, for a scene with or without a pruning report."""
     reasons = () if pruned is None else pruned.reasons
-    return [*SHARES, _FLOATERS, _APART, *(f"{_PRUNED}{reason}" for reason in reasons)]
+    return [*SHARES, _FLOATERS, _OUTLIERS, *(f"{_PRUNED}{reason}" for reason in reasons)]
 
 
 def by_rule(
@@ -79,7 +79,7 @@ def by_rule(
     gaussians = scene.gaussians
     if rule == _FLOATERS:
         return find_floaters(gaussians, cameras, progress) > 0
-    return ~largest_cluster(gaussians) if rule == _APART else members(gaussians, rule)
+    return ~largest_cluster(gaussians) if rule == _OUTLIERS else members(gaussians, rule)
 
 
 def inside_box(scene: Opened, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ WISHES = ("steps", "size", "bits", "loss")
 
 
 @dataclass(frozen=True)
-class Asked:
+class EncodingSettings:
     """Settings of a trial encoding.
 
     Attributes
@@ -55,8 +55,8 @@ class Asked:
             "bits": f" {self.value:.4g} bits",
             "loss": f" {self.value:.3g} dB",
         }
-        told = self.guided and self.wish != "loss"
-        return self.profile + amounts[self.wish] + (" guided" if told else "")
+        says_guided = self.guided and self.wish != "loss"
+        return self.profile + amounts[self.wish] + (" guided" if says_guided else "")
 
     @property
     def config(self) -> gs_codec.Config:
@@ -92,14 +92,14 @@ def has_steps(profile: str) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Try:
+class Trial:
     """A trial encoding of a scene.
 
     Attributes
     ----------
     number : int
         Number of the trial, from 1.
-    asked : Asked
+    settings : EncodingSettings
     path : Path
         A temporary file.
     report : gs_codec's EncodeReport
@@ -108,7 +108,7 @@ class Try:
     """
 
     number: int
-    asked: Asked
+    settings: EncodingSettings
     path: Path
     report: EncodeReport
     quality: Comparison | None = None
@@ -116,7 +116,7 @@ class Try:
     @property
     def name(self) -> str:
         """Its number and its settings."""
-        return f"#{self.number} {self.asked}"
+        return f"#{self.number} {self.settings}"
 
     @property
     def bits(self) -> float:
@@ -129,7 +129,7 @@ class Try:
         return replace(opened, name=self.name)
 
 
-class Tries:
+class Trials:
     """A scene and its trial encodings in temporary files.
 
     `encode` and `measure` run in a background thread, everything else in the window's thread.
@@ -146,7 +146,7 @@ class Tries:
 
     Attributes
     ----------
-    all : list of Try
+    all : list of Trial
         All trials, earliest first.
     """
 
@@ -158,7 +158,7 @@ class Tries:
         max_bytes: int | None = None,
     ) -> None:
         self.source, self.cameras, self.max_bytes = source, cameras, max_bytes
-        self.all: list[Try] = []
+        self.all: list[Trial] = []
         self.folder = Path(tempfile.mkdtemp(dir=folder))
         self._begun = 0
         self._held_out: tuple[Sequence[gs_codec.Camera] | None, list[gs_codec.Camera]] = None, []
@@ -169,7 +169,9 @@ class Tries:
             self.cameras = cameras
             self.all = [replace(tried, quality=None) for tried in self.all]
 
-    def encode(self, asked: Asked, progress: Progress | None = None) -> tuple[Try, Opened]:
+    def encode(
+        self, settings: EncodingSettings, progress: Progress | None = None
+    ) -> tuple[Trial, Opened]:
         """Encode the scene, and decode the result; `progress` may raise to stop it.
 
         Raises
@@ -180,17 +182,19 @@ class Tries:
         self._begun += 1
         path = self.folder / f"{self._begun}.egs"
         try:
-            report = self._write(path, asked, progress)
-            done = Try(len(self.all) + 1, asked, path, report)
+            report = self._write(path, settings, progress)
+            done = Trial(len(self.all) + 1, settings, path, report)
             return done, done.open(progress, self.max_bytes)
         except BaseException:
             with suppress(OSError):
                 path.unlink()
             raise
 
-    def _write(self, path: Path, asked: Asked, progress: Progress | None) -> EncodeReport:
+    def _write(
+        self, path: Path, settings: EncodingSettings, progress: Progress | None
+    ) -> EncodeReport:
         """Encode the file of the scene, or the shown scene if that differs from the file."""
-        request = asked.request(self.cameras, self.max_bytes)
+        request = settings.request(self.cameras, self.max_bytes)
         if self.source.is_stored:
             self.source.check_unchanged()
             return encode_requested(self.source.path, path, request, progress, overwrite=True)
@@ -200,7 +204,7 @@ class Tries:
         return report
 
     def measure(
-        self, tried: Try, opened: Opened | None = None, progress: Progress | None = None
+        self, tried: Trial, opened: Opened | None = None, progress: Progress | None = None
     ) -> Comparison:
         """Compare held-out views of a trial with the source, like ``gs-codec compare``.
 
@@ -213,16 +217,16 @@ class Tries:
         """
         first, cameras = self.source.gaussians, self.cameras
         if self._held_out[0] is not cameras:
-            asked = list(cameras) or "auto"
-            self._held_out = cameras, find_cameras(asked, first, "held-out", progress=progress)
+            source = list(cameras) or "auto"
+            self._held_out = cameras, find_cameras(source, first, "held-out", progress=progress)
         opened = opened or tried.open(progress, self.max_bytes)
         return compare_views(first, opened.gaussians, self._held_out[1], progress=progress)
 
-    def add(self, tried: Try) -> None:
+    def add(self, tried: Trial) -> None:
         """Add a trial, or update it with its quality."""
         self.all[tried.number - 1 : tried.number] = [tried]
 
-    def save(self, tried: Try, path: Path) -> None:
+    def save(self, tried: Trial, path: Path) -> None:
         """Copy the file of a trial.
 
         Raises

@@ -110,9 +110,9 @@ def turntable(
     capture = _captured(scene, poses or [first or Pose(np.eye(3), np.zeros(3))], up)
     typical = capture.poses[0] if views.chosen else _typical(capture)
     first = first or typical
-    path, told = _path(scene, capture, views.chosen, first)
+    path, described = _path(scene, capture, views.chosen, first)
     start = _nearest_phase(path, first, float(np.median(capture.distance)))
-    return [path(start + k / count) for k in range(count)], told
+    return [path(start + k / count) for k in range(count)], described
 
 
 def _path(
@@ -218,9 +218,9 @@ def _nearest_phase(path: Callable[[float], Pose], first: Pose, size: float) -> f
     """The phase of a loop that is most similar to the first pose."""
     phases = np.arange(_PHASES) / _PHASES
 
-    def apart(pose: Pose) -> float:
+    def difference(pose: Pose) -> float:
         moved = np.linalg.norm(pose.position - first.position) / size
         turned = np.linalg.norm(pose.rotation[2] - first.rotation[2])
         return float(moved + turned)
 
-    return float(phases[int(np.argmin([apart(path(phase)) for phase in phases]))])
+    return float(phases[int(np.argmin([difference(path(phase)) for phase in phases]))])

@@ -46,7 +46,7 @@ class Kind:
 #: Scenes that can be read and written, and the other kinds of file that the window asks for.
 SCENES = Kind("3DGS scenes", SUFFIXES)
 SAVED_SCENES = Kind("3DGS scenes", tuple(suffix for suffix in WRITTEN if suffix[0] == "."))
-TRIES = Kind("gs_codec files", (".egs",))
+TRIALS = Kind("gs_codec files", (".egs",))
 PICTURES = Kind("PNG images", (".png",))
 POSES = Kind("cameras", (".json",))
 CAMERAS = Kind("cameras", (".json", ".bin", ".txt"))

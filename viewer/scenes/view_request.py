@@ -157,8 +157,8 @@ class Request:
         for option, colouring in wanted.items():
             reasons = [scene.unknown(colouring) for scene in scenes]
             if reasons and all(reasons):
-                told = f"{option} {colouring}: {scenes[-1].name} is {reasons[-1]}"
-                raise gs_codec.GsCodecError(told)
+                message = f"{option} {colouring}: {scenes[-1].name} is {reasons[-1]}"
+                raise gs_codec.GsCodecError(message)
         return scenes
 
 

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 
 from gs_codec.metrics.attributes import Comparison
 from viewer.scenes.opened import Opened, Progress, Pruned
-from viewer.scenes.trial_list import Asked, Tries, Try
+from viewer.scenes.trial_list import EncodingSettings, Trial, Trials
 from viewer.window.host import Host
 from viewer.window.loading import Loading
 from viewer.window.visits import Visits
@@ -37,7 +37,7 @@ class Encoding:
     ----------
     worker : Worker
         Runs long jobs, so that pictures need not wait.
-    tries : Tries or None
+    trials : Trials or None
         None until the first encoding.
     doing : tuple of str and float, or None
         Current step and its progress, 0-1; None if idle.
@@ -51,7 +51,7 @@ class Encoding:
         self._viewer, self._visits, self._loading = viewer, visits, loading
         self._changed = changed
         self.worker = viewer.worker.another()
-        self.tries: Tries | None = None
+        self.trials: Trials | None = None
         self.doing: tuple[str, float] | None = None
         self.encodes = False
         # Trials as decoded, neither edited nor turned.
@@ -59,16 +59,16 @@ class Encoding:
         self._pruned: Pruned | None = None
         self._files: tempfile.TemporaryDirectory[str] | None = None
 
-    def encode(self, asked: Asked) -> None:
+    def encode(self, settings: EncodingSettings) -> None:
         """Encode the first scene or, if it is a trial, its source; the result becomes B."""
-        tries = self._begin()
+        trials = self._begin()
 
-        def job(stale: Stale) -> tuple[Try, Opened]:
-            return tries.encode(asked, self._progress(stale, "encoding"))
+        def job(stale: Stale) -> tuple[Trial, Opened]:
+            return trials.encode(settings, self._progress(stale, "encoding"))
 
-        def done(found: tuple[Try, Opened]) -> None:
+        def done(found: tuple[Trial, Opened]) -> None:
             tried, opened = found
-            tries.add(tried)
+            trials.add(tried)
             self._opened[opened] = tried.number
             first = self._viewer.stage.scenes[0]
             self.encodes = False
@@ -86,38 +86,40 @@ class Encoding:
         self._do("encoding", 0.0)
         self.worker.submit("encode", job, done, failed)
 
-    def _begin(self) -> Tries:
+    def _begin(self) -> Trials:
         """The trials of the scene shown; a new scene starts with none."""
         viewer = self._viewer
         scene, views = viewer.stage.scenes[0], self._visits.views
         cameras = () if views.chosen else views.cameras
-        if self.tries is None or scene not in self._opened:
+        if self.trials is None or scene not in self._opened:
             if self._files is None:
                 self._files = tempfile.TemporaryDirectory(prefix="gs-viewer-")
             folder, most = Path(self._files.name), viewer.request.max_bytes
-            self.tries, self._pruned = Tries(scene, folder, cameras, most), viewer.stage.pruned
+            self.trials, self._pruned = Trials(scene, folder, cameras, most), viewer.stage.pruned
             self._opened.clear()
             self._opened[scene] = 0
-        self.tries.look_from(cameras)
-        return self.tries
+        self.trials.look_from(cameras)
+        return self.trials
 
     def _measure(self, opened: Opened | None = None) -> None:
         """Measure held-out views of the newest unmeasured trial, then of the other trials.
 
         `opened` is the newest trial, if it is open.
         """
-        tries = self.tries
-        left = [] if tries is None else [tried for tried in tries.all if tried.quality is None]
-        if tries is None or not left:
+        trials = self.trials
+        left = [] if trials is None else [tried for tried in trials.all if tried.quality is None]
+        if trials is None or not left:
             self._do()
             return
         tried = left[-1]
 
         def job(stale: Stale) -> Comparison:
-            return tries.measure(tried, opened, self._progress(stale, f"measuring #{tried.number}"))
+            return trials.measure(
+                tried, opened, self._progress(stale, f"measuring #{tried.number}")
+            )
 
         def done(quality: Comparison) -> None:
-            tries.add(replace(tried, quality=quality))
+            trials.add(replace(tried, quality=quality))
             self._measure()
 
         def failed(error: Exception) -> None:
@@ -140,14 +142,14 @@ class Encoding:
 
     def _progress(self, stale: Stale, what: str) -> Progress:
         """Progress callback of a job; ends the job if its result is no longer wanted."""
-        told = 0.0
+        shown_at = 0.0
 
         def progress(stage: str, done: int, total: int) -> None:
-            nonlocal told
+            nonlocal shown_at
             if stale():
                 raise Cancelled
-            if time.monotonic() - told > _PERIOD:
-                told = time.monotonic()
+            if time.monotonic() - shown_at > _PERIOD:
+                shown_at = time.monotonic()
                 self.worker.progress(stale, partial(self._do, f"{what}: {stage}"))(
                     stage, done, total
                 )
@@ -157,9 +159,9 @@ class Encoding:
     # Trial encodings
 
     @property
-    def scenes(self) -> Sequence[Try | Opened]:
+    def scenes(self) -> Sequence[Trial | Opened]:
         """The source, and then the trials; empty if nothing was encoded."""
-        return [] if self.tries is None else [self.tries.source, *self.tries.all]
+        return [] if self.trials is None else [self.trials.source, *self.trials.all]
 
     def letters(self, number: int) -> str:
         """Panes that show one of `scenes`: A, B, both, or none."""
@@ -188,21 +190,23 @@ class Encoding:
 
     def _put(self, scenes: list[Opened]) -> None:
         """Show scenes from the present pose; show pruned Gaussians if A is the source."""
-        is_source = self.tries is not None and scenes[0] is self.tries.source
+        is_source = self.trials is not None and scenes[0] is self.trials.source
         pruned = self._pruned if is_source else None
         self._loading.show(scenes, self._visits.views, pruned, stay=True)
 
     def save(self, number: int, path: str) -> None:
         """Write the file of a trial, by its number."""
-        viewer, tries = self._viewer, self.tries
-        if tries is None:
+        viewer, trials = self._viewer, self.trials
+        if trials is None:
             return
-        tried = tries.all[number - 1]
+        tried = trials.all[number - 1]
 
         def done(_: None) -> None:
             viewer.panel.say(f"{Path(path).name} saved")
 
-        viewer.worker.submit("save", lambda stale: tries.save(tried, Path(path)), done, viewer.fail)
+        viewer.worker.submit(
+            "save", lambda stale: trials.save(tried, Path(path)), done, viewer.fail
+        )
 
     def close(self) -> None:
         """Remove the temporary files."""

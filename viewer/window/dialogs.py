@@ -39,7 +39,7 @@ class Modal:
         self._enter: Callable[[], None] | None = None
         self._work: Callable[[], bool] | None = None
         self._escape: Callable[[], None] = self.close_dialog
-        self._escaping = self._asked = self._closing = False
+        self._escaping = self._close_requested = self._closing = False
         self._fading = 0
         self.cancels: list[Callable[[], bool]] = []
         self.theme = window.theme
@@ -70,8 +70,8 @@ class Modal:
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:
             self._escaping = down
-            if down and self._asked:
-                self._asked = not any(cancel() for cancel in self.cancels)
+            if down and self._close_requested:
+                self._close_requested = not any(cancel() for cancel in self.cancels)
         if self.dialog is None:
             return False
         # While a text is edited, Open3D reports only key releases.
@@ -89,7 +89,7 @@ class Modal:
             self._escaping = False
             return False
         # Esc or the window's close button: Open3D reports the key only afterwards.
-        self._asked = not self._closing
+        self._close_requested = not self._closing
         return self._closing
 
     def tick(self) -> bool:
@@ -97,8 +97,8 @@ class Modal:
 
         Closes the window if asked to, unless Esc ended something instead.
         """
-        if self._asked:
-            self._asked, self._closing = False, True
+        if self._close_requested:
+            self._close_requested, self._closing = False, True
             # Deferred, because Open3D is iterating over its windows.
             gui.Application.instance.post_to_main_thread(self._window, self._window.close)
         self._fading = max(self._fading - 1, 0)
@@ -172,9 +172,9 @@ def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[in
 
 def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
     """Ask which of several files to open."""
-    told = "Recent files" if paths else "No recent files."
+    said = "Recent files" if paths else "No recent files."
     choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
-    ask_among(window, "Recent", told, choices)
+    ask_among(window, "Recent", said, choices)
 
 
 def shortened(path: str, most: int) -> str:

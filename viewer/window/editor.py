@@ -250,11 +250,11 @@ class Editor:
         bool
             Whether it asked; if not, `then` is not called.
         """
-        asked = [k for k in numbers if k in self.unsaved]
-        if not asked:
+        edited = [k for k in numbers if k in self.unsaved]
+        if not edited:
             return False
-        self.number = asked[0]
-        edits = self.all[asked[0]]
+        self.number = edited[0]
+        edits = self.all[edited[0]]
 
         def go_on() -> None:
             if not self.ask_unsaved(numbers, then):

@@ -46,7 +46,7 @@ _LINES = 3
 _RED = gui.Color(1.0, 0.45, 0.4)
 
 
-class Asked(NamedTuple):
+class FileQuestion(NamedTuple):
     """A request to the dialog.
 
     Attributes
@@ -77,7 +77,7 @@ class FileDialog:
     Parameters
     ----------
     modal : Modal
-    asked : Asked
+    question : FileQuestion
     then : callable
         Called with the path.
     ended : callable
@@ -87,26 +87,26 @@ class FileDialog:
     def __init__(
         self,
         modal: Modal,
-        asked: Asked,
+        question: FileQuestion,
         then: Callable[[str], None],
         ended: Callable[[], None] = lambda: None,
     ) -> None:
-        self._modal, self._asked, self._then, self._ended = modal, asked, then, ended
+        self._modal, self._question, self._then, self._ended = modal, question, then, ended
         self._keyboard = Keyboard()
         self._steps: Iterator[bool] = iter(())
         # Text being put into the field until it takes keys; whether the next key replaces it.
         self._typed: str | None = None
         self._selected = self._edited = False
-        self._folder = asked.folder
+        self._folder = question.folder
         self._replaced: Path | None = None
         em = modal.theme.font_size
         wide = min(_WIDTH * em, modal.room[0] - 4 * em)
         self._line = int(_CHARACTERS * wide / em)
-        self.dialog = gui.Dialog(asked.title)
+        self.dialog = gui.Dialog(question.title)
         box = gui.Vert(0.4 * em, gui.Margins(em, 0.6 * em, em, 0.6 * em))
         self.dialog.add_child(box)
         box.add_child(gui.Horiz(0, gui.Margins(int(wide), 0, 0, 0)))
-        box.add_child(gui.Label(asked.title))
+        box.add_child(gui.Label(question.title))
         self._where = gui.Label("")
         self.list = gui.ListView()
         rows = int(modal.room[1] / (1.5 * em)) - _OTHERS
@@ -121,22 +121,22 @@ class FileDialog:
             box.add_child(widget)
         box.add_child(self._buttons(em))
         modal.show_dialog(self.dialog, self._enter, self.cancel, self._work)
-        self._go_to(asked.folder)
+        self._go_to(question.folder)
 
     def _buttons(self, em: float) -> gui.Horiz:
         """The format, and the buttons that close the dialog."""
         row = gui.Horiz(0.5 * em)
-        kind = self._asked.kind
+        kind = self._question.kind
         self.format = gui.Combobox()
         for suffix in kind.suffixes:
             self.format.add_item(suffix)
-        self.format.visible = self._asked.saves and len(kind.suffixes) > 1
+        self.format.visible = self._question.saves and len(kind.suffixes) > 1
         if self.format.visible:
-            self.format.selected_text = kind.suffix_of(self._asked.name) or kind.suffixes[0]
+            self.format.selected_text = kind.suffix_of(self._question.name) or kind.suffixes[0]
             row.add_child(self.format)
         self.format.set_on_selection_changed(self._format_chosen)
         row.add_stretch()
-        self.accepts = gui.Button("Save" if self._asked.saves else "Open")
+        self.accepts = gui.Button("Save" if self._question.saves else "Open")
         self.accepts.set_on_clicked(self.accept)
         cancels = gui.Button("Cancel")
         cancels.set_on_clicked(self.cancel)
@@ -156,18 +156,18 @@ class FileDialog:
 
     def accept(self) -> None:
         """Accept the path in the field if it is valid; list it if it is a folder."""
-        asked, text = self._asked, self.field.text_value
+        question, text = self._question, self.field.text_value
         path = typed_path(text, self._folder)
-        chosen = not asked.kind.suffixes and (not text.strip() or path == self._folder)
+        chosen = not question.kind.suffixes and (not text.strip() or path == self._folder)
         try:
-            if path.is_dir() and not chosen and (text.strip() or asked.kind.suffixes):
+            if path.is_dir() and not chosen and (text.strip() or question.kind.suffixes):
                 self._go_to(path)
                 return
             path = self._checked(path)
         except (InvalidInput, OSError) as error:
             self._say(str(error))
             return
-        if asked.saves and path.exists() and path != self._replaced:
+        if question.saves and path.exists() and path != self._replaced:
             self._say(f"{path.name} already exists. Press Enter or Replace to overwrite it.")
             self._replaced, self.accepts.text = path, "Replace"
             self._modal.lay_out()
@@ -177,40 +177,40 @@ class FileDialog:
 
     def _checked(self, path: Path) -> Path:
         """The path to accept; `InvalidInput` if it is not valid."""
-        if self._asked.saves:
+        if self._question.saves:
             if not self.field.text_value.strip():
                 raise InvalidInput("type a name")
-            return to_write(path, self._asked.kind, self.format.selected_text)
-        if self._asked.kind.suffixes and not self.field.text_value.strip():
+            return to_write(path, self._question.kind, self.format.selected_text)
+        if self._question.kind.suffixes and not self.field.text_value.strip():
             raise InvalidInput("type a name or choose one")
-        check_readable(path, self._asked.kind)
+        check_readable(path, self._question.kind)
         return path
 
     def _go_to(self, folder: Path) -> None:
         """List a folder."""
         try:
             folder = folder.resolve()
-            names = listed(folder, self._asked.kind)
+            names = listed(folder, self._question.kind)
         except (InvalidInput, OSError, RuntimeError) as error:
             self._say(str(error))
             return
         self._folder = folder
         self._where.text = shortened(str(folder), self._line)
         self.list.set_items(names)
-        self._put(self._asked.name, selected=True)
+        self._put(self._question.name, selected=True)
 
     def _picked(self, name: str, twice: bool) -> None:
         """Copy a name from the list into the field; on a double click, open it."""
         if name.endswith("/") and twice:
             self._go_to(self._folder / name)
-        elif name != UP and (self._asked.kind.suffixes == () or not name.endswith("/")):
+        elif name != UP and (self._question.kind.suffixes == () or not name.endswith("/")):
             self._put(name.rstrip("/"))
             if twice:
                 self._steps = self._accept_soon()
 
     def _format_chosen(self, suffix: str, _: SupportsInt) -> None:
         """Change the suffix of the name in the field."""
-        kind, name = self._asked.kind, self.field.text_value
+        kind, name = self._question.kind, self.field.text_value
         if name:
             self._put(kind.named(name, suffix))
 
@@ -223,7 +223,7 @@ class FileDialog:
     def _forget(self) -> None:
         """Clear the error and the confirmation, because the path has changed."""
         self._replaced = None
-        self.accepts.text = "Save" if self._asked.saves else "Open"
+        self.accepts.text = "Save" if self._question.saves else "Open"
         self.said.text = (_LINES - 1) * "\n"
 
     # Keys
@@ -311,7 +311,7 @@ class Files:
 
     def ask_open(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
         """Ask for a file of a kind, or a folder."""
-        self._ask(Asked(title, kind, self._folder(self._shown)), then)
+        self._ask(FileQuestion(title, kind, self._folder(self._shown)), then)
 
     def ask_save(
         self,
@@ -325,7 +325,7 @@ class Files:
         source = self._shown if scene is None else scene
         folder = self._folder(source)
         name = suggested(folder, source, kind.suffixes[0], mark)
-        self._ask(Asked(title, kind, folder, True, name), then)
+        self._ask(FileQuestion(title, kind, folder, True, name), then)
 
     @property
     def _shown(self) -> Path:
@@ -333,9 +333,9 @@ class Files:
         scenes = self._stage.scenes
         return scenes[0].path if scenes else Path()
 
-    def _ask(self, asked: Asked, then: Callable[[str], None]) -> None:
+    def _ask(self, question: FileQuestion, then: Callable[[str], None]) -> None:
         def chosen(path: str) -> None:
             self._last = Path(path).parent
             then(path)
 
-        FileDialog(self._modal, asked, chosen)
+        FileDialog(self._modal, question, chosen)

@@ -69,8 +69,8 @@ class Loading:
         """The first cameras; part of the job that loads scenes."""
         viewer = self._viewer
         if viewer.request.chosen:
-            told = "choosing the first view ..."
-            viewer.worker.progress(stale, partial(viewer.panel.say, told))("views", 1, 1)
+            status = "choosing the first view ..."
+            viewer.worker.progress(stale, partial(viewer.panel.say, status))("views", 1, 1)
         return find_views(viewer.request, scenes[0])
 
     def open(self, path: str, pane: int | None = None) -> None:

@@ -168,11 +168,11 @@ class Viewer(Controls):
     def _lay_out(self, context: gui.LayoutContext) -> None:
         rect = self.window.content_rect
         wide = min(int(EMS * self.window.theme.font_size), rect.width // 2)
-        beside = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
-        self.panel.lay_out(beside, context)
+        side = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
+        self.panel.lay_out(side, context)
         below = min(self.dock.height, rect.height // 2)
         space = gui.Rect(rect.x, rect.y, rect.width - wide, rect.height - below)
-        hidden = gui.Rect(beside.x + wide // 2, rect.y, 1, 1)
+        hidden = gui.Rect(side.x + wide // 2, rect.y, 1, 1)
         self.dock.lay_out(gui.Rect(space.x, space.get_bottom(), space.width, below), hidden)
         panes = 1 if self.choice.mode == "wipe" else max(len(self.stage.visible), 1)
         width = self.visits.lay_out(space, panes, self.stage.caption_height, hidden)

@@ -118,8 +118,8 @@ class Mouse:
 
     def _drag(self, pane: Pane, event: gui.MouseEvent) -> None:
         if self._pressed is not None:
-            apart = abs(event.x - self._pressed[0]), abs(event.y - self._pressed[1])
-            if max(apart) > _STILL:
+            distances = abs(event.x - self._pressed[0]), abs(event.y - self._pressed[1])
+            if max(distances) > _STILL:
                 self._pressed = None
         if self.tool is not None and self._drawing:
             self.tool.move(self._stage.place(pane, event.x, event.y))

@@ -29,13 +29,15 @@ class NotesWindow:
         """Its frame on the screen; None if it is not open."""
         return None if self._window is None else self._window.os_frame
 
-    def show(self, picture: Image.Image, beside: gui.Rect) -> None:
-        """Show a picture; `beside` is the frame of the other window."""
+    def show(self, picture: Image.Image, neighbour: gui.Rect) -> None:
+        """Show a picture; `neighbour` is the frame of the other window."""
         self.close()
         high = picture.height + _MENU
-        top = max(beside.get_bottom() - high - _AWAY, 0)
+        top = max(neighbour.get_bottom() - high - _AWAY, 0)
         app = gui.Application.instance
-        window = app.create_window("gs_codec", picture.width, high, beside.x + _AWAY, top, _TOPMOST)
+        window = app.create_window(
+            "gs_codec", picture.width, high, neighbour.x + _AWAY, top, _TOPMOST
+        )
         image = gui.ImageWidget(picture_of(np.asarray(picture)))
         window.add_child(image)
 

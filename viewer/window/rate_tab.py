@@ -12,8 +12,8 @@ from gs_codec.config import PROFILE_CHOICES
 from gs_codec.runtime.wording import size_text
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
-from viewer.scenes.trial_list import WISHES, Asked, Try, has_steps
-from viewer.scenes.typed_paths import TRIES
+from viewer.scenes.trial_list import WISHES, EncodingSettings, Trial, has_steps
+from viewer.scenes.typed_paths import TRIALS
 from viewer.window.controls import Controls
 from viewer.window.dialogs import folded, shortened
 from viewer.window.widgets import Widgets
@@ -84,7 +84,7 @@ class RateTab:
         self._places: list[int] = []
         self._chosen = 0
         self._add_request(widgets)
-        self._add_tries(widgets)
+        self._add_trials(widgets)
         self._numbers = gui.Label("")
         self._numbers.font_id = font
         self._below.add_child(self._numbers)
@@ -107,7 +107,7 @@ class RateTab:
         self.slider = gui.Slider(gui.Slider.DOUBLE)
         self.slider.set_on_value_changed(self._slide)
         self._upper.add_child(self.slider)
-        self.start = widgets.button("Encode", lambda: self._viewer.encoding.encode(self.asked))
+        self.start = widgets.button("Encode", lambda: self._viewer.encoding.encode(self.settings))
         self.stop = widgets.button("Cancel", self._viewer.encoding.cancel)
         widgets.row(self._below, self.start, self.stop)
         self._doing = gui.Label("")
@@ -115,7 +115,7 @@ class RateTab:
         self._below.add_child(self._doing)
         self._below.add_child(self.progress)
 
-    def _add_tries(self, widgets: Widgets) -> None:
+    def _add_trials(self, widgets: Widgets) -> None:
         """The list of trials."""
         self.list = gui.ListView()
         self.list.set_max_visible_items(_LINES)
@@ -127,18 +127,18 @@ class RateTab:
         widgets.row(self._below, self.as_a, self.as_b, self.save)
 
     @property
-    def told(self) -> str:
+    def numbers_text(self) -> str:
         """Numbers of the selected trial."""
         return str(self._numbers.text)
 
     @property
-    def asked(self) -> Asked:
+    def settings(self) -> EncodingSettings:
         """Settings chosen by the controls."""
         profile, wish = self.profile.selected_text, WISHES[self.wish.selected_index]
         if not has_steps(profile):
-            return Asked(profile)
+            return EncodingSettings(profile)
         value = self._scales[wish].value * (1e6 if wish == "size" else 1)
-        return Asked(profile, wish, value, self.guided.checked or wish == "loss")
+        return EncodingSettings(profile, wish, value, self.guided.checked or wish == "loss")
 
     def set_value(self, value: SupportsFloat) -> None:
         """Set the target's value."""
@@ -160,7 +160,7 @@ class RateTab:
         encoding, number = self._viewer.encoding, self._chosen
         source = encoding.scenes[0].path
         self._viewer.files.ask_save(
-            "Save the encoding", TRIES, lambda path: encoding.save(number, path), scene=source
+            "Save the encoding", TRIALS, lambda path: encoding.save(number, path), scene=source
         )
 
     def _select(self, _: str, twice: bool) -> None:
@@ -179,7 +179,7 @@ class RateTab:
         self.start.enabled = bool(self._viewer.stage.scenes) and not encoding.encodes
         self.stop.enabled = encoding.doing is not None
         self._doing.text, self.progress.value = encoding.doing or ("", 0.0)
-        self._refresh_tries()
+        self._refresh_trials()
         self._viewer.window.post_redraw()
 
     def _refresh_request(self) -> None:
@@ -210,7 +210,7 @@ class RateTab:
             found[name].value = before.value
         self._scales = found
 
-    def _refresh_tries(self) -> None:
+    def _refresh_trials(self) -> None:
         """Update the list (the source, then the newest trial first) and the numbers."""
         encoding = self._viewer.encoding
         entries = list(encoding.scenes)
@@ -226,10 +226,10 @@ class RateTab:
         for button in (self.as_a, self.as_b):
             button.enabled = bool(entries)
         chosen = entries[self._chosen] if entries else None
-        self.save.enabled = isinstance(chosen, Try)
-        self._numbers.text = self._numbers_of(chosen) if isinstance(chosen, Try) else ""
+        self.save.enabled = isinstance(chosen, Trial)
+        self._numbers.text = self._numbers_of(chosen) if isinstance(chosen, Trial) else ""
 
-    def _numbers_of(self, tried: Try) -> str:
+    def _numbers_of(self, tried: Trial) -> str:
         """Numbers of a trial."""
         report, quality, stage = tried.report, tried.quality, self._viewer.stage
         rows = [
@@ -237,7 +237,7 @@ class RateTab:
             ("source / file", f"{report.ratio:.1f}"),
             ("bits / Gaussian", f"{tried.bits:.1f}"),
         ]
-        if has_steps(tried.asked.profile):
+        if has_steps(tried.settings.profile):
             rows.append(("steps, x profile's", f"{report.coarseness:.3g}"))
         if report.dropped:
             rows.append(("not finite, dropped", f"{report.dropped:,}"))
@@ -260,7 +260,7 @@ class RateTab:
         return "held-out views" if held_out else "views"
 
 
-def _line(entry: Try | Opened) -> str:
+def _line(entry: Trial | Opened) -> str:
     """A line of the list."""
     if isinstance(entry, Opened):
         size = "" if entry.file_bytes is None else f"  {_short(entry.file_bytes)}"

@@ -68,14 +68,14 @@ class Widgets:
         text: str,
         names: Sequence[str],
         chosen: Callable[[int], None],
-        *beside: gui.Widget,
+        *others: gui.Widget,
     ) -> gui.Combobox:
         """A labelled combo box, and other widgets next to it; `chosen` is called with the index."""
         box = gui.Combobox()
         for name in names:
             box.add_item(name)
         box.set_on_selection_changed(lambda _, index: chosen(int(index)))
-        self.row(parent, self._lowered(text), box, *beside)
+        self.row(parent, self._lowered(text), box, *others)
         return box
 
     def _lowered(self, text: str) -> gui.Widget:

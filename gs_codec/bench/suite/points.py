@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from gs_codec.bench.side_by_side import GUIDED, camera_free, guided, is_ours, measure_beside
+from gs_codec.bench.side_by_side import GUIDED, camera_free, guided, is_ours, measure_alternating
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import curve_of
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
@@ -20,18 +20,18 @@ CAMERA_GUIDED = "camera-guided"
 
 
 def measure_points(
-    measured: MeasuredScene, config: Config, with_cameras: bool, beside: Sequence[dict[str, Any]]
+    measured: MeasuredScene, config: Config, with_cameras: bool, baselines: Sequence[dict[str, Any]]
 ) -> Iterator[dict[str, Any]]:
     """Result lines of the points of each curve.
 
     Curves are extended, by at most two points, until they cover each other's profiles and the
-    quality of every codec in `beside`: the paper's by one bit more or less of each depth, ours by
-    half or double step sizes. `config` has the common options; `beside` are lines of
-    `measure_beside`, whose profiles are not measured again. The camera-guided curve is included if
-    `with_cameras`.
+    quality of every codec in `baselines`: the paper's by one bit more or less of each depth, ours
+    by half or double step sizes. `config` has the common options; `baselines` are lines of
+    `measure_alternating`, whose profiles are not measured again. The camera-guided curve is
+    included if `with_cameras`.
     """
     ours = [FREE, CAMERA_GUIDED] if with_cameras else [FREE]
-    known = {line["codec"]: line for line in beside if "mean" in line}
+    known = {line["codec"]: line for line in baselines if "mean" in line}
     others = [line["mean"]["psnr"] for codec, line in known.items() if not is_ours(codec)]
     found: dict[str, dict[str, dict[str, Any]]] = {curve: {} for curve in (PAPER, *ours)}
 
@@ -40,7 +40,7 @@ def measure_points(
         line = known.get(f"{point}{GUIDED}" if by_cameras else point)
         if line is None:
             codec = guided(chosen, measured.plan) if by_cameras else camera_free(chosen)
-            [line] = measure_beside(measured, [replace(codec, name=point, once=True)], 1)
+            [line] = measure_alternating(measured, [replace(codec, name=point, once=True)], 1)
         found[curve][point] = line | {"kind": "point", "curve": curve, "point": point}
         return found[curve][point]
 

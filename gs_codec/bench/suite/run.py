@@ -16,8 +16,8 @@ from gs_codec.bench.host import installed, machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
 from gs_codec.bench.processes import measure_scaling
-from gs_codec.bench.side_by_side import ESTIMATED, guided, measure_beside, our_codecs
-from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
+from gs_codec.bench.side_by_side import ESTIMATED, guided, measure_alternating, our_codecs
+from gs_codec.bench.sources import MeasuredScene, cameras_of, check_names, open_with_cameras
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
@@ -77,7 +77,7 @@ def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Li
     cameras or photographs cannot be used; raised before measuring.
     """
     check_installed("scipy", "bench suite")
-    scenes = [open_beside(path, options.width) for path in options.scenes]
+    scenes = [open_with_cameras(path, options.width) for path in options.scenes]
     return _measure(options, command, tell, scenes)
 
 
@@ -90,7 +90,7 @@ def scene_line(measured: MeasuredScene) -> dict[str, Any]:
         "gaussians": scene.count,
         "sh_degree": scene.sh_degree,
         "input_bytes": measured.path.stat().st_size,
-        "cameras": Path(cameras_beside(measured.path)).name,
+        "cameras": Path(cameras_of(measured.path)).name,
         "measured_views": len(measured.cameras),
         "encoded_by_views": min(len(measured.guides), measured.plan.views),
         "width": first.width,
@@ -141,7 +141,7 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
     others = find_peers("error", options.threads) if "peers" not in options.skip else []
     # Slow ones are left to `bench peers`.
     quick = [x for x in others if isinstance(x, AbsentPeer) or not x.once]
-    return measure_beside(measured, [*ours, *quick], options.repeats)
+    return measure_alternating(measured, [*ours, *quick], options.repeats)
 
 
 def _in_other_formats(config: Config) -> Iterator[Config]:

@@ -101,13 +101,13 @@ def device_table(results: Results) -> Table:
 
 def rates(results: Results, scene: str) -> str:
     """A sentence on the BD-rate of our curves relative to the paper's profiles; may be empty."""
-    told = []
+    differences = []
     for name in (FREE, CAMERA_GUIDED):
         rate = bd_rate(results.curve(scene, PAPER), results.curve(scene, name))
         if rate is not None:
             over = f"{rate.low:.1f} to {rate.high:.1f} dB"
-            told.append(f"{name} {rate.percent:+.1f} % ({over})")
-    return f"BD-rate over EntropyGS (`paper-*`): {', '.join(told)}." if told else ""
+            differences.append(f"{name} {rate.percent:+.1f} % ({over})")
+    return f"BD-rate over EntropyGS (`paper-*`): {', '.join(differences)}." if differences else ""
 
 
 def views(results: Results, scene: str) -> str:

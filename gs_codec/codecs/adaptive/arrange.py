@@ -76,21 +76,21 @@ class Arranged:
 def arrange_scene(
     scene: Scene,
     config: Config,
-    asked: StepSizes | None,
+    given: StepSizes | None,
     block: int | None = None,
     may_have_far: bool = True,
     watched: Watched | None = None,
 ) -> Arranged:
-    """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
+    """Choose the lattices and the stream order of a scene; camera-free if `given` is None.
 
     With `block`, Gaussians are sorted only within each run of `block` Gaussians. Without
     `may_have_far`, the position grid spans all Gaussians. See `Arranged` for `watched`. Raises
-    ValueError if `asked` has another number of Gaussians than the scene.
+    ValueError if `given` has another number of Gaussians than the scene.
     """
     some = slice(None, None, sample_stride(scene.count))
     opacity = scene.opacity[0, some]
     _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
-    steps = asked
+    steps = given
     if steps is None:
         steps = _blind_steps(scene.count, sampled, config)
     elif len(steps.shape_class) != scene.count:
@@ -109,7 +109,7 @@ def arrange_scene(
     codes, narrow = keep(codes[order]), order.astype(np.uint32)
     if watched is not None:
         watched.settle(order)
-    if asked is None:
+    if given is None:
         scene, narrow = in_stream_order(scene, narrow)
     return Arranged(scene, narrow, lattice, codes, classes, watched)
 

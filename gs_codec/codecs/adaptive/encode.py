@@ -110,8 +110,8 @@ def encode_level(
     arranged = arrange_scene(scene, config, None, header.block_size, may_have_far)
     header = header.with_far(arranged.lattice.grid.has_far)
     blocks = _blocks(header, arranged, True, times, progress)
-    beside = [errors_section(errors)]
-    return _code(header, arranged, blocks, times, progress, beside)[0]
+    further = [errors_section(errors)]
+    return _code(header, arranged, blocks, times, progress, further)[0]
 
 
 def _blocks(
@@ -188,9 +188,9 @@ def _code(
     blocks: list[Block],
     times: StageTimes,
     progress: Progress | None,
-    beside: Sequence[Section] = (),
+    further: Sequence[Section] = (),
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Entropy-code blocks and return the file, with further sections in `beside`."""
+    """Entropy-code blocks and return the file, with further sections in `further`."""
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
         models, tables, costs = choose_models(listed, count_tokens(listed, blocks))
@@ -203,7 +203,7 @@ def _code(
             enumerate(blocks),
             advance=advance,
         )
-    sections = [*index_section([block.extent for block in blocks]), *beside]
+    sections = [*index_section([block.extent for block in blocks]), *further]
     sections.append(Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models)))
     sections += [section for block in coded for section in block]
     clamped = sum(block.clamped for block in blocks)

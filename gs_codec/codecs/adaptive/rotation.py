@@ -40,10 +40,10 @@ def rules_of(name: str) -> tuple[str, ...]:
 @inlined
 def _alike(first, second):
     """Octaves added to the step size of a turn between two axes of these fixed-point log-scales."""
-    apart = abs(first - second)
-    if apart >= 1 << (FRACTION_BITS - 1):
+    difference = abs(first - second)
+    if difference >= 1 << (FRACTION_BITS - 1):
         return 0
-    return FRACTION_BITS - math.frexp(np.float64(apart))[1]
+    return FRACTION_BITS - math.frexp(np.float64(difference))[1]
 
 
 @kernel

@@ -237,8 +237,8 @@ def code_bands(
         owners = np.empty(most if owned else 0, np.int64)
         ends = number == 1, number == len(bands)
         # None is known at compile time, so encoders avoid a branch for each symbol.
-        told = owners if owned else None
-        found = _code(band, near, shifts, *ends, left, share, values, contexts, told)
+        known_owners = owners if owned else None
+        found = _code(band, near, shifts, *ends, left, share, values, contexts, known_owners)
         coded.append((values[:found], contexts[:found], owners[:found]))
     return coded
 

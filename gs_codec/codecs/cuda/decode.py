@@ -285,6 +285,6 @@ class _Decoder:
         sums = torch.cat([bits[0].view(whole, size).sum(1), bits[1].sum()[None]])
         low_bits = sums[: self.header.block_count].cpu().numpy() + self.streams.low_bits[:, 0]
         results = self.reached, self.states, self.faults, self.coders, boxes
-        told = [x.cpu().numpy() for x in results]
-        self.streams.check(told[0], low_bits, told[1].view(np.uint32), *told[2:4])
-        check_boxes(self.file, told[4])
+        checks = [x.cpu().numpy() for x in results]
+        self.streams.check(checks[0], low_bits, checks[1].view(np.uint32), *checks[2:4])
+        check_boxes(self.file, checks[4])

@@ -117,13 +117,13 @@ def read_levels(
                 first = np.int32(number - (backs[own] & 255))
                 second = np.int32(number - ((backs[own] >> 8) & 255))
                 source0[own] = source1[own] = -1
-                for apart in range(1, WINDOW + 1):
-                    other = value_of(numbers, max(lane - apart, 0))
-                    inside = lane >= apart and other >= 0
+                for away in range(1, WINDOW + 1):
+                    other = value_of(numbers, max(lane - away, 0))
+                    inside = lane >= away and other >= 0
                     if inside and other == first:
-                        source0[own] = lane - apart
+                        source0[own] = lane - away
                     if inside and other == second:
-                        source1[own] = lane - apart
+                        source1[own] = lane - away
                 known[own] = sums[own] = signs[own] = widths[own] = 0
                 t0[own] = t1[own] = t2[own] = 0
                 if number >= 0:

@@ -211,8 +211,8 @@ def _read(
                 if phase == 0:
                     one = m3 if lane == _ROLL else l3
                     other = m3 if lane > _ROLL + 1 else s3
-                    apart = min(abs(np.int64(one) - np.int64(other)), 1 << FRACTION_BITS)
-                    alike = max(FRACTION_BITS - bit_length(apart), 0)
+                    difference = min(abs(np.int64(one) - np.int64(other)), 1 << FRACTION_BITS)
+                    alike = max(FRACTION_BITS - bit_length(difference), 0)
                     octave = np.int32(octave + (alike if lane >= _ROLL else 0))
                 shift[own] = min(max(octave, 0), limit[own])
             if phase == 0:

@@ -38,14 +38,14 @@ def channel_sections(file: EgsFile) -> set[SectionId]:
     return expected
 
 
-def sections_beside(file: EgsFile, expected: set[SectionId]) -> set[SectionId]:
+def scene_sections(file: EgsFile, expected: set[SectionId]) -> set[SectionId]:
     """Sections of the whole scene that accompany the block sections `expected`."""
-    beside = {SectionId.CHANNELS}
+    sections = {SectionId.CHANNELS}
     if SectionId.GPCC in expected:
-        beside.add(SectionId.TOOL)
+        sections.add(SectionId.TOOL)
     if is_torchac(file) and expected & {SectionId.of_stream(stream) for stream in RANS_STREAMS}:
-        beside.add(SectionId.CODER)
-    return beside
+        sections.add(SectionId.CODER)
+    return sections
 
 
 def _decode_cells(file: EgsFile, axes: list[Channel], block: int) -> NDArray[np.uint32]:

@@ -49,9 +49,9 @@ def from_ordered(ordered: NDArray[np.uint32]) -> NDArray[np.uint32]:
 def write_integers(values: NDArray[np.uint32]) -> bytes:
     """Code values ``(n,)``, n >= 1, or their differences, whichever takes fewer bytes."""
     middle = max(values.size - _SAMPLE, 0) // 2
-    tries = [_write(values[middle : middle + _SAMPLE], delta) for delta in _DELTAS]
-    smallest = tries.index(min(tries, key=len))
-    return tries[smallest] if values.size <= _SAMPLE else _write(values, _DELTAS[smallest])
+    written = [_write(values[middle : middle + _SAMPLE], delta) for delta in _DELTAS]
+    smallest = written.index(min(written, key=len))
+    return written[smallest] if values.size <= _SAMPLE else _write(values, _DELTAS[smallest])
 
 
 def _write(values: NDArray[np.uint32], delta: DeltaSpec) -> bytes:

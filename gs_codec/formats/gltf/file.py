@@ -165,8 +165,8 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
         raise InvalidInput(f"glTF: {counted(len(data), 'byte')}, expected a header and a chunk")
     _, version, length = _HEADER.unpack_from(data)
     if version != 2 or not least <= length <= len(data):
-        told = f"version {version}, {counted(length, 'byte')} of {len(data):,}"
-        raise InvalidInput(f"glTF: {told}, expected version 2 and {least} or more")
+        stated = f"version {version}, {counted(length, 'byte')} of {len(data):,}"
+        raise InvalidInput(f"glTF: {stated}, expected version 2 and {least} or more")
     parts, offset = [], _HEADER.size
     for kind in (b"JSON", b"BIN\0"):
         if offset + _CHUNK.size > length:

@@ -212,8 +212,8 @@ def scene_of(
             say_dialect(path, data.dtype.names or ())
             if _rest_of(data.dtype.names or ()) == 3 * DEGREE_4:
                 say_degree_4(path)
-            told = {*columns, *moving(others)}
-            left_out = [name for name in others if name not in told]
+            named = {*columns, *moving(others)}
+            left_out = [name for name in others if name not in named]
             say_left_out(path, left_out, elements, _lines(ply.header))
         comments = ply.header.comments
         if shift is not None:

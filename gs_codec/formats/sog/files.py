@@ -234,7 +234,7 @@ class Files:
                 )
             return path.read_bytes()
 
-    def beside(self, name: str) -> Files:
+    def in_folder_of(self, name: str) -> Files:
         """The files in the folder of a file, which may be a subfolder of this one."""
         return Files((self.folder / name).parent, self.archive)
 
@@ -299,10 +299,10 @@ def unit_of(files: Files, name: str) -> Unit:
 
     Raises InvalidInput if it is missing or not valid.
     """
-    meta, beside = parse_meta(files.read(name, _META_BYTES)), files.beside(name)
+    meta, image_files = parse_meta(files.read(name, _META_BYTES)), files.in_folder_of(name)
     images = tuple(chain.from_iterable(meta.files.values()))
-    stored = files.stored_bytes([name]) + beside.stored_bytes(images)
-    return Unit(beside, meta, images, stored)
+    stored = files.stored_bytes([name]) + image_files.stored_bytes(images)
+    return Unit(image_files, meta, images, stored)
 
 
 @contextmanager

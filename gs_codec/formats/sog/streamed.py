@@ -120,7 +120,7 @@ def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files,
     with located(path), opened_files(path, data) as (files, name):
         # It is much smaller than the files that it describes.
         text = files.read(name, max(len(data), _LOD_META_BYTES))
-        yield files.beside(name), _names(text, finest)
+        yield files.in_folder_of(name), _names(text, finest)
 
 
 def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:

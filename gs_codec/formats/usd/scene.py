@@ -95,7 +95,7 @@ def is_usd(path: Path, data: FileBytes) -> bool:
 def read_usd(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a USD file; see `SceneFile.scene`."""
     with located(path):
-        found = _read_apart(view, most_bytes(len(view), max_bytes))
+        found = _read_in_process(view, most_bytes(len(view), max_bytes))
         check_count(*_total(found), len(view), max_bytes)
         if found["has_degree_4"]:
             say_degree_4(path)
@@ -106,10 +106,10 @@ def read_usd(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
     """Number of Gaussians and SH degree of the stage; raises like `read_usd`."""
     with located(path):
-        return _total(_read_apart(view, -1))
+        return _total(_read_in_process(view, -1))
 
 
-def _read_apart(view: memoryview, most: int) -> dict[str, NDArray]:
+def _read_in_process(view: memoryview, most: int) -> dict[str, NDArray]:
     """The result of `usd_stage.main`; only sizes if the floats take more than `most` bytes."""
     require_usd_core()
     suffix = dict(zip(USD.signatures, (".usda", ".usdc", ".usdz"), strict=True))

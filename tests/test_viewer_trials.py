@@ -23,7 +23,7 @@ from viewer.scenes import trial_list
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened, open_scene, turned
 from viewer.scenes.pose import look_at
-from viewer.scenes.trial_list import Asked, Tries, Try
+from viewer.scenes.trial_list import EncodingSettings, Trial, Trials
 
 
 @pytest.fixture(scope="module")
@@ -45,9 +45,9 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def tries(folder, tmp_path_factory) -> Tries:
+def trials(folder, tmp_path_factory) -> Trials:
     files = tmp_path_factory.mktemp("files")
-    return Tries(open_scene(folder / "a.ply"), files, read_cameras(folder / "cameras.json"))
+    return Trials(open_scene(folder / "a.ply"), files, read_cameras(folder / "cameras.json"))
 
 
 def command(*arguments: object) -> dict:
@@ -57,43 +57,49 @@ def command(*arguments: object) -> dict:
     return json.loads(result.stdout)
 
 
-def files(tries: Tries, *done: Try) -> bool:
+def files(trials: Trials, *done: Trial) -> bool:
     """Whether the only files are those of these trials."""
-    return {path.name for path in tries.folder.iterdir()} == {each.path.name for each in done}
+    return {path.name for path in trials.folder.iterdir()} == {each.path.name for each in done}
 
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize(
-    ("asked", "options"),
+    ("settings", "options"),
     [
-        (Asked(), ["-p", "m"]),
-        (Asked("s", "steps", 1.5, True), ["-p", "s", "--coarseness", "1.5", "--cameras", "C"]),
-        (Asked("m", "size", 40_000.0), ["-p", "m", "--target-size", "40kB"]),
-        (Asked("l", "bits", 200.0), ["-p", "l", "--target-bpg", "200"]),
-        (Asked("m", "loss", 0.5), ["-p", "m", "--max-psnr-drop", "0.5", "--cameras", "C"]),
-        (Asked("paper-s"), ["-p", "paper-s"]),
-        (Asked("lossless"), ["-p", "lossless"]),
+        (EncodingSettings(), ["-p", "m"]),
+        (
+            EncodingSettings("s", "steps", 1.5, True),
+            ["-p", "s", "--coarseness", "1.5", "--cameras", "C"],
+        ),
+        (EncodingSettings("m", "size", 40_000.0), ["-p", "m", "--target-size", "40kB"]),
+        (EncodingSettings("l", "bits", 200.0), ["-p", "l", "--target-bpg", "200"]),
+        (
+            EncodingSettings("m", "loss", 0.5),
+            ["-p", "m", "--max-psnr-drop", "0.5", "--cameras", "C"],
+        ),
+        (EncodingSettings("paper-s"), ["-p", "paper-s"]),
+        (EncodingSettings("lossless"), ["-p", "lossless"]),
     ],
     ids=str,
 )
-def test_a_try_is_the_file_of_the_command(tries, folder, tmp_path, asked, options):
+def test_a_try_is_the_file_of_the_command(trials, folder, tmp_path, settings, options):
     options = [str(folder / "cameras.json") if each == "C" else each for each in options]
     told = command("encode", folder / "a.ply", tmp_path / "b.egs", *options)
-    tried, opened = tries.encode(asked)
+    tried, opened = trials.encode(settings)
     assert tried.path.read_bytes() == (tmp_path / "b.egs").read_bytes()
     assert (tried.report.file_bytes, tried.report.ratio) == (told["output_bytes"], told["ratio"])
     assert opened.name == tried.name
-    assert files(tries, tried)
+    assert files(trials, tried)
 
 
-def test_its_numbers_are_those_of_the_commands(tries, folder, tmp_path):
-    tried, opened = tries.encode(Asked("s"))
-    tries.save(tried, tmp_path / "b.egs")
+def test_its_numbers_are_those_of_the_commands(trials, folder, tmp_path):
+    tried, opened = trials.encode(EncodingSettings("s"))
+    trials.save(tried, tmp_path / "b.egs")
     inspected = command("inspect", tmp_path / "b.egs")
     assert tried.report.file_bytes == opened.file_bytes == inspected["input_bytes"]
     assert tried.bits == pytest.approx(sum(s["bits_per_gaussian"] for s in inspected["streams"]))
     assert opened.info.as_dict()["streams"] == inspected["streams"]
-    quality = tries.measure(tried, opened)
+    quality = trials.measure(tried, opened)
     cameras = folder / "cameras.json"
     compared = command("compare", folder / "a.ply", tmp_path / "b.egs", "--cameras", cameras)
     assert [view.name for view in quality.views] == ["view1", "view3"]
@@ -104,29 +110,35 @@ def test_its_numbers_are_those_of_the_commands(tries, folder, tmp_path):
 
 @pytest.mark.usefixtures("few_cameras")
 def test_without_cameras_views_are_estimated_once(folder, tmp_path, monkeypatch):
-    asked: list[tuple] = []
+    settings: list[tuple] = []
 
     def two_of_them(*arguments, progress):
-        asked.append(arguments)
+        settings.append(arguments)
         return find_cameras(*arguments, progress=progress)[:2]
 
     monkeypatch.setattr(trial_list, "find_cameras", two_of_them)
-    tries = Tries(open_scene(folder / "a.ply"), tmp_path)
+    trials = Trials(open_scene(folder / "a.ply"), tmp_path)
     told: list[str] = []
     for _ in range(2):
-        quality = tries.measure(*tries.encode(Asked("s")), lambda stage, *_: told.append(stage))
+        quality = trials.measure(
+            *trials.encode(EncodingSettings("s")), lambda stage, *_: told.append(stage)
+        )
         assert [view.name for view in quality.views] == ["auto_00", "auto_01"]
-    assert [(cameras, split) for cameras, _, split in asked] == [("auto", "held-out")]
+    assert [(cameras, split) for cameras, _, split in settings] == [("auto", "held-out")]
     assert told[-2:] == ["views", "views"]
     assert told.count("cameras") > 2
 
 
-def test_a_cloud_is_encoded_as_its_file_is(tries, folder, tmp_path):
+def test_a_cloud_is_encoded_as_its_file_is(trials, folder, tmp_path):
     cloud = gs_codec.read(folder / "a.ply")
-    of_cloud = Tries(Opened("cloud", cloud), tmp_path, tries.cameras)
-    for asked in (Asked("m"), Asked("m", "bits", 150.0), Asked("s", "steps", 1.0, True)):
-        tried, opened = of_cloud.encode(asked)
-        assert tried.path.read_bytes() == tries.encode(asked)[0].path.read_bytes()
+    of_cloud = Trials(Opened("cloud", cloud), tmp_path, trials.cameras)
+    for settings in (
+        EncodingSettings("m"),
+        EncodingSettings("m", "bits", 150.0),
+        EncodingSettings("s", "steps", 1.0, True),
+    ):
+        tried, opened = of_cloud.encode(settings)
+        assert tried.path.read_bytes() == trials.encode(settings)[0].path.read_bytes()
         assert tried.report.ratio == opened.raw_bytes / opened.file_bytes
 
 
@@ -136,22 +148,22 @@ def test_a_scene_that_is_not_as_its_file_is_encoded_as_it_is(folder, tmp_path, c
     if change == "edited":
         edits.keep(np.arange(1500) % 3 > 0, "test")
     scene = edits.scene if change == "edited" else turned(edits.whole)
-    opened = Tries(scene, tmp_path).encode(Asked("lossless"))[1]
+    opened = Trials(scene, tmp_path).encode(EncodingSettings("lossless"))[1]
     places = [np.sort(each.positions.view("<i4"), axis=0) for each in (opened, scene)]
     np.testing.assert_array_equal(*places)
 
 
-def test_they_are_kept_in_order_and_opened_again(tries):
-    for asked in (Asked("s"), Asked("m", "bits", 150.0)):
-        tries.add(tries.encode(asked)[0])
-    assert [tried.name for tried in tries.all] == ["#1 s", "#2 m 150 bits"]
-    opened = tries.all[1].open()
+def test_they_are_kept_in_order_and_opened_again(trials):
+    for settings in (EncodingSettings("s"), EncodingSettings("m", "bits", 150.0)):
+        trials.add(trials.encode(settings)[0])
+    assert [tried.name for tried in trials.all] == ["#1 s", "#2 m 150 bits"]
+    opened = trials.all[1].open()
     assert opened.name == "#2 m 150 bits"
     assert opened.info.profile == "m"
     assert len(opened.bits) == opened.count == 1500
-    measured = replace(tries.all[0], quality=tries.measure(tries.all[0]))
-    tries.add(measured)
-    assert [tried.quality is None for tried in tries.all] == [False, True]
+    measured = replace(trials.all[0], quality=trials.measure(trials.all[0]))
+    trials.add(measured)
+    assert [tried.quality is None for tried in trials.all] == [False, True]
 
 
 class Stopped(Exception):
@@ -170,72 +182,81 @@ def stopped_at(number: int) -> Callable[[str, int, int], None]:
 
 
 @pytest.mark.parametrize(
-    "asked",
-    [Asked("m"), Asked("paper-m"), Asked("lossless"), Asked("m", "size", 40_000.0)],
+    "settings",
+    [
+        EncodingSettings("m"),
+        EncodingSettings("paper-m"),
+        EncodingSettings("lossless"),
+        EncodingSettings("m", "size", 40_000.0),
+    ],
     ids=str,
 )
-def test_it_stops_at_any_step_and_leaves_nothing(tries, asked):
+def test_it_stops_at_any_step_and_leaves_nothing(trials, settings):
     steps: list[str] = []
-    tries.encode(asked, lambda stage, *_: steps.append(stage))[0].path.unlink()
+    trials.encode(settings, lambda stage, *_: steps.append(stage))[0].path.unlink()
     assert len(steps) >= 3
     for number in {0, 1, len(steps) // 2, len(steps) - 1}:
         with pytest.raises(Stopped):
-            tries.encode(asked, stopped_at(number))
-        assert files(tries)
+            trials.encode(settings, stopped_at(number))
+        assert files(trials)
 
 
-def test_every_trial_of_a_search_tells_its_progress(tries):
+def test_every_trial_of_a_search_tells_its_progress(trials):
     steps: list[tuple[str, int, int]] = []
-    tried, _ = tries.encode(Asked("m", "size", 40_000.0), lambda *step: steps.append(step))
+    tried, _ = trials.encode(
+        EncodingSettings("m", "size", 40_000.0), lambda *step: steps.append(step)
+    )
     # Each encode codes the one block; and the result is decoded once.
     assert steps.count(("code", 1, 1)) == tried.report.rate.encodings > 1
 
 
-def test_measuring_stops(tries):
-    tried, opened = tries.encode(Asked("s"))
+def test_measuring_stops(trials):
+    tried, opened = trials.encode(EncodingSettings("s"))
     with pytest.raises(Stopped):
-        tries.measure(tried, opened, stopped_at(0))
+        trials.measure(tried, opened, stopped_at(0))
 
 
-def test_an_unreachable_target_tells_the_range(tries):
+def test_an_unreachable_target_tells_the_range(trials):
     with pytest.raises(
         gs_codec.InvalidInput,
         match=r"target 50 bytes: unreachable, expected [\d,]+ to [\d,]+ bytes",
     ):
-        tries.encode(Asked("m", "size", 50.0))
-    assert files(tries)
+        trials.encode(EncodingSettings("m", "size", 50.0))
+    assert files(trials)
 
 
 def test_a_file_that_changed_is_refused(tmp_path):
     write_ply(tmp_path / "a.ply", random_scene(300, 0))
-    tries = Tries(open_scene(tmp_path / "a.ply"), tmp_path)
+    trials = Trials(open_scene(tmp_path / "a.ply"), tmp_path)
     write_ply(tmp_path / "a.ply", random_scene(200, 0))
     with pytest.raises(gs_codec.GsCodecError, match=r"a\.ply: changed after it was opened"):
-        tries.encode(Asked("m"))
-    assert files(tries)
+        trials.encode(EncodingSettings("m"))
+    assert files(trials)
 
 
 def test_gaussians_that_are_not_finite_are_left_out_but_by_lossless(tmp_path):
     scene = random_scene(300, 0)
     scene.positions[0, 7] = np.nan
-    tries = Tries(Opened("cloud", to_cloud(scene)), tmp_path)
-    counts = {profile: tries.encode(Asked(profile))[1].count for profile in ("m", "lossless")}
+    trials = Trials(Opened("cloud", to_cloud(scene)), tmp_path)
+    counts = {
+        profile: trials.encode(EncodingSettings(profile))[1].count for profile in ("m", "lossless")
+    }
     assert counts == {"m": 299, "lossless": 300}
 
 
-def test_only_egs_is_saved(tries, tmp_path):
-    tried, _ = tries.encode(Asked("s"))
+def test_only_egs_is_saved(trials, tmp_path):
+    tried, _ = trials.encode(EncodingSettings("s"))
     with pytest.raises(gs_codec.GsCodecError, match=r"b\.ply: expected a name that ends in \.egs"):
-        tries.save(tried, tmp_path / "b.ply")
+        trials.save(tried, tmp_path / "b.ply")
     with pytest.raises(gs_codec.GsCodecError):
-        tries.save(tried, tmp_path / "missing" / "b.egs")
+        trials.save(tried, tmp_path / "missing" / "b.egs")
     assert not list(tmp_path.iterdir())
 
 
-def test_other_cameras_measure_anew(tries):
-    tried, opened = tries.encode(Asked("s"))
-    for cameras in (tries.cameras, tries.cameras[:2]):
-        tries.add(replace(tried, quality=tries.measure(tried, opened)))
-        tries.look_from(cameras)
-    assert tries.all[0].quality is None
-    assert [view.name for view in tries.measure(tried).views] == ["view1"]
+def test_other_cameras_measure_anew(trials):
+    tried, opened = trials.encode(EncodingSettings("s"))
+    for cameras in (trials.cameras, trials.cameras[:2]):
+        trials.add(replace(tried, quality=trials.measure(tried, opened)))
+        trials.look_from(cameras)
+    assert trials.all[0].quality is None
+    assert [view.name for view in trials.measure(tried).views] == ["view1"]

@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from gs_codec import edit
 from gs_codec.cameras.camera import Camera
-from gs_codec.edit.actions import KINDS, Action, check_actions
+from gs_codec.edit.actions import KINDS, Action
 from gs_codec.edit.apply import edit_scenes
 from gs_codec.edit.join import merge_scenes
+from gs_codec.encoding.combinations import check_actions
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import turn_axes

@@ -14,7 +14,7 @@ from gs_codec.batch.local import SUFFIXES, LocalStorage, Location, Stamp, file_s
 from gs_codec.batch.memory import expected_floats, needed_bytes
 from gs_codec.batch.remote import Storage
 from gs_codec.config import EGS
-from gs_codec.edit.actions import check_actions
+from gs_codec.encoding.combinations import check_actions
 from gs_codec.encoding.request import Request
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.redaction import without_secrets

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,7 +19,7 @@ from gs_codec.runtime.arguments import check_fields
 from gs_codec.runtime.json_text import parse_json
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.steps import Plan
+    pass
 
 #: Comparison operators of conditions; an operator precedes its own prefixes.
 COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
@@ -236,26 +236,3 @@ class Action:
     def typed(self) -> str:
         """The action as Python code: ``Action("rotate", "90,0,0")``."""
         return f'Action("{self.name}", "{self.text}")' if self.text else f'Action("{self.name}")'
-
-
-def check_actions(
-    actions: Sequence[Action], plan: Plan | None, limited: bool, coded: bool = False
-) -> None:
-    """Reject actions that a memory limit rules out, or that move a scene relative to its cameras.
-
-    Moving is rejected if the cameras guide other actions or, if `coded`, the encoder.
-    """
-    given, moved = plan is not None and not plan.estimates, None
-    for action in actions:
-        kind = KINDS[action.name]
-        if not kind.local and limited:
-            raise InvalidInput(
-                f"{action.typed}: needs the whole scene in memory, without max-memory"
-            )
-        if kind.guided and given and moved is not None:
-            raise InvalidInput(f"{action.typed}: the cameras no longer fit after {moved.typed}")
-        moved = action if kind.does == "move" else moved
-    if coded and given and moved is not None:
-        raise InvalidInput(
-            f"{moved.typed}: the given cameras do not fit the moved scene, expected none or auto"
-        )

@@ -19,9 +19,9 @@ from gs_codec.config import (
     RateTarget,
     options_of,
 )
-from gs_codec.edit.actions import KINDS, Action, check_actions
+from gs_codec.edit.actions import KINDS, Action
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.table import format_of
+from gs_codec.formats.table import FORMATS, format_of
 from gs_codec.preparation.steps import Plan, Steps
 
 _ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)
@@ -43,7 +43,7 @@ def check_request(
     elif max_memory is not None:
         if plan is not None or rate is not None:
             raise InvalidInput("max-memory: cannot be combined with views, preparation or a target")
-        check_levels(config, max_memory)
+        _check_levels(config)
         if config.format != EGS:
             raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
     check_actions(actions, plan, max_memory is not None, coded=plan is not None)
@@ -51,9 +51,49 @@ def check_request(
         _check_rate(config, rate, Steps() if plan is None else plan.steps)
 
 
-def check_levels(config: Config, max_memory: int | None) -> None:
+def check_conversion(
+    target: str | Path,
+    suffix: str,
+    config: Config,
+    plan: Plan | None,
+    actions: Sequence[Action],
+    max_memory: int | None,
+) -> None:
+    """Check the options of a conversion to the format of a suffix. Raises InvalidInput."""
+    if max_memory is not None and not format_of(suffix).in_parts:
+        known = [s for each in FORMATS if each.in_parts for s in each.written]
+        raise InvalidInput(f"{target}: max-memory: expected one of {', '.join(known)}")
+    if max_memory is not None and suffix == f".{EGS}":
+        _check_levels(config)
+    check_actions(actions, plan, max_memory is not None)
+
+
+def check_actions(
+    actions: Sequence[Action], plan: Plan | None, limited: bool, coded: bool = False
+) -> None:
+    """Reject actions that a memory limit rules out, or that move a scene relative to its cameras.
+
+    Moving is rejected if the cameras guide other actions or, if `coded`, the encoder.
+    """
+    given, moved = plan is not None and not plan.estimates, None
+    for action in actions:
+        kind = KINDS[action.name]
+        if not kind.local and limited:
+            raise InvalidInput(
+                f"{action.typed}: needs the whole scene in memory, without max-memory"
+            )
+        if kind.guided and given and moved is not None:
+            raise InvalidInput(f"{action.typed}: the cameras no longer fit after {moved.typed}")
+        moved = action if kind.does == "move" else moved
+    if coded and given and moved is not None:
+        raise InvalidInput(
+            f"{moved.typed}: the given cameras do not fit the moved scene, expected none or auto"
+        )
+
+
+def _check_levels(config: Config) -> None:
     """Reject levels of detail below a memory limit, unless workers divide the scene."""
-    if config.lod and max_memory is not None:
+    if config.lod:
         raise InvalidInput("lod: with max-memory, dask is needed too")
 
 

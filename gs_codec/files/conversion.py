@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config, as_config
-from gs_codec.edit.actions import Action, check_actions
+from gs_codec.edit.actions import Action
 from gs_codec.edit.apply import edit_scenes
-from gs_codec.encoding.combinations import check_levels
+from gs_codec.encoding.combinations import check_conversion
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import early_shifts, read_scene, turn_scene
-from gs_codec.files.suffixes import IN_PARTS, check_target
+from gs_codec.files.suffixes import check_target
 from gs_codec.files.writing import keeps_rounding, write_scene, written_bytes
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
 from gs_codec.formats.table import format_of
@@ -152,11 +152,7 @@ def convert_file(
     config = as_config(config)
     sources = [source] if isinstance(source, str | Path) else list(source)
     suffix = check_target(sources, target, overwrite=overwrite)
-    if max_memory is not None and suffix not in IN_PARTS:
-        raise InvalidInput(f"{target}: max-memory: expected one of {', '.join(IN_PARTS)}")
-    if suffix == ".egs":
-        check_levels(config, max_memory)
-    check_actions(actions, plan, max_memory is not None)
+    check_conversion(target, suffix, config, plan, actions, max_memory)
     stated, _, wanted = coordinates.rpartition(":")
     known = format_of(suffix)
     own = known.system

@@ -23,9 +23,6 @@ WRITTEN = (*ENCODED, *LEVELLED, *PLAIN)
 #: Names of formats that are read from a single file.
 READ_NAMES = tuple(known.name for known in FORMATS if f".{known.name}" in read())
 
-#: Suffixes of formats that are written part by part, below a memory limit.
-IN_PARTS = tuple(suffix for known in FORMATS if known.in_parts for suffix in known.written)
-
 
 def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
     """The suffix of an output file, which selects the format.

@@ -40,6 +40,16 @@ def imported(source: str, known: set[str]) -> Iterator[str]:
                 yield name
 
 
+def test_files_that_the_guide_names_exist():
+    named = re.findall(r"[\w./]+\.(?:py|txt|cff|mjs)\b", (ROOT / "CONTRIBUTING.md").read_text())
+    folders = (ROOT / name for name in ("gs_codec", "viewer", "tests", "samples", ".ci"))
+    files = [path for folder in folders for path in folder.rglob("*.*")] + list(ROOT.glob("*.*"))
+    there = [path.as_posix() for path in files]
+    assert len(named) > 50
+    for name in named:
+        assert any(path.endswith(f"/{name}") for path in there), name
+
+
 def test_no_test_imports_another():
     """Code shared by tests is in helper modules or fixtures."""
     for path in sorted((ROOT / "tests").rglob("*.py")):

@@ -409,7 +409,7 @@ def test_a_failed_film_leaves_nothing_and_says_why(tmp_path, ffmpeg, monkeypatch
     ):
         script.write_text(f'#!/bin/sh\nhead -c 100 >/dev/null\necho "{line}" >&2\nexit 3\n')
         script.chmod(0o755)
-        monkeypatch.setattr(reels, "_ffmpeg", lambda _: str(script))
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(script))
         with pytest.raises(gs_codec.GsCodecError, match=said):
             write(out, (512, 512), pictures(4, (512, 512)))
     assert out.read_bytes() == b"old"
@@ -473,7 +473,7 @@ def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):
 )
 def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, run_viewer, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(reels, "_ffmpeg", lambda _: "")
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "ffmpeg")
     status, _, err = run_viewer(files / "a.ply", *arguments)
     assert status == 2
     assert err.startswith("gs-viewer: error: ")

@@ -135,7 +135,8 @@ def test_the_address_is_no_argument_of_the_browser(page, monkeypatch, tmp_path, 
         path = Path(url2pathname(urlsplit(address).path))
         told.append((address, path.stat().st_mode & 0o777, path.read_text()))
 
-    monkeypatch.setattr(served, "_has_screen", lambda: True)
+    monkeypatch.delenv("SSH_CONNECTION", raising=False)
+    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(served.webbrowser, "open", opening)
     monkeypatch.setattr(served.Path, "home", lambda: tmp_path)
     monkeypatch.setattr(page, "serve_forever", lambda: None)

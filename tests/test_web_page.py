@@ -767,12 +767,11 @@ def test_two_files_of_one_name_are_kept_apart(files, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text")
-def test_names_that_are_not_utf_8_are_shown(files, tmp_path, monkeypatch):
-    monkeypatch.setattr(sharing, "_template", lambda: "<!--title--><!--data-->")
+def test_names_that_are_not_utf_8_are_shown(files, tmp_path):
     path = tmp_path / os.fsdecode(b"a\xff.egs")
     shutil.copy(files.folder / "a.egs", path)
     share([path], tmp_path / "page.html", files.folder / "cameras.json")
-    assert (tmp_path / "page.html").read_text().startswith("a\ufffd.egs")
+    assert "<title>a\ufffd.egs" in (tmp_path / "page.html").read_text()
     share([path], tmp_path / "site", files.folder / "cameras.json")
     assert (tmp_path / "site" / "a\ufffd.egs").read_bytes() == path.read_bytes()
 

@@ -17,7 +17,7 @@ from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError
 from gs_codec.workers.interface import Listener, Place, Serial
 
-encode_one = work.encode_one
+record_scene = work.record_scene
 
 FOREVER = 3600.0
 
@@ -39,7 +39,7 @@ def stuck_in_fsync(options: Options, task: Task, place: Place) -> Record:
         os.fsync = stick
         # With unnamed temporary files, nothing would be left of unfinished outputs.
         os.__dict__.pop("O_TMPFILE", None)
-    return encode_one(options, task, place)
+    return record_scene(options, task, place)
 
 
 def killed(options: Options, task: Task, place: Place) -> Record:
@@ -48,7 +48,7 @@ def killed(options: Options, task: Task, place: Place) -> Record:
     if task.name == "twice.ply" or (task.name == "once.ply" and not mark.exists()):
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return encode_one(options, task, place)
+    return record_scene(options, task, place)
 
 
 @contextmanager
@@ -64,7 +64,7 @@ def waiting(options: Options, task: Task, place: Place) -> Record:
     Path(os.environ["HELD"]).touch()
     while not Path(os.environ["GO"]).exists():
         time.sleep(0.02)
-    return encode_one(options, task, place)
+    return record_scene(options, task, place)
 
 
 def alone(options: Options, task: Task, place: Place) -> Record:
@@ -74,7 +74,7 @@ def alone(options: Options, task: Task, place: Place) -> Record:
         raise GsCodecError(f"{thread.name} started")
 
     threading.Thread.start = refuse
-    return encode_one(options, task, place)
+    return record_scene(options, task, place)
 
 
 def held(options: Options, task: Task, place: Place) -> Record:
@@ -83,7 +83,7 @@ def held(options: Options, task: Task, place: Place) -> Record:
         time.sleep(0.05)
     Path(os.environ["HELD"]).touch()
     time.sleep(FOREVER)
-    return encode_one(options, task, place)
+    return record_scene(options, task, place)
 
 
 def main() -> None:
@@ -92,13 +92,13 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if "WORK" in os.environ:
-        run.encode_one = globals()[os.environ["WORK"]]
+        run.record_scene = globals()[os.environ["WORK"]]
     command()
 
 
 def dask_setup(worker: Any) -> None:
     """Called by ``dask worker --preload``."""
-    work.encode_one = held
+    work.record_scene = held
 
 
 if __name__ == "__main__":

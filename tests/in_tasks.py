@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from gs_codec.config import Config
-from gs_codec.distributed.encoding import encode_with
+from gs_codec.distributed.encoding import encode_in_tasks
 from gs_codec.distributed.sources import open_sources
 from gs_codec.distributed.tasks import Crew, Numbered
 from gs_codec.files.coding import encode_file
@@ -46,7 +46,7 @@ def in_tasks(
 ) -> tuple[bytes, dict]:
     """The encoded file, and the report without times."""
     sources = open_sources(paths, config.chosen_extra())
-    report = encode_with(Crew(here or Here()), sources, target, config, size)
+    report = encode_in_tasks(Crew(here or Here()), sources, target, config, size)
     assert not target.with_name(f"{target.name}.parts").exists()
     return target.read_bytes(), {**asdict(report), "seconds": None}
 

@@ -159,7 +159,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
     source.mkdir()
     for seed, name in enumerate(("a", "once", "twice", "z")):
         write_ply(source / f"{name}.ply", random_scene(200, 0, seed=seed))
-    monkeypatch.setattr(run, "encode_one", batch_work.killed)
+    monkeypatch.setattr(run, "record_scene", batch_work.killed)
     batch = Batch(str(source), str(tmp_path / "out"), Options(Config()), jobs=2)
     summary = run_batch(batch)
     assert (summary.done, summary.failed) == (3, 1)
@@ -178,7 +178,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
 def test_scenes_of_one_thread_start_no_other(tmp_path, monkeypatch, plan):
     for seed in range(2):
         write_ply(tmp_path / f"{seed}.ply", random_scene(1000, 1, seed=seed))
-    monkeypatch.setattr(run, "encode_one", batch_work.alone)
+    monkeypatch.setattr(run, "record_scene", batch_work.alone)
     options = Options(Config(threads=1), plan)
     summary = run_batch(Batch(str(tmp_path), str(tmp_path / "out"), options, jobs=2))
     assert (summary.done, summary.failed) == (2, 0), Path(summary.report).read_text()

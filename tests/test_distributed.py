@@ -19,7 +19,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import Config
 from gs_codec.distributed import survey as looking
 from gs_codec.distributed.decoding import decode_with
-from gs_codec.distributed.encoding import encode_with
+from gs_codec.distributed.encoding import encode_in_tasks
 from gs_codec.distributed.folder import Folder, work_folder
 from gs_codec.distributed.sorting import find_cuts
 from gs_codec.distributed.sources import open_sources
@@ -283,7 +283,7 @@ def test_files_of_others_in_the_folder_stay(tmp_path):
     (tmp_path / "a.egs.parts/mine/notes").touch()
     with pytest.raises(Lost):
         in_tasks([path], target, Config("l"), 1000, Here(fails_at=3))
-    encode_with(Crew(Here()), open_sources([path], "error"), target, Config("m"), 1000)
+    encode_in_tasks(Crew(Here()), open_sources([path], "error"), target, Config("m"), 1000)
     found = sorted((tmp_path / "a.egs.parts").rglob("*"))
     assert [entry.name for entry in found] == ["mine", "notes"]
 

@@ -13,7 +13,7 @@ from scenes import assert_same_floats, random_scene, thorough
 import gs_codec
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.distributed.encoding import encode_with
+from gs_codec.distributed.encoding import encode_in_tasks
 from gs_codec.distributed.sources import open_sources
 from gs_codec.distributed.tasks import Crew
 from gs_codec.edit.apply import Action
@@ -199,7 +199,7 @@ def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
     encode_file(tmp_path / "a.ply", tmp_path / "a.egs", config)
     caplog.clear()
     sources = open_sources([tmp_path / "a.ply"], "error")
-    report = encode_with(Crew(Serial("")), sources, tmp_path / "b.egs", config, 1024)
+    report = encode_in_tasks(Crew(Serial("")), sources, tmp_path / "b.egs", config, 1024)
     assert (report.count, report.dropped) == (1900, 1100)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
     assert caplog.messages == [
@@ -208,7 +208,7 @@ def test_a_part_may_be_dropped_as_a_whole(tmp_path, caplog):
     all_damaged(tmp_path / "c.ply")
     sources = open_sources([tmp_path / "c.ply"], "error")
     with pytest.raises(InvalidInput, match="no Gaussian is left of 30"):
-        encode_with(Crew(Serial("")), sources, tmp_path / "c.egs", config, 1024)
+        encode_in_tasks(Crew(Serial("")), sources, tmp_path / "c.egs", config, 1024)
 
 
 def extreme_scenes() -> dict[str, Scene]:

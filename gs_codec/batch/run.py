@@ -21,7 +21,7 @@ from gs_codec.batch.ledger import Ledger, Record, open_ledger
 from gs_codec.batch.local import LocalStorage
 from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
-from gs_codec.batch.work import encode_one, versions
+from gs_codec.batch.work import record_scene, versions
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.table import format_of
 from gs_codec.runtime.memory import available_bytes
@@ -152,7 +152,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         waiting = [task for task in tasks if task not in known]
         opened, work = (
             _open_workers(batch, len(waiting), scratch, watcher),
-            partial(encode_one, options),
+            partial(record_scene, options),
         )
         watcher.begun(len(waiting), len(known), path)
         try:

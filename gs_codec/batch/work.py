@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 _COMPUTING = ("numpy", "numba", "llvmlite", "pcodec")
 
 
-def encode_one(options: Options, task: Task, place: Place) -> Record:
-    """Encode a scene with its share of the processors; errors become part of the record.
+def record_scene(options: Options, task: Task, place: Place) -> Record:
+    """Encode or convert a scene with its share of the processors; the record has its errors, too.
 
     Copies of remote files are in a temporary folder.
     """

@@ -118,10 +118,10 @@ def encode_divided(
     with using_threads(config.threads), crew_at(request.dask or "local", progress) as crew:
         at_once = crew.workers.at_once
         size = size_within(request.max_memory, at_once, sources.head.sh_degree, least)
-        return encode_with(crew, sources, Path(target).absolute(), config, size)
+        return encode_in_tasks(crew, sources, Path(target).absolute(), config, size)
 
 
-def encode_with(
+def encode_in_tasks(
     crew: Crew, sources: Sources, target: Path, config: Config, size: int
 ) -> EncodeReport:
     """Encode a scene in tasks of about `size` Gaussians; see `encode_distributed`."""

@@ -215,13 +215,7 @@ def spacing(blobs: Blobs) -> float:
     near = np.empty((len(means), 2), np.int64)
     _find_after(means, _WINDOW, near)
     spacings = np.sqrt(((means[near[:, 1]] - means) ** 2).sum(axis=1))
-    return weighted_quantile(spacings, mass, 0.5)
-
-
-def weighted_quantile(
-    values: NDArray[np.float64], weights: NDArray[np.float64], share: float
-) -> float:
-    """The smallest of ``values (N,)`` with at least `share` of the weight at or below it."""
-    order = np.argsort(values, kind="stable")
-    sums = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(sums, share * sums[-1])])
+    # The median by mass.
+    order = np.argsort(apart, kind="stable")
+    sums = np.cumsum(mass[order])
+    return float(apart[order][np.searchsorted(sums, 0.5 * sums[-1])])

@@ -216,6 +216,6 @@ def spacing(blobs: Blobs) -> float:
     _find_after(means, _WINDOW, near)
     spacings = np.sqrt(((means[near[:, 1]] - means) ** 2).sum(axis=1))
     # The median by mass.
-    order = np.argsort(apart, kind="stable")
+    order = np.argsort(spacings, kind="stable")
     sums = np.cumsum(mass[order])
-    return float(apart[order][np.searchsorted(sums, 0.5 * sums[-1])])
+    return float(spacings[order][np.searchsorted(sums, 0.5 * sums[-1])])

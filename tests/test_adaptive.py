@@ -79,7 +79,7 @@ def test_fields_of_any_width_round_trip_seed4():
 # Tables of contexts
 
 
-def test_contexts_alike_share_a_table_and_others_do_not():
+def test_similar_contexts_share_a_table_and_different_ones_do_not():
     histograms = np.zeros((8, 10), np.int64)
     histograms[1] = histograms[2] = 1000
     histograms[4, 0], histograms[6, 9] = 5000, 5000
@@ -88,14 +88,14 @@ def test_contexts_alike_share_a_table_and_others_do_not():
     np.testing.assert_array_equal(shared.sum(axis=0), histograms.sum(axis=0))
 
 
-def test_tokens_that_do_not_occur_are_left_out():
+def test_unused_tokens_are_omitted():
     histograms = np.zeros((3, 10), np.int64)
     histograms[:, 4] = 7
     assert share_tables(histograms)[1].tolist() == [[0, 0, 0, 0, 21]]
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_shared_tables_hold_all_symbols_of_their_contexts_seed(seed):
+def test_shared_tables_contain_all_symbols_of_their_contexts_seed(seed):
     rng = np.random.default_rng(seed)
     histograms = rng.integers(0, 2 ** rng.integers(1, 12), (32, 20)) * rng.integers(0, 2, (32, 1))
     table_of, shared = share_tables(histograms)
@@ -110,7 +110,7 @@ def test_shared_tables_hold_all_symbols_of_their_contexts_seed(seed):
     assert sum(map(shannon_bits, shared)) <= together + 1e-6
 
 
-def test_contexts_that_do_not_occur_have_one_table():
+def test_unused_contexts_have_one_table():
     table_of, shared = share_tables(np.zeros((9, 10), np.int64))
     assert table_of.tolist() == [0] * 9
     assert shared.shape == (1, 10)
@@ -121,7 +121,7 @@ def test_contexts_that_do_not_occur_have_one_table():
 
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("weight", [1, 3])
-def test_rule_is_the_text_s_sum_in_integers_seed(seed, weight):
+def test_rule_is_the_integer_sum_of_the_specification_seed(seed, weight):
     rng = np.random.default_rng(seed)
     a, b, *c = (int(x) for x in rng.integers(-(2**19), 2**19, 5))
     limit = int(rng.integers(0, 94))
@@ -137,14 +137,14 @@ def test_rule_is_the_text_s_sum_in_integers_seed(seed, weight):
 
 
 @pytest.mark.parametrize(("logit", "shift"), [(5, 2), (0, 2), (-1, 3), (-3, 5), (-1.5, 3)])
-def test_rule_counts_logits_below_0_alone_and_rounds_down(logit, shift):
+def test_rule_uses_only_negative_logits_and_rounds_down(logit, shift):
     rule = StepRule(2 << 16, -(1 << 16), (0, 0, 0), 31)
     opacity = np.array([int(logit * ONE)])
     none = np.zeros(1, np.int64)
     assert rule.shifts(none, 1, opacity, np.zeros((3, 1), np.int64)).tolist() == [shift]
 
 
-def test_rule_of_numbers_that_do_not_fit_is_clipped():
+def test_rule_with_numbers_out_of_range_is_clipped():
     rule = make_rule(np.array([1e9, -1e9, 1e9, 0, np.float64(0.5)]), -10.0, 2.0)
     assert rule.limit == 12
     assert (rule.intercept, rule.opacity) == (2**31 - 1, -MAX_SLOPE)
@@ -197,7 +197,7 @@ def whole(vectors: np.ndarray) -> np.ndarray:
     return np.concatenate([real[None], vectors])
 
 
-def test_sorted_axes_are_the_same_gaussian_seed8():
+def test_sorting_axes_keeps_the_gaussian_seed8():
     scene = random_scene(2000, 0, seed=8)
     order, scales, vectors = sort_axes(scene.log_scale, scene.rot)
     assert np.all(np.diff(scales, axis=0) <= 0)
@@ -209,7 +209,7 @@ def test_sorted_axes_are_the_same_gaussian_seed8():
     np.testing.assert_allclose(covariance(scales, rot) / size, before / size, atol=1e-12)
 
 
-def test_all_24_ways_to_write_a_gaussian_are_one_seed9():
+def test_all_24_parameterisations_of_a_gaussian_are_one_seed9():
     """Axes in any order, with any half turns, and any sign and norm of the quaternion."""
     rng = np.random.default_rng(9)
     rot = rng.normal(size=4)
@@ -282,12 +282,12 @@ def test_ycocg_round_trip_and_length_seed10():
     )
 
 
-def test_grey_has_luma_alone():
+def test_grey_has_only_luma():
     values = to_ycocg(np.full((3, 1), 2.0, np.float32))
     np.testing.assert_allclose(values[:, 0], [2 * np.sqrt(3), 0, 0], atol=1e-12)
 
 
-def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():
+def test_diffused_rounding_errors_are_small_and_cancel_seed12():
     rng = np.random.default_rng(12)
     places = np.sort(rng.integers(0, 2**10, (3, 4000)), axis=1)
     values = np.full((2, 4000), 0.3, np.float32)
@@ -301,7 +301,7 @@ def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():
 
 
 @pytest.mark.parametrize("largest", [3, 2**12, 2**22])
-def test_nearest_are_the_nearest_of_the_window_and_the_later_of_equals_seed13(largest):
+def test_nearest_are_from_the_window_with_ties_to_the_later_seed13(largest):
     places = np.random.default_rng(13).integers(0, largest, (3, 300))
     places[:, -1] = largest
     near, distances = find_all_nearest(places)
@@ -314,7 +314,7 @@ def test_nearest_are_the_nearest_of_the_window_and_the_later_of_equals_seed13(la
         assert distances[i, : len(expected)].tolist() == cut
 
 
-def test_colours_taken_in_steps_are_filled_in_again_seed14():
+def test_colours_quantised_in_steps_round_trip_seed14():
     rng = np.random.default_rng(14)
     planes = rng.normal(size=(3, 8, 100)).astype(np.float32)
     planes[0, 2, 7] = 1e9
@@ -361,7 +361,7 @@ def test_there_are_never_more_tables_than_allowed_seed18():
 
 
 @pytest.mark.parametrize("bits", [(0, 0, 0), (5, 0, 7), (1, 2, 3), (21, 21, 21), (0, 0, 9)])
-def test_cell_contains_the_original_whatever_is_dropped_seed13(bits):
+def test_cell_contains_the_original_for_any_dropped_bits_seed13(bits):
     rng = np.random.default_rng(13)
     origin, step = np.array([-3.0, 1.0, 0.5]), 2.0**-10
     size = step * (2.0 ** np.array(bits))[:, None]
@@ -383,7 +383,7 @@ def test_cell_contains_the_original_whatever_is_dropped_seed13(bits):
         assert found[:, i].tolist() == (2 * lowest + (1 << np.array(widths))).tolist()
 
 
-def test_places_beyond_float32_are_clamped():
+def test_positions_beyond_float32_are_clamped():
     grid = PositionGrid((1e38, 0.0, -1e38), 2.0**120, (21, 1, 1))
     far = from_grid(np.array([[2**22], [1], [0]]), grid)
     assert far[0, 0] == np.finfo(np.float32).max
@@ -391,7 +391,7 @@ def test_places_beyond_float32_are_clamped():
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 700])
-def test_tree_gives_codes_down_to_where_each_is_alone_seed14(count):
+def test_tree_codes_each_point_until_it_is_unique_seed14(count):
     rng = np.random.default_rng(14)
     codes = np.sort(np.repeat(rng.integers(0, 2**40, count), rng.integers(1, 3, count)))
     data, lefts = encode_tree(codes, 40)
@@ -426,7 +426,7 @@ def octaves(steps, known) -> dict[str, np.ndarray]:
     }
 
 
-def test_sensitivities_four_times_as_high_make_steps_an_octave_finer():
+def test_four_times_the_sensitivity_makes_steps_an_octave_finer():
     sensitivity, opacity, scales = made_up(15)
     known = features(opacity, scales)
     before = octaves(fit_step_sizes(sensitivity, opacity, scales)(1e-3), known)
@@ -439,7 +439,7 @@ def test_sensitivities_four_times_as_high_make_steps_an_octave_finer():
         np.testing.assert_allclose(coarser[name], values + 1, atol=1e-9, err_msg=name)
 
 
-def test_steps_add_about_the_error_asked_for():
+def test_steps_add_about_the_target_error():
     sensitivity, opacity, scales = made_up(16)
     steps = octaves(fit_step_sizes(sensitivity, opacity, scales)(1e-3), features(opacity, scales))
     added = {
@@ -453,7 +453,7 @@ def test_steps_add_about_the_error_asked_for():
         assert 0.2e-3 < np.median(error) < 3e-3, name
 
 
-def test_gaussians_seen_more_have_finer_classes():
+def test_more_visible_gaussians_have_finer_classes():
     sensitivity, opacity, scales = made_up(17)
     steps = fit_step_sizes(sensitivity, opacity, scales)(1e-3)
     assert 4 < steps.shape_class.max() < 16
@@ -464,7 +464,7 @@ def test_gaussians_seen_more_have_finer_classes():
 
 
 @pytest.mark.parametrize("zeros", [0.5, 0.999, 1.0])
-def test_steps_are_finite_where_nothing_is_seen(zeros):
+def test_steps_of_invisible_gaussians_are_finite(zeros):
     sensitivity, opacity, scales = made_up(18, 500)
     hidden = np.random.default_rng(18).random(500) < zeros
     sensitivity = Sensitivity(*(np.where(hidden, 0.0, values) for values in sensitivity))
@@ -483,7 +483,7 @@ def test_steps_of_few_gaussians_are_finite(count):
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
-def test_scaled_profile_has_steps_so_many_times_as_large(factor):
+def test_scaled_profile_has_scaled_steps(factor):
     base = ADAPTIVE_PROFILES["m"]
     scaled = base.scaled(factor)
     assert scaled.fineness == base.fineness * factor

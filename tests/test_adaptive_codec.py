@@ -63,7 +63,7 @@ def test_guided_edge_scene_is_on_its_lattices(name):
     assert_on_lattices(Shaped.of(EDGES[name], "m", guide), data, 0.5001)
 
 
-def test_round_gaussians_have_no_rotation():
+def test_spherical_gaussians_have_no_rotation():
     scene = random_scene(3000, 0, seed=5)
     turned = replace(scene, log_scale=np.repeat(scene.log_scale[:1], 3, axis=0))
     unturned = replace(turned, rot=np.eye(4, dtype=np.float32)[:, :1].repeat(3000, axis=1))
@@ -91,7 +91,7 @@ def test_profiles_are_finer_or_smaller():
     assert len(coded["l"]) > len(coded["m"]) > len(coded["s"])
 
 
-def test_steps_are_finer_where_more_is_seen():
+def test_steps_of_more_visible_gaussians_are_finer():
     scene = random_scene(2000, 0, seed=33)
     scene = replace(scene, opacity=np.abs(scene.opacity))
     seen = np.random.default_rng(33).random(scene.count) < 0.5
@@ -113,7 +113,7 @@ def test_steps_are_finer_where_more_is_seen():
         assert rms[0] < 0.25 * rms[1], group
 
 
-def test_steps_are_coarser_where_pruning_has_lost_more():
+def test_steps_are_coarser_after_a_larger_pruning_loss():
     scene, config = random_scene(1000, 1, seed=51), Config("m")
     sensitivity = made_up_sensitivity(scene, seed=51)
     sizes = []
@@ -130,7 +130,7 @@ def shaped_order(scene: Scene, shaped: Shaped) -> np.ndarray:
     return np.array([places[value] for value in scene.opacity[0].tolist()])
 
 
-def test_a_shaped_scene_decodes_as_it_says_with_the_colours_it_is_given():
+def test_a_shaped_scene_decodes_as_predicted_with_given_colours():
     scene, config = random_scene(300, 2, seed=34), Config("m")
     shaped = shape_scene(scene, config, made_up_guide(seed=34)(scene, config), StageTimes())
     told, steps = shaped.decoded(), shaped.sh_steps()
@@ -151,7 +151,7 @@ def test_a_shaped_scene_decodes_as_it_says_with_the_colours_it_is_given():
         np.testing.assert_array_equal(getattr(told, group), getattr(decoded, group))
 
 
-def test_steps_of_other_gaussians_are_refused():
+def test_steps_for_a_different_number_of_gaussians_are_refused():
     scene, config = random_scene(50, 0, seed=39), Config("m")
     steps = made_up_guide(seed=39)(scene, config)
     with pytest.raises(ValueError, match="steps of 50 Gaussians, expected 49"):
@@ -199,7 +199,7 @@ def test_no_argument_is_changed():
         np.testing.assert_array_equal(getattr(scene, group), before[group])
 
 
-def test_extra_follows_its_gaussians():
+def test_extra_properties_stay_with_their_gaussians():
     scene = random_scene(1500, 0, seed=39)
     scene = replace(
         scene, extra={"label": np.arange(1500, dtype="<i4")}, comments=("a", ""), has_normals=True
@@ -245,7 +245,7 @@ def test_duplicates_are_matched_with_their_originals(tmp_path, monkeypatch):
     assert errors["f_dc"] < 0.25
 
 
-def test_other_scenes_are_not_matched(tmp_path, monkeypatch):
+def test_unrelated_scenes_are_not_matched(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_ply("scene.ply", random_scene(1500, 0, seed=43))
     write_ply("other.ply", random_scene(1500, 0, seed=44))
@@ -299,7 +299,7 @@ def test_every_flipped_bit_is_refused(guided):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
-def test_flipped_bits_under_right_checksums_are_survived(guided):
+def test_flipped_bits_with_correct_checksums_do_not_crash(guided):
     stream = small(guided)
     for bit in range(int(guided), 8 * len(stream), 9):  # one bit per byte: all take a minute
         damaged = bytearray(stream)
@@ -317,7 +317,7 @@ def damageable(seed: int) -> bytes:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("seed", range(60))
-def test_random_changes_under_right_checksums_are_survived(seed):
+def test_random_changes_with_correct_checksums_do_not_crash(seed):
     rng = np.random.default_rng(seed)
     data = bytearray(damageable(seed % 12))
     for _ in range(rng.integers(1, 6)):
@@ -382,7 +382,7 @@ def test_hostile_lattice_is_refused(name, guided):
         assert "\n" not in str(error.value)
 
 
-def test_offsets_of_the_hostile_lattice_are_right():
+def test_offsets_used_by_the_hostile_lattice_test_are_correct():
     """Otherwise the test above would test something else."""
     content = read_file(small(False)).section(SectionId.LATTICE)
     lattice, models = read_lattice(content, 3)
@@ -394,7 +394,7 @@ def test_offsets_of_the_hostile_lattice_are_right():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_hostile_rules_are_survived_seed(seed):
+def test_hostile_rules_do_not_crash_seed(seed):
     """Any numbers are valid rules; they can only make the stream corrupt."""
     rng = np.random.default_rng(seed)
     for rule in range(len(RULES)):
@@ -490,7 +490,7 @@ def test_a_false_count_does_not_allocate(profile, count):
         decode_part(with_checksums(data), Part((0.0, 0, 0, 1, 1, 1)))
 
 
-def test_decoder_refuses_more_than_it_may_hold():
+def test_decoder_refuses_scenes_above_the_size_limit():
     with pytest.raises(CorruptStream, match="the limit is 1,000"):
         decode_scene(small(False), max_bytes=1000)
 
@@ -507,7 +507,7 @@ def test_nonfinite_values_are_refused_or_dropped(group, value):
     assert_on_lattices(Shaped.of(kept, "m"), data, 1.5001)
 
 
-def test_progress_counts_every_stage_to_its_end():
+def test_progress_reaches_the_total_of_every_stage():
     seen = {}
 
     def progress(stage, done, total):

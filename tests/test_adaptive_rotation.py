@@ -117,7 +117,7 @@ def posed(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("pole", [0, 2])
 @pytest.mark.parametrize("name", TURNED)
-def test_fine_steps_give_every_pose_back(name, pole):
+def test_fine_steps_recover_every_pose(name, pole):
     coarser = {f"turn_{pole}": StepRule(1 << 16, limit=1)}
     shape, _, before, decoded = walked(lattice_of(4, **coarser), *posed(name))
     assert (shape.poles == pole).all()
@@ -139,7 +139,7 @@ def test_turns_are_within_half_a_step(name, step):
     np.testing.assert_allclose(np.linalg.norm(decoded, axis=0), 1, atol=1e-6)
 
 
-def test_round_gaussians_are_not_turned():
+def test_spherical_gaussians_are_not_rotated():
     shape, _, _, decoded = walked(lattice_of(4), *posed("round"))
     assert not shape.turns.any()
     np.testing.assert_array_equal(decoded, np.eye(4)[:1].T.repeat(decoded.shape[1], axis=1))
@@ -153,7 +153,7 @@ def test_steps_above_the_largest_are_not_coded():
 
 
 @pytest.mark.parametrize(("name", "pole"), [("needle", 0), ("disc", 2)])
-def test_a_pole_keeps_its_direction_whatever_its_roll(name, pole):
+def test_the_pole_keeps_its_direction_for_any_roll(name, pole):
     """The invisible roll is not coded; the visible axis keeps its direction."""
     log_scale, rot = posed(name)
     uncoded = {f"turn_{pole}": StepRule(20 << 16, limit=20)}

@@ -88,7 +88,7 @@ ODD = (
 
 
 @pytest.mark.parametrize("count", [3000, 30000])
-def test_independent_channels_tell_nothing_of_each_other(count):
+def test_independent_channels_have_no_information(count):
     rng = np.random.default_rng(1)
     first, second = rng.laplace(size=(6, count)), rng.laplace(size=(8, count))
     found = information_of(first, second)
@@ -99,7 +99,7 @@ def test_independent_channels_tell_nothing_of_each_other(count):
     assert np.abs(found.corrected).max() < found.raw.max()
 
 
-def test_equal_channels_tell_everything():
+def test_equal_channels_have_full_information():
     values = np.random.default_rng(2).normal(size=(3, 5000))
     found = information_of(values, np.exp(-values))
     np.testing.assert_allclose(np.diag(found.corrected), 1.0)
@@ -107,7 +107,7 @@ def test_equal_channels_tell_everything():
     assert np.abs(found.corrected[~np.eye(3, dtype=bool)]).max() < 0.01
 
 
-def test_information_is_that_of_the_table_of_both():
+def test_information_equals_that_of_the_joint_table():
     from scipy.stats import entropy
 
     rng = np.random.default_rng(3)
@@ -126,7 +126,7 @@ def test_information_is_that_of_the_table_of_both():
     assert found.corrected[0, 0] == pytest.approx(expected, abs=0.02)
 
 
-def test_bins_hold_equally_many_and_equal_values_share_one():
+def test_bins_have_equal_counts_and_equal_values_share_one():
     rng = np.random.default_rng(4)
     values = rng.laplace(size=(1, 6400)).astype(np.float32)
     assert np.bincount(into_bins(values, 32)[0]).tolist() == [200] * 32
@@ -150,7 +150,7 @@ def test_bins_of_equal_widths_are_those_of_a_histogram():
     assert np.all(counts[[0, -1]] == expected[[0, -1]] + [20, 20])
 
 
-def test_outliers_do_not_leave_all_values_in_one_bin():
+def test_outliers_do_not_put_all_other_values_in_one_bin():
     values = np.random.default_rng(21).normal(size=(1, 10000)).astype(np.float32)
     values[0, :5] = [1e30, -1e30, 1e6, -1e6, 1e9]
     codes = into_bins(values, 16, "widths")[0]
@@ -159,7 +159,7 @@ def test_outliers_do_not_leave_all_values_in_one_bin():
     assert codes[[1, 3]].tolist() == [0] * 2
 
 
-def test_rare_values_beside_one_have_bins_of_equal_widths():
+def test_rare_values_next_to_a_frequent_one_have_equal_bins():
     values = np.zeros((2, 10000), np.float32)
     values[0, :3] = [1, 2, 4]  # both quantiles are 0
     codes = into_bins(values, 4, "widths")
@@ -175,7 +175,7 @@ def test_small_samples_have_few_bins(count, bins):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 100])
-def test_constant_channels_tell_nothing(count):
+def test_constant_channels_have_no_information(count):
     constant = np.full((2, count), 3.0, np.float32)
     varying = np.arange(count, dtype=np.float32)[None]
     for found in (information_of(constant, varying), information_of(constant, constant)):
@@ -183,14 +183,14 @@ def test_constant_channels_tell_nothing(count):
         assert not found.corrected.any()
 
 
-def test_the_seed_decides_what_is_shuffled():
+def test_the_seed_determines_the_shuffle():
     values = np.random.default_rng(5).normal(size=(4, 500))
     once, again, other = (information_of(values, values, seed).bias for seed in (1, 1, 2))
     assert np.array_equal(once, again)
     assert not np.array_equal(once, other)
 
 
-def test_maps_show_what_was_put_into_a_scene():
+def test_maps_show_injected_dependencies():
     scene = random_scene(5000, 1, seed=6)
     rest = scene.f_rest.copy()
     rest[3:6] = rest[:3] * 2  # green follows red, coefficient by coefficient
@@ -215,7 +215,7 @@ def test_maps_show_what_was_put_into_a_scene():
     assert maps["sh-ac-others"].columns[7] == "B 2"
 
 
-def test_colours_stuck_at_black_are_told_apart():
+def test_gaussians_with_zero_sh_colours_are_distinguished():
     scene = random_scene(4000, 1, seed=7)
     rest = scene.f_rest.copy()
     rest[:3, :1000] = 1e-6  # a quarter of red is tiny, because some formats have no exact zero
@@ -229,7 +229,7 @@ def test_colours_stuck_at_black_are_told_apart():
     assert abs(other) < 0.01
 
 
-def test_luma_and_chroma_part_what_colours_share():
+def test_luma_and_chroma_decorrelate_colours():
     scene = random_scene(5000, 0, seed=8)  # grey with a little of each colour
     maps = maps_of(scene, bin_count(5000), 0)
     off = ~np.eye(3, dtype=bool)
@@ -279,7 +279,7 @@ def test_a_known_laplace_distribution_is_recovered():
     np.testing.assert_allclose(fit.pdf(np.array([0.1])), laplace.pdf(0.1, 0.2, 0.05), rtol=0.1)
 
 
-def test_zeros_are_what_a_laplace_distribution_cannot_explain():
+def test_zeros_are_the_misfit_of_a_laplace_distribution():
     rng = np.random.default_rng(11)
     values = rng.laplace(0.0, 0.05, (9, 20000)).astype(np.float32)
     values[:, :6000] = 0
@@ -337,7 +337,7 @@ def test_the_entropy_table_is_that_of_the_symbols():
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
-def test_bits_of_attributes_make_up_the_file(profile):
+def test_bits_of_attributes_add_up_to_the_file(profile):
     data, report = encode_scene(random_scene(800, 1, seed=14), Config(profile))
     bits = bits_by_attribute(report, 1)
     assert set(bits) == GROUPS
@@ -360,7 +360,7 @@ def measured():
 
 
 @pytest.mark.thorough
-def test_more_error_is_worse_to_look_at(measured):
+def test_larger_errors_lower_the_quality(measured):
     _, _, found, steps = measured
     names = {"positions", "SH-DC", "SH-AC", "opacity", "scaling", "rotation"}
     assert {curve.attribute for curve in found.curves} == names
@@ -376,7 +376,7 @@ def test_more_error_is_worse_to_look_at(measured):
     assert steps[-1] == ("sensitivity", 6 * len(LEVELS), 6 * len(LEVELS))
 
 
-def test_the_order_is_that_of_tolerances(measured):
+def test_attributes_are_ordered_by_tolerance(measured):
     _, _, found, _ = measured
     known = [curve.tolerance for curve in found.ranked() if curve.tolerance is not None]
     assert known == sorted(known)
@@ -385,7 +385,7 @@ def test_the_order_is_that_of_tolerances(measured):
     assert set(content["curves"]) == set(content["most_sensitive_first"])
 
 
-def test_the_least_level_is_the_most_that_can_be_told():
+def test_the_lowest_level_bounds_the_tolerance():
     steep, flat = [20.0] * len(LEVELS), [90.0] * len(LEVELS)
     falling = [90.0] * 4 + [50.0, 30.0] + [10.0] * (len(LEVELS) - 6)
     assert level_at(THRESHOLD, tuple(steep)) == LEVELS[0]
@@ -419,7 +419,7 @@ def test_errors_over_the_mean_are_those_of_the_noise(measured):
             assert papers.tolerance == pytest.approx(unit * ours.tolerance**2)
 
 
-def test_the_scale_decides_the_order(measured):
+def test_the_error_scale_determines_the_order(measured):
     scene, cameras, found, _ = measured
     assert found.ranked()[0].attribute == "positions"
     # The unit of length changes absolute errors, but not errors in standard deviations.
@@ -459,7 +459,7 @@ def test_constant_attributes_have_no_error_over_the_mean():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ODD)
-def test_odd_scenes_are_analysed(name):
+def test_edge_scenes_are_analysed(name):
     analysis = analyse_scene(edge_scenes()[name], name)
     content = strict_json(json.dumps(analysis.as_dict()))
     assert content["gaussians"] == analysis.count
@@ -468,7 +468,7 @@ def test_odd_scenes_are_analysed(name):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["one", "five of degree 0", "huge range", "zero SH-AC"])
-def test_odd_scenes_are_drawn(name):
+def test_edge_scenes_are_plotted(name):
     scene = edge_scenes()[name]
     analysis = analyse_scene(replace(scene, f_rest=scene.f_rest[:9]), name)
     for data in draw_pictures(analysis).values():
@@ -484,7 +484,7 @@ def test_no_gaussians_are_refused():
         analyse_scene(bad, "x")
 
 
-def test_what_is_left_out_is_said():
+def test_omissions_are_reported():
     scene = random_scene(2000, 1, seed=16)
     opacity = scene.opacity.copy()
     opacity[0, 5] = np.nan
@@ -499,7 +499,7 @@ def test_what_is_left_out_is_said():
     assert "f_rest_8" in notes
 
 
-def test_matplotlib_is_asked_for(monkeypatch):
+def test_missing_matplotlib_is_reported(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(MissingTool, match="matplotlib"):
         new_figure(1, 1)
@@ -529,7 +529,7 @@ def no_ink(monkeypatch):
     monkeypatch.setattr(plots, "png_of", lambda plot, *args: plot(*args) and b"\x89PNG")
 
 
-def test_numbers_alone_need_no_matplotlib(folder, monkeypatch):
+def test_numbers_without_plots_need_no_matplotlib(folder, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     write_ply(folder.path / "scene.ply", random_scene(300, 1, seed=17))
     before = folder.contents()
@@ -541,7 +541,7 @@ def test_numbers_alone_need_no_matplotlib(folder, monkeypatch):
 
 @pytest.mark.usefixtures("few_cameras")
 @pytest.mark.parametrize("degree", [thorough(0), 1, thorough(3)])
-def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
+def test_command_writes_a_self_contained_report(folder, degree):
     write_ply(folder.path / "scene.ply", random_scene(600, degree, seed=17))
     views = ("--cameras", "auto", "--width", "40") if degree == 1 else ()
     status, out, err = folder.run("analyze", "scene.ply", "--out", "report", "--json", *views)
@@ -611,7 +611,7 @@ def test_command_prints_a_summary(folder):
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("no_ink")
-def test_command_gives_errors_over_the_mean_and_either_bins(folder):
+def test_command_reports_relative_errors_and_both_kinds_of_bins(folder):
     write_ply(folder.path / "scene.ply", random_scene(600, 1, seed=23))
     given = ("analyze", "scene.ply", "--out", "report", "--cameras", "auto", "--width", "30")
     status, out, err = folder.run(*given, "--error-scale", "mean", "--json")
@@ -636,7 +636,7 @@ def test_command_gives_errors_over_the_mean_and_either_bins(folder):
     assert "--error-scale median: expected deviation or mean" in line
 
 
-def test_command_refuses_what_it_cannot_use(folder):
+def test_command_refuses_unusable_input(folder):
     write_ply(folder.path / "empty.ply", random_scene(0))
     write_ply(folder.path / "scene.ply", random_scene(50, 0))
     (folder.path / "file").write_text("")

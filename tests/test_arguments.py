@@ -118,7 +118,7 @@ def test_wrong_types_of_fields_are_one_line(each):
             assert name.removesuffix("s") in str(error.value)
 
 
-def test_profiles_are_taken_by_name():
+def test_profiles_are_accepted_by_name():
     cloud = gs_codec.read("a.ply")
     data = gs_codec.encode(cloud, "s")
     assert data == gs_codec.encode(cloud, gs_codec.Config("s")) == gs_codec.encode(cloud, "low")
@@ -133,7 +133,7 @@ def test_profiles_are_taken_by_name():
         gs_codec.encode(cloud, "best")
 
 
-def test_paths_are_taken_where_people_type_them():
+def test_paths_are_accepted_as_strings():
     assert (
         gs_codec.encode("a.ply", "s") == Path("file2.egs").read_bytes()
         if (gs_codec.encode_file("a.ply", "file2.egs", "s"))
@@ -166,7 +166,7 @@ def test_paths_are_taken_where_people_type_them():
         (lambda: gs_codec.RateTarget(size="5MB"), "size: str '5MB', expected int"),
     ],
 )
-def test_what_errors_say(call, text):
+def test_error_messages(call, text):
     if text is None:  # Python itself reports an unknown parameter
         with pytest.raises(TypeError, match="threads"):
             call()
@@ -176,7 +176,7 @@ def test_what_errors_say(call, text):
     assert str(error.value).startswith(text)
 
 
-def test_nothing_overwrites_unless_asked():
+def test_nothing_is_overwritten_by_default():
     cloud, cameras = gs_codec.read("a.ply"), gs_codec.render("a.ply", width=24).cameras
     plan = gs_codec.Plan(gs_codec.Steps(prune=20), cameras[:2])
     calls = {

@@ -115,7 +115,7 @@ def test_auto_cameras_are_upright(around):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("sign", [1, -1])
-def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
+def test_up_follows_the_cameras_if_there_is_no_floor(sign):
     scene = table_upwards(sign)
     scene.f_rest[:, 2500:] = 0
     scene.log_scale[1, :2500] = -3.4  # the normals of the ball are horizontal
@@ -127,7 +127,7 @@ def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
-def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
+def test_auto_cameras_are_upright_for_a_given_axis(table):
     up = np.array([0.0, 0.6, 0.8])
     found = estimate_views(table, 12, up)
     for view in found.cameras:
@@ -160,7 +160,7 @@ def directions_near(axis: list[float], spread: float) -> np.ndarray:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("sign", [1, -1])
-def test_up_is_uncertain_before_what_may_be_a_wall(sign, table):
+def test_up_is_uncertain_if_the_floor_may_be_a_wall(sign, table):
     assert gather_evidence(table).up_certain
     found = gather_evidence(flat_scene({0: 3000}, directions_near([sign, 0.0, 0.0], 0.3)))
     assert found.telling
@@ -170,7 +170,7 @@ def test_up_is_uncertain_before_what_may_be_a_wall(sign, table):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("flat", "up"), [(3000, [0, -1, 0]), (4000, [1, 0, 0])])
-def test_of_two_axes_as_likely_up_is_that_of_captures(flat, up):
+def test_of_two_equally_likely_up_axes_the_usual_one_is_chosen(flat, up):
     """With 3,000 Gaussians across x, that axis is slightly likelier than y; with more, clearly."""
     places = directions_near([1.0, -1.0, 0.0], 0.2)
     found = gather_evidence(flat_scene({0: flat, 1: 2000}, places))
@@ -211,7 +211,7 @@ def slab(normal: np.ndarray, share: float) -> Scene:
         ([0.0, 0.0, 1.0], 0.01, [0.0, -1.0, 0.0]),
     ],
 )
-def test_where_nothing_tells_up_is_that_of_a_floor_or_of_trainers(normal, share, up):
+def test_without_evidence_up_is_from_the_floor_or_the_trainers_axis(normal, share, up):
     found = gather_evidence(slab(np.array(normal), share))
     assert not found.telling
     np.testing.assert_allclose(found.up, up, atol=0.05)
@@ -219,7 +219,7 @@ def test_where_nothing_tells_up_is_that_of_a_floor_or_of_trainers(normal, share,
 
 
 @pytest.mark.thorough
-def test_the_overview_of_many_gaussians_is_that_of_the_best_judged_in_full(still_life, monkeypatch):
+def test_the_best_overviews_are_compared_with_all_gaussians(still_life, monkeypatch):
     full = auto_cameras(still_life, 2)
     monkeypatch.setattr(module, "_ROUGH", 1000)
     judged, rate = [], module._rate_overviews
@@ -236,7 +236,7 @@ def test_the_overview_of_many_gaussians_is_that_of_the_best_judged_in_full(still
 
 
 @pytest.mark.thorough
-def test_the_overview_shows_all_of_a_thing_with_nothing_around():
+def test_the_overview_shows_a_whole_object_without_surroundings():
     rng = np.random.default_rng(95)
     tower = replace(
         random_scene(5000, 0, seed=96),
@@ -252,7 +252,7 @@ def test_the_overview_shows_all_of_a_thing_with_nothing_around():
 
 
 @pytest.mark.thorough
-def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
+def test_the_first_auto_camera_shows_the_whole_detailed_subject(table):
     [view] = auto_cameras(table, 1)
     x, y, z = view.rotation @ (table.positions[:, :2500] - view.position[:, None])
     assert (z > 0).all()
@@ -263,7 +263,7 @@ def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
 @pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize("degree", [0, 3])
-def test_noise_does_not_tell_where_cameras_were(degree, caplog):
+def test_camera_positions_are_not_estimated_from_noise(degree, caplog):
     scene = random_scene(3000, degree, seed=9)
     assert not estimate_views(scene, 1).telling
     plan = Plan(Steps(), "auto")
@@ -275,7 +275,7 @@ def test_noise_does_not_tell_where_cameras_were(degree, caplog):
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
-def test_views_to_work_by_are_many_and_small(table):
+def test_guiding_views_are_many_and_small(table):
     found = guiding_cameras(table, 5)
     assert [(view.width, view.height) for view in found.cameras] == [(WIDTH // 2, HEIGHT // 2)] * 20
     assert len({view.name for view in found.cameras}) == 20
@@ -283,7 +283,7 @@ def test_views_to_work_by_are_many_and_small(table):
 
 
 @pytest.mark.thorough
-def test_views_to_work_by_are_larger_where_gaussians_are_many():
+def test_guiding_views_are_larger_in_scenes_with_many_gaussians():
     found = guiding_cameras(generate(30_000, 1, 0), 3)
     [size] = {(view.width, view.height) for view in found.cameras}
     assert WIDTH // 2 < size[0] < WIDTH / np.sqrt(2) - 1
@@ -296,12 +296,12 @@ def test_views_to_work_by_are_larger_where_gaussians_are_many():
 @pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize(("width", "number"), [(60, 12), (WIDTH, 6), (900, 6)])
-def test_views_to_work_by_have_the_width_asked_for(still_life, width, number):
+def test_guiding_views_have_the_requested_width(still_life, width, number):
     found = guiding_cameras(still_life, 3, width)
     assert [view.width for view in found.cameras] == [width] * number
 
 
-def test_cameras_that_see_most_are_those_of_a_greedy_choice():
+def test_cameras_that_see_most_are_selected_greedily():
     rng = np.random.default_rng(97)
     weights = (rng.random((40, 300)) ** 8).astype(np.float32)
     views = list(rng.permutation(40))
@@ -350,7 +350,7 @@ def test_auto_cameras_go_around_an_object():
 
 
 @pytest.mark.thorough
-def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
+def test_auto_cameras_fill_the_image_with_a_tiny_scene():
     rng = np.random.default_rng(99)
     normal = rng.standard_normal((3, 3000))
     normal /= np.linalg.norm(normal, axis=0)
@@ -374,14 +374,14 @@ def test_auto_cameras_see_something_of_edge_scenes(name):
     assert render(scene, views[0].resized(60, 40)).alpha.max() > 0
 
 
-def test_nothing_cannot_be_looked_at():
+def test_an_empty_scene_has_no_auto_cameras():
     with pytest.raises(InvalidInput, match="cameras 'auto': no view shows anything of the scene"):
         auto_cameras(random_scene(0))
 
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
-def test_auto_cameras_skip_what_is_not_finite(still_life):
+def test_auto_cameras_ignore_nonfinite_gaussians(still_life):
     positions = still_life.positions.copy()
     positions[:, ::3] = np.nan
     views = auto_cameras(replace(still_life, positions=positions), 4)

@@ -41,7 +41,7 @@ def test_coarser_steps_leave_fewer_gaussians(seen):
 @pytest.mark.parametrize(
     "steps", [{"prune": 0}, {"prune": 10}, {"prune_importance": 10}, {"prune_max_psnr_drop": 0.0}]
 )
-def test_what_is_asked_for_is_what_goes(seen, steps):
+def test_the_requested_number_is_pruned(seen, steps):
     scene, plan = seen
     asked = Steps(refine=1, **steps)
     assert not asked.balanced
@@ -49,12 +49,12 @@ def test_what_is_asked_for_is_what_goes(seen, steps):
     assert left(scene, replace(plan, steps=asked), 1e-2) == expected
 
 
-def test_nothing_goes_without_refinement():
+def test_nothing_is_pruned_without_refinement():
     assert not Steps(compact_sh=1e-5).balanced
     assert not Steps(prune=0).wanted
 
 
-def test_rounds_are_weighed_against_the_one_before(seen):
+def test_rounds_are_compared_with_the_previous_one(seen):
     scene, plan = seen
     renders = choose_views(scene, plan).renders.evenly(16)
     half = scene.take(range(0, scene.count, 2))
@@ -107,7 +107,7 @@ def test_error_of_the_steps_of_a_size(seen):
     assert found[1](1.0, 0.0) > found[0](1.0, 0.0) == pytest.approx(found[1](0.5, 0.0))
 
 
-def test_error_of_the_steps_of_a_size_without_cameras_to_trust(seen):
+def test_error_of_the_steps_of_a_size_without_reliable_cameras(seen):
     scene, plan = seen
     views = choose_views(scene, plan)
     guided, *blind = (
@@ -131,7 +131,7 @@ def test_error_of_the_steps_of_a_loss(seen):
     assert found(1.0, 2 * whole) == 0.0
 
 
-def test_profiles_without_steps_prune_as_the_default():
+def test_profiles_without_steps_prune_like_the_default():
     for profile, like in (("lossless", "m"), ("l", "l")):
         assert profile_steps(Config(profile))(None)(1.0, 0.0) == ADAPTIVE_PROFILES[like].error
 

@@ -117,14 +117,14 @@ def test_tree_is_mirrored_and_reported(folder):
         ("file://{here}/in/sub", ["b", "deeper/c"]),
     ],
 )
-def test_tree_begins_where_the_glob_is_no_longer_fixed(folder, source, outputs):
+def test_output_tree_starts_at_the_first_wildcard(folder, source, outputs):
     source = source.format(here=folder.path)
     assert folder.run("batch", source, "out").status == 0
     found = [str(path.relative_to("out").with_suffix("")) for path in Path("out").rglob("*.egs")]
     assert sorted(found) == outputs
 
 
-def test_options_are_those_of_encode(folder):
+def test_options_equal_those_of_encode(folder):
     options = ("-p", "paper-s", "--depth", "rotation=9", "--extra", "drop", "--threads", "2")
     assert folder.run("batch", "in/*.ply", "out", *options, "--json").status == 0
     config = Config("paper-s", {"rotation": 9}, extra="drop")
@@ -143,7 +143,7 @@ def test_batch_has_the_options_of_encode():
     assert without == batch.command.epilog
 
 
-def test_ratios_count_from_raw_floats_though_scenes_come_compressed(folder):
+def test_ratios_are_relative_to_floats_for_compressed_sources(folder):
     Path("packed").mkdir()
     write_scene("packed/a.splat", read_ply("in/a.ply"), Config())
     assert folder.run("batch", "packed", "out", "--target-ratio", "3").status == 0
@@ -178,7 +178,7 @@ def test_summary_as_json(folder):
     assert found.output_bytes == sum(path.stat().st_size for path in Path("out").rglob("*.egs"))
 
 
-def test_error_stops_if_it_is_to(folder):
+def test_an_error_stops_the_batch_on_request(folder):
     Path("in/sub/b.ply").write_text("no scene")
     status, out, _ = folder.run("batch", "in", "out", "--on-error", "stop")
     assert status == 1
@@ -189,7 +189,7 @@ def test_error_stops_if_it_is_to(folder):
     assert error["text"].startswith(f"{Path('in/sub/b.ply').absolute()}: not a readable PLY")
 
 
-def test_what_was_changed_and_warned_of_is_reported(folder):
+def test_changes_and_warnings_are_reported(folder):
     scene = random_scene(200, 0)
     scene.rot[:, 3] = 0
     write_ply("in/a.ply", scene)
@@ -202,7 +202,7 @@ def test_what_was_changed_and_warned_of_is_reported(folder):
     assert "warning: " in err
 
 
-def test_what_preparation_did_is_reported(folder):
+def test_preparation_is_reported(folder):
     write_ply("in/a.ply", random_scene(200, 0))
     prune = ["--prune", "50", "--cameras", "auto", "--views", "2", "--width", "32"]
     assert folder.run("batch", "in/a.ply", "out", *prune)[0] == 0
@@ -216,7 +216,7 @@ def test_what_preparation_did_is_reported(folder):
 # Links
 
 
-def test_links_to_folders_above_are_not_followed(folder, caplog):
+def test_links_to_parent_folders_are_not_followed(folder, caplog):
     Path("in/sub/up").symlink_to("..")
     Path("in/sub/above").symlink_to("../..")
     for source in ("in", "in/**/*.ply", "in/sub/**/*.ply", "in/**/**/*.ply"):
@@ -239,7 +239,7 @@ def test_folders_of_many_links_are_read_once(folder, caplog, source):
 
 
 @pytest.mark.parametrize("source", ["in", "in/**/*.ply", "in/*/*.ply"])
-def test_scene_that_links_lead_to_is_encoded_once(folder, caplog, source):
+def test_linked_scene_is_encoded_once(folder, caplog, source):
     write_ply("far.ply", random_scene(200, 0, seed=7))
     Path("far").mkdir()
     Path("far.ply").rename("far/d.ply")
@@ -253,7 +253,7 @@ def test_scene_that_links_lead_to_is_encoded_once(folder, caplog, source):
     assert "in/sub/0.ply: the same file as " in caplog.text
 
 
-def test_folder_that_cannot_be_read_is_said(folder, caplog):
+def test_unreadable_folder_is_reported(folder, caplog):
     real = os.scandir
 
     def closed(path: str) -> Any:
@@ -292,7 +292,7 @@ def test_folder_that_cannot_be_read_is_said(folder, caplog):
         (("in", "out", "--report", "s3://a:b@c"), "report s3://a@c: expected a local file"),
     ],
 )
-def test_wrong_use_is_one_line(folder, arguments, text):
+def test_usage_errors_are_one_line(folder, arguments, text):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     before = {name for name in folder.contents() if name != "out"}
     status, out, err = folder.run("batch", *arguments)
@@ -311,7 +311,7 @@ def test_two_sources_of_one_output_are_refused(folder):
     assert f" would both be written to {Path('out/a.ply.egs').absolute()}" in err
 
 
-def test_keys_of_a_store_do_not_lead_out_of_the_folder(folder):
+def test_keys_of_an_object_store_stay_in_the_folder(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     store = storage_of("memory://")._fs
     folder.monkeypatch.setattr(store, "find", lambda *_, **__: {"/way/../../out.ply": {}})
@@ -325,7 +325,7 @@ def test_scene_is_not_written_over_itself(folder):
     assert "a.egs: input and output are the same file" in folder.refuse("batch", "in/a.egs", "in")
 
 
-def test_other_file_is_not_taken_for_a_report(folder):
+def test_unrelated_file_is_not_used_as_a_report(folder):
     Path("thesis.txt").write_text("Chapter 1\n")
     err = folder.refuse("batch", "in", ".", "--report", "thesis.txt")
     assert "thesis.txt: exists and is not a report of gs-codec batch" in err
@@ -361,7 +361,7 @@ def resumed(folder: Folder, *options: str) -> Summary:
     return summary_of(out)
 
 
-def test_complete_scenes_are_left_alone(folder):
+def test_complete_scenes_are_skipped(folder):
     assert resumed(folder).done == 3
     before = folder.contents()
     again = resumed(folder, "--threads", "2")
@@ -379,7 +379,7 @@ def test_complete_scenes_are_left_alone(folder):
     ],
     ids=["input", "no output", "short output", "other output"],
 )
-def test_what_changed_is_done_again(folder, change):
+def test_changed_scenes_are_encoded_again(folder, change):
     resumed(folder)
     change()
     again = resumed(folder)
@@ -388,26 +388,26 @@ def test_what_changed_is_done_again(folder, change):
     assert resumed(folder).skipped == 3
 
 
-def test_input_that_was_only_touched_is_not(folder):
+def test_touched_input_with_equal_content_is_skipped(folder):
     resumed(folder)
     os.utime("in/a.ply", (1, 1))
     assert resumed(folder).skipped == 3
 
 
-def test_input_of_the_same_size_and_another_time_is(folder):
+def test_changed_input_of_equal_size_is_encoded_again(folder):
     resumed(folder)
     write_ply("in/a.ply", random_scene(200, 0, seed=9))
     os.utime("in/a.ply", (1, 1))
     assert resumed(folder).done == 1
 
 
-def test_other_options_do_all_again(folder):
+def test_different_options_encode_everything_again(folder):
     resumed(folder)
     assert resumed(folder, "--profile", "s").done == 3
     assert resumed(folder, "--profile", "s").skipped == 3
 
 
-def test_other_version_does_all_again(folder):
+def test_a_different_version_encodes_everything_again(folder):
     resumed(folder)
     text = Path("out/report.jsonl").read_text()
     Path("out/report.jsonl").write_text(
@@ -416,7 +416,7 @@ def test_other_version_does_all_again(folder):
     assert resumed(folder).done == 3
 
 
-def test_failures_are_tried_again(folder):
+def test_failures_are_retried(folder):
     good = Path("in/a.ply").read_bytes()
     Path("in/a.ply").write_bytes(good[:-1])
     assert folder.run("batch", "in", "out").status == 1
@@ -425,14 +425,14 @@ def test_failures_are_tried_again(folder):
     assert (again.done, again.skipped) == (1, 2)
 
 
-def test_without_resume_the_report_begins_anew(folder):
+def test_without_resume_a_new_report_is_started(folder):
     resumed(folder)
     status, out, _ = folder.run("batch", "in", "out", "--overwrite")
     assert (status, len(records())) == (0, 3)
     assert out.startswith("3 scenes encoded; ")
 
 
-def test_what_an_earlier_batch_wrote_is_refused_unless_it_may_go(folder):
+def test_existing_outputs_are_refused_without_overwrite(folder):
     assert folder.run("batch", "in/a.ply", "out").status == 0
     assert "out/a.egs: already exists; pass --resume or" in folder.refuse(
         "batch", "in/a.ply", "out"
@@ -442,7 +442,7 @@ def test_what_an_earlier_batch_wrote_is_refused_unless_it_may_go(folder):
     assert "cannot be combined" in folder.refuse("batch", "in", "out", "--resume", "--overwrite")
 
 
-def test_half_written_files_go(folder):
+def test_incomplete_files_are_removed(folder):
     Path("out/sub").mkdir(parents=True)
     ours = [Path("out/.a.egs.0123abcd"), Path("out/sub/.b.egs.ffffffff")]
     others = [Path("out/.a.egs.0123"), Path("out/.c.egs.0123abcd"), Path("out/.a.egs.0123ABCD")]
@@ -458,7 +458,7 @@ def test_half_written_files_go(folder):
 
 @pytest.mark.parametrize("target", ["out", "local://{here}/out"])
 @pytest.mark.parametrize("nameless", [True, False])
-def test_two_batches_leave_each_others_unfinished_outputs(folder, target, nameless):
+def test_batches_keep_each_others_unfinished_outputs(folder, target, nameless):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     target = target.format(here=folder.path)
     arguments = ("batch", "in/a.ply", target)
@@ -483,7 +483,7 @@ def test_two_batches_leave_each_others_unfinished_outputs(folder, target, namele
     assert [path.name for path in Path("out").iterdir()] == ["a.egs"]
 
 
-def test_temporary_names_are_known_again(tmp_path, monkeypatch):
+def test_temporary_names_are_recognised(tmp_path, monkeypatch):
     monkeypatch.delattr(os, "O_TMPFILE", raising=False)
     name = "x" * 120 + ".egs"
     with atomic_writer(tmp_path / name) as file:
@@ -492,7 +492,7 @@ def test_temporary_names_are_known_again(tmp_path, monkeypatch):
     assert leftovers(os.listdir(tmp_path), [name]) == []
 
 
-def test_source_that_changes_meanwhile_is_an_error(folder):
+def test_source_changed_during_encoding_is_an_error(folder):
     original = local.LocalStorage.fetch
 
     def fetch(self, file: Location, into: Path) -> Path:
@@ -505,7 +505,7 @@ def test_source_that_changes_meanwhile_is_an_error(folder):
     assert not Path("out/a.egs").exists()
 
 
-def test_pipe_is_not_waited_for(folder):
+def test_named_pipe_does_not_block(folder):
     os.mkfifo("in/pipe.ply")
     assert folder.run("batch", "in", "out").status == 1
     assert [r["error"]["text"] for r in records() if r["error"]] == [
@@ -513,7 +513,7 @@ def test_pipe_is_not_waited_for(folder):
     ]
 
 
-def test_link_in_a_circle_is_the_error_of_one_scene(folder):
+def test_circular_link_is_an_error_of_one_scene(folder):
     Path("in/circle.ply").symlink_to("circle.ply")
     assert folder.run("batch", "in", "out").status == 1
     errors = [r["error"]["text"] for r in records() if r["error"]]
@@ -521,7 +521,7 @@ def test_link_in_a_circle_is_the_error_of_one_scene(folder):
     assert len(records()) == 4
 
 
-def test_surprises_are_errors_of_their_scene(folder):
+def test_unexpected_exceptions_are_errors_of_one_scene(folder):
     def surprise(*arguments: Any, **options: Any) -> None:
         raise ZeroDivisionError
 
@@ -561,17 +561,17 @@ GARBAGE = [
 
 
 @pytest.mark.parametrize("line", GARBAGE, ids=range(len(GARBAGE)))
-def test_line_that_is_no_record_is_none(line):
+def test_invalid_line_is_not_a_record(line):
     assert parse_record(line) is None
 
 
-def test_line_that_is_a_record_is_one():
+def test_valid_line_is_a_record():
     assert parse_record(GOOD.encode()) == Record("s", "o", input_bytes=3)
     later = GOOD[:-1] + ', "what later versions have": [1]}'
     assert parse_record(later.encode()) == Record("s", "o", input_bytes=3)
 
 
-def test_garbage_in_a_report_is_left_aside(folder, caplog):
+def test_garbage_in_a_report_is_ignored(folder, caplog):
     resumed(folder)
     report = Path("out/report.jsonl")
     first, *rest = report.read_bytes().splitlines()
@@ -583,7 +583,7 @@ def test_garbage_in_a_report_is_left_aside(folder, caplog):
 
 
 @pytest.mark.parametrize("torn", [b'{"sche', b'{"sour'])
-def test_torn_only_line_is_still_a_report(folder, torn):
+def test_report_with_only_a_truncated_line_is_accepted(folder, torn):
     Path("out").mkdir()
     Path("out/report.jsonl").write_bytes(torn)
     assert resumed(folder).done == 3
@@ -593,7 +593,7 @@ def test_torn_only_line_is_still_a_report(folder, torn):
 # Options
 
 
-def test_digest_tells_what_bytes_depend_on(tmp_path):
+def test_digest_covers_everything_the_bytes_depend_on(tmp_path):
     cameras = tmp_path / "cameras.json"
     cameras.write_text("[]")
     plan = Plan(Steps(), cameras=str(cameras))
@@ -625,7 +625,7 @@ def task(name: str, need: int) -> Task:
     return Task(name, file, file, (name, name), local.Stamp(0, 0), need)
 
 
-def test_tasks_start_as_they_fit():
+def test_tasks_start_when_they_fit_into_memory():
     pool = Pool(3, 100, "")
     pool._waiting.extend([large := task("large", 150), small := task("small", 40)])
     pool._waiting.append(middle := task("middle", 70))
@@ -692,14 +692,14 @@ def test_scenes_of_a_cluster_share_the_processors_of_a_host(
     assert Options(Config()).with_share(place.jobs).config.threads == expected
 
 
-def test_need_grows_with_the_scene_and_its_views():
+def test_estimated_memory_grows_with_scene_and_views():
     small, large = (memory.needed_bytes(size) for size in (0, 10**9))
     assert 0 < small < 10**9
     assert large - small >= 2.7e9
     assert memory.needed_bytes(10**9, 1) > large
 
 
-def test_floats_are_expected_of_the_size_of_a_file():
+def test_floats_are_estimated_from_the_file_size():
     expected = memory.expected_floats
     assert expected(10**9, "a.ply") == 10**9
     assert expected(10**9, "a.compressed.ply") == 5 * 10**9
@@ -709,7 +709,7 @@ def test_floats_are_expected_of_the_size_of_a_file():
     assert memory.most_floats(-1, "a.spz") > 0
 
 
-def test_paths_of_options_hold_anywhere(tmp_path, monkeypatch):
+def test_paths_in_options_become_absolute(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = Config("paper-m", geometry="auto", tmc3="bin/tmc3")
     found = Options(config, Plan(Steps(), "cameras.json", "images")).absolute()
@@ -732,7 +732,7 @@ def test_views_are_counted(tmp_path):
         Options(Config(), Plan(Steps(), "missing.json")).pixels()
 
 
-def test_free_memory_is_what_control_groups_leave(tmp_path):
+def test_free_memory_respects_control_groups(tmp_path):
     group = tmp_path / "user/me"
     group.mkdir(parents=True)
     (group / "memory.max").write_text("max\n")
@@ -748,7 +748,7 @@ def test_free_memory_is_what_control_groups_leave(tmp_path):
 # Storage
 
 
-def test_urls_are_told_from_paths():
+def test_urls_are_distinguished_from_paths():
     assert is_url("s3://bucket/a")
     assert not is_url("file:///a")
     assert not is_url("C:/a")
@@ -763,7 +763,7 @@ def test_urls_are_told_from_paths():
     ],
     ids=["s3", "sftp"],
 )
-def test_missing_backend_is_named_with_what_installs_it(monkeypatch, url, text, line):
+def test_missing_backend_is_named_with_its_install_command(monkeypatch, url, text, line):
     fsspec = pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
 
     def missing(*arguments: Any, **options: Any) -> None:
@@ -775,12 +775,12 @@ def test_missing_backend_is_named_with_what_installs_it(monkeypatch, url, text, 
     assert str(caught.value) == f"{url}: {text}{line}"
 
 
-def test_memory_of_a_process_is_refused():
+def test_in_process_storage_is_refused():
     with pytest.raises(InvalidInput, match="memory://a: storage of this process, expected"):
         storage_of("memory://a")
 
 
-def test_dask_that_is_not_installed_is_named_with_the_line_that_installs_it(folder):
+def test_missing_dask_is_named_with_its_install_command(folder):
     folder.monkeypatch.delitem(sys.modules, "gs_codec.workers.dask", raising=False)
     for name in ("dask", "distributed"):
         folder.monkeypatch.setitem(sys.modules, name, None)
@@ -789,7 +789,7 @@ def test_dask_that_is_not_installed_is_named_with_the_line_that_installs_it(fold
     assert err == "gs-codec: error: dask: needs distributed; pip install 'gs-codec[cluster]'\n"
 
 
-def test_store_without_folders_is_storage_too(folder):
+def test_object_store_without_folders_works(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     store = storage_of("memory://")._fs
     for name in NAMES:
@@ -827,7 +827,7 @@ def test_errors_of_a_storage_have_no_secrets(monkeypatch):
     assert fails(TimeoutError()) == "https://host/a.ply: TimeoutError"
 
 
-def test_warnings_name_the_scene_and_not_its_copy(folder):
+def test_warnings_name_the_scene_instead_of_its_copy(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     store = storage_of("memory://")._fs
     store.pipe_file("/scenes/a.ply", Path("in/a.ply").read_bytes() + b"more")
@@ -845,7 +845,7 @@ def test_download_needs_free_space(folder):
     assert ", 4 free in " in records()[0]["error"]["text"]
 
 
-def test_watcher_hears_every_scene_and_its_stages(folder):
+def test_watcher_receives_every_scene_and_stage(folder):
     heard = []
 
     class Ears(Watcher):
@@ -864,6 +864,6 @@ def test_watcher_hears_every_scene_and_its_stages(folder):
     assert {kind for kind, _ in heard} == {"started", "stage", "ended"}
 
 
-def test_batch_of_wrong_use_in_python():
+def test_invalid_batches_in_python():
     with pytest.raises(InvalidInput, match="jobs 2000"):
         Batch("a", "b", Options(Config()), jobs=2000)

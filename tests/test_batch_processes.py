@@ -136,7 +136,7 @@ def test_batch_killed_twice_is_resumed(scenes, place):
 
 
 @pytest.mark.thorough
-def test_interrupt_ends_all_at_once_and_can_be_resumed(scenes, place):
+def test_interrupt_ends_all_processes_and_can_be_resumed(scenes, place):
     source = scenes[0] / "deep/er"
     process = place.start(source, "--jobs", "2", WORK="stuck_in_fsync", HOLD="3")
     wait_for(place.held.exists, process)
@@ -154,7 +154,7 @@ def test_interrupt_ends_all_at_once_and_can_be_resumed(scenes, place):
     assert f"{before} already done" in out
 
 
-def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatch):
+def test_scene_of_a_killed_process_is_retried_alone(tmp_path, monkeypatch):
     source = tmp_path / "in"
     source.mkdir()
     for seed, name in enumerate(("a", "once", "twice", "z")):
@@ -175,7 +175,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("plan", [None, Plan(Steps(), width=48, views=4)], ids=["plain", "views"])
-def test_scenes_of_one_thread_start_no_other(tmp_path, monkeypatch, plan):
+def test_single_threaded_scenes_start_no_threads(tmp_path, monkeypatch, plan):
     for seed in range(2):
         write_ply(tmp_path / f"{seed}.ply", random_scene(1000, 1, seed=seed))
     monkeypatch.setattr(run, "record_scene", batch_work.alone)
@@ -271,7 +271,7 @@ def cluster(tmp_path, place):
 
 
 @pytest.mark.thorough
-def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster):
+def test_cluster_completes_although_a_worker_is_killed(scenes, place, cluster):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     source, wanted = scenes
     address, second = cluster(HOLD="10", REPORT=str(place.report), HELD=str(place.held))
@@ -287,7 +287,7 @@ def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster)
 
 
 @pytest.mark.thorough
-def test_scheduler_that_is_not_there_is_one_line(scenes, place):
+def test_missing_scheduler_is_one_line(scenes, place):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     environment = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
     process = place.start(scenes[0], "--dask", "tcp://127.0.0.1:1", **environment)
@@ -330,7 +330,7 @@ for port in map(int, sys.argv[1:]):
 
 
 @pytest.mark.thorough
-def test_local_cluster_talks_to_nobody_else(scenes, place):
+def test_local_cluster_rejects_other_clients(scenes, place):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     psutil = pytest.importorskip("psutil", reason="comes with the extra 'cluster'")
     environment = PATIENT | {"DASK_DISTRIBUTED__WORKER__PRELOAD": "batch_work", "HOLD": "0"}
@@ -355,7 +355,7 @@ def test_local_cluster_talks_to_nobody_else(scenes, place):
 
 
 @pytest.mark.thorough
-def test_local_cluster_does_the_same(scenes, place, tmp_path):
+def test_local_cluster_gives_the_same_files(scenes, place, tmp_path):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     source, wanted = scenes
     names = [f"scene {index}" for index in (0, 3, 6)]
@@ -380,7 +380,7 @@ def test_local_cluster_does_the_same(scenes, place, tmp_path):
     ],
     ids=["killed", "missing", "failed", "version"],
 )
-def test_what_happened_to_a_worker_is_told(error, said):
+def test_loss_of_a_worker_is_reported(error, said):
     client = pytest.importorskip("gs_codec.workers.dask", exc_type=ImportError)
     answers = SimpleNamespace(run=lambda *a, **b: {"tls://a:1": error})
     with pytest.raises(InvalidInput) as caught:

@@ -139,7 +139,7 @@ SIGNED = "http://user:pAss%2Fw%20rd!@{host}/{name}?sig=sIg%2Bn%2fa%3D%3DtUre&b=1
         ("nonsense://user:pAss@{host}/in?sig=sIg", 2, "nonsense://user@{host}/in: Protocol"),
     ],
 )
-def test_secrets_of_a_source_are_never_said(server, tmp_path, url, status, said):
+def test_secrets_of_a_source_are_never_printed(server, tmp_path, url, status, said):
     host = server.url.removeprefix("http://")
     done = run(tmp_path, url.replace("{host}", host), "out", "--jobs", "2", "--json")
     assert_no_secret(tmp_path, done)
@@ -148,7 +148,7 @@ def test_secrets_of_a_source_are_never_said(server, tmp_path, url, status, said)
 
 
 @pytest.mark.thorough
-def test_workers_of_dask_say_none(server, tmp_path):
+def test_dask_workers_print_no_secrets(server, tmp_path):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     host = server.url.removeprefix("http://")
     done = run(tmp_path, f"http://user:pAss%2Fw%20rd!@{host}/in/", "out", "--dask", "local")
@@ -157,7 +157,7 @@ def test_workers_of_dask_say_none(server, tmp_path):
 
 
 @pytest.mark.parametrize("pattern", ["tree/", "tree/**/*.ply"])
-def test_folders_of_a_server_are_read_as_far_as_they_go(server, pattern):
+def test_folders_of_a_server_are_read_completely(server, pattern):
     own = "".join(f'<a href="{name}">x</a>' for name in ("a.ply", "sub/", "./", "../", "?C=N"))
     server.files |= {"/tree/": own.encode(), "/tree/sub/": own.encode(), "/tree/sub/sub/": b""}
     url = f"{server.url}/{pattern}"
@@ -165,14 +165,14 @@ def test_folders_of_a_server_are_read_as_far_as_they_go(server, pattern):
 
 
 @pytest.mark.parametrize("pattern", ["loop/", "loop/**/*.ply"])
-def test_folders_of_a_server_without_an_end_are_given_up(server, pattern):
+def test_endless_folders_of_a_server_are_abandoned(server, pattern):
     url = f"{server.url}/{pattern}"
     with pytest.raises(InvalidInput, match="loop/: 33 folders deep; links may"):
         storage_of(url).find()
 
 
 @pytest.mark.parametrize(("name", "most"), [("endless.ply", 9000), ("more.ply", 100)])
-def test_files_without_an_end_are_given_up(server, tmp_path, monkeypatch, name, most):
+def test_endless_files_are_abandoned(server, tmp_path, monkeypatch, name, most):
     monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 10_000}))
     place = storage_of(f"{server.url}/{name}")
     ((_, file),) = place.find()
@@ -203,7 +203,7 @@ def test_files_without_an_end_are_given_up(server, tmp_path, monkeypatch, name, 
         ("/a/b:c@d?e=f", "/a/b:c@d?e=f"),
     ],
 )
-def test_what_a_url_is_called(url, shown):
+def test_display_names_of_urls(url, shown):
     assert without_secrets(url) == shown
     assert without_secrets(shown) == shown
     assert redacted(f"no '{url}', or so", url) == f"no '{shown}', or so"
@@ -246,13 +246,13 @@ def test_any_secret_is_hidden_in_any_spelling(seed):
                     assert found == [f"of *** in '{shown}'"] * len(ways)
 
 
-def test_text_that_means_harm_takes_no_time():
+def test_hostile_text_is_redacted_quickly():
     url = SIGNED.format(host="host", name="a")
     for piece in ("a", "http://", "'", "\\", "%25", "::", "@", "?a=", "sIg"):
         assert isinstance(redacted(piece * 100_000, url), str)
 
 
-def test_logs_and_what_libraries_show_have_no_secrets(monkeypatch, capsys):
+def test_logs_and_library_output_contain_no_secrets(monkeypatch, capsys):
     url = SIGNED.format(host="host", name="a")
     assert str(Location(url, url)) == "Location('http://host/a', 'http://host/a')"
     handler = logging.StreamHandler(sys.stderr)

@@ -139,7 +139,7 @@ def test_batch_from_server_to_server(server):
 
 
 @pytest.mark.thorough
-def test_one_that_cannot_be_written_is_its_own_error(server):
+def test_unwritable_output_is_an_error_of_its_scene(server):
     (server.folder / "half").mkdir()
     (server.folder / "half/sub").write_text("not a folder")
     report = str(server.folder / "half.jsonl")
@@ -186,7 +186,7 @@ def test_server_that_stops_is_an_error_of_each_scene_that_needs_it(server, tmp_p
 @pytest.mark.thorough
 @pytest.mark.parametrize("chain", ["", "simplecache::"])
 @pytest.mark.parametrize("known", ["", "[127.0.0.1]:{port} ssh-ed25519 {other}\n"])
-def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known, chain):
+def test_unknown_host_is_not_trusted(server, tmp_path, known, chain):
     shutil.copytree(server.home / ".ssh", tmp_path / ".ssh")
     other = (server.home / ".ssh/id_ed25519.pub").read_text().split()[1]
     known = known.format(port=server.port, other=other)
@@ -198,7 +198,7 @@ def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known, chain):
 
 
 @pytest.mark.thorough
-def test_server_that_is_not_there_is_one_line(server, tmp_path):
+def test_missing_server_is_one_line(server, tmp_path):
     with socket.socket() as taken:  # a port without a listener
         taken.bind(("127.0.0.1", 0))
         url = f"sftp://me:secret@127.0.0.1:{taken.getsockname()[1]}/in"

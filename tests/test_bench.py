@@ -44,7 +44,7 @@ def measured(tmp_path_factory) -> tuple[list[dict], str]:
     return [json.loads(line) for line in result.stdout.splitlines()], result.stderr
 
 
-def test_every_kind_of_line_is_there(measured):
+def test_all_kinds_of_lines_exist(measured):
     found = [(line["kind"], line.get("codec", line.get("profile"))) for line in measured[0]]
     codecs = ["m", "paper-m", "m, camera-guided"]
     each = [(kind, name) for name in codecs[:2] for kind in ("codec", "error", "memory")]
@@ -70,7 +70,7 @@ def test_times_are_those_of_the_whole_and_of_its_stages(measured):
         assert 0 < times["min"] <= times["median"] <= times["max"]
 
 
-def test_entropy_of_each_group_stands_beside_the_paper(measured):
+def test_entropy_of_each_group_is_next_to_the_papers(measured):
     entropy = measured[0][7]["entropy"]
     assert set(entropy) == {"opacity", "scaling", "rotation", "sh-ac", "total"}
     for group, values in entropy.items():
@@ -107,7 +107,7 @@ def test_the_machine_is_described(measured):
     assert machine["commit"] is None or re.match(r"[0-9a-f]{40}", machine["commit"])
 
 
-def test_a_checkout_tells_its_commit(tmp_path, monkeypatch):
+def test_a_checkout_reports_its_commit(tmp_path, monkeypatch):
     monkeypatch.setattr(host, "__file__", str(tmp_path / "gs_codec" / "bench" / "host.py"))
     assert host.commit() is None
     (tmp_path / ".git").mkdir()
@@ -126,7 +126,7 @@ def test_views_need_cameras(command, options):
 
 
 @pytest.mark.parametrize("arguments", [["scene.ply"], ["a.ply", "suite"], ["x.ply", "-p", "m"]])
-def test_subcommands_are_named_where_there_is_none(arguments):
+def test_missing_subcommand_lists_subcommands(arguments):
     result = CliRunner().invoke(app, ["bench", *arguments])
     assert isinstance(result.exception, InvalidInput)
     expected = "expected a subcommand, one of run, peers, suite, paper, losses"
@@ -134,7 +134,7 @@ def test_subcommands_are_named_where_there_is_none(arguments):
 
 
 @pytest.mark.parametrize("count", [1, 999, 1000, 4500])
-def test_tiled_scene_is_like_its_source_but_equal_in_no_value(count):
+def test_tiled_scene_resembles_its_source_without_equal_values(count):
     scene = random_scene(1000, 1, seed=71)
     scene.f_rest[:, ::7] = 0
     before = scene.positions.copy()
@@ -150,7 +150,7 @@ def test_tiled_scene_is_like_its_source_but_equal_in_no_value(count):
     np.testing.assert_array_equal(scene.positions, before)
 
 
-def test_auto_views_to_measure_in_are_not_those_to_encode_by():
+def test_auto_views_for_measuring_differ_from_guiding_ones():
     scene = random_scene(100, 0, seed=90)
     both = held_out_views("auto", scene, 36)
     assert [len(cameras) for cameras in both] == [24, 64]
@@ -159,7 +159,7 @@ def test_auto_views_to_measure_in_are_not_those_to_encode_by():
     assert not places[0] & places[1]
 
 
-def test_a_process_of_its_own_is_measured(tmp_path):
+def test_a_separate_process_is_measured(tmp_path):
     used = run_in_process(["--version"])
     assert used.seconds > 0
     assert used.cpu_seconds > 0

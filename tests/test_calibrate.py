@@ -45,7 +45,7 @@ def views():
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("contrast", [0.2, 1.0])
-def test_m_loses_the_same_at_any_contrast(still_life, views, contrast):
+def test_profile_m_loses_the_same_at_any_contrast(still_life, views, contrast):
     """Only calibration sets colour steps; otherwise those of faint colours would be too fine."""
     scene = replace(
         still_life,
@@ -56,7 +56,7 @@ def test_m_loses_the_same_at_any_contrast(still_life, views, contrast):
 
 
 @pytest.mark.thorough
-def test_m_loses_the_same_of_a_small_capture():
+def test_profile_m_loses_the_same_in_a_small_capture():
     made = capture("forward", 6000, seed=3, iterations=40, width=120)
     cameras = [camera for camera in made.cameras if camera.split == "test"]
     assert LEAST < own_psnr(made.scene, cameras, Config("m")) < MOST
@@ -66,7 +66,7 @@ def test_m_loses_the_same_of_a_small_capture():
 @pytest.mark.parametrize(
     ("name", "format"), [("bonsai", "egs"), ("mouse", "egs"), ("mouse", "spz")]
 )
-def test_m_loses_the_same_of_real_scenes(name, format):  # noqa: A002
+def test_profile_m_loses_the_same_in_real_scenes(name, format):  # noqa: A002
     scene = read_ply(shared_scene_path(f"{name}/point_cloud.ply"))
     cameras = find_cameras(shared_scene_path(f"{name}/cameras.json"), scene, "test", 200, None)
     assert LEAST < own_psnr(scene, cameras[::4], Config("m", format=format)) < MOST
@@ -82,7 +82,7 @@ def test_profiles_change_by_the_same_factor_and_coarseness_multiplies_it(still_l
 
 
 @pytest.mark.thorough
-def test_files_are_those_of_the_coarseness_that_the_report_tells(still_life):
+def test_files_have_the_reported_coarseness(still_life):
     data, report = as_requested(still_life, Config("l"))
     assert report.coarseness == calibrated(still_life, Config("l")).coarseness
     told = Config("l", coarseness=report.coarseness)
@@ -111,11 +111,11 @@ def test_threads_and_other_columns_do_not_matter(still_life):
     ],
     ids=lambda config: f"{config.format} {config.profile}",
 )
-def test_what_has_no_step_sizes_is_not_calibrated(still_life, config):
+def test_profiles_without_step_sizes_are_not_calibrated(still_life, config):
     assert "calibrate" not in as_requested(still_life, config)[1].seconds
 
 
-def test_few_gaussians_are_not_looked_at():
+def test_scenes_with_few_gaussians_are_not_calibrated():
     few = random_scene(4999)
     assert calibrated(few, Config()) == Config()
 
@@ -138,7 +138,7 @@ def test_extreme_numbers(still_life, group, factor):
     assert 0.25 <= calibrated(extreme, Config()).coarseness <= 4
 
 
-def test_scenes_that_views_do_not_show_stay_as_they_are(still_life):
+def test_invisible_scenes_are_not_calibrated(still_life):
     clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
     assert calibrated(clear, Config()) == Config()
     # Every window would show all Gaussians.
@@ -147,7 +147,7 @@ def test_scenes_that_views_do_not_show_stay_as_they_are(still_life):
 
 
 @pytest.mark.thorough
-def test_values_that_are_not_finite_are_refused_or_dropped_as_ever(still_life):
+def test_nonfinite_values_are_refused_or_dropped(still_life):
     broken = replace(still_life, f_rest=still_life.f_rest.copy(), opacity=still_life.opacity.copy())
     broken.f_rest[4, ::7] = np.nan
     broken.opacity[0, 1::7] = np.nan

@@ -239,7 +239,7 @@ def test_bad_settings_are_refused_in_one_line(name, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["path", "project", "settings"])
-def test_damage_is_refused_or_gives_valid_cameras_seed6(kind, tmp_path):
+def test_damaged_files_are_refused_or_give_valid_cameras_seed6(kind, tmp_path):
     rng = np.random.default_rng(6)
     value = {
         "path": camera_path(step(), step(fov=20)),

@@ -177,7 +177,7 @@ def test_inria_order_and_split_are_the_files(tmp_path):
     [({}, (200, 150)), ({"cx": 1}, (200, 150)), ({"cx": -3, "cy": 7.5}, (-3, 7.5))],
     ids=["none", "cx alone", "both"],
 )
-def test_principal_point_is_honoured_where_whole(keys, expected, tmp_path):
+def test_complete_principal_point_is_used(keys, expected, tmp_path):
     (camera,) = read_cameras(write_json(tmp_path / "cameras.json", inria_entry(**keys)))
     assert (camera.cx, camera.cy) == expected
 
@@ -355,7 +355,7 @@ def test_windows_line_ends_comments_and_a_missing_last_line_are_read(tmp_path):
     assert [camera.name for camera in read_cameras(tmp_path)] == ["a b.jpg", "c.jpg", "d.jpg"]
 
 
-def test_images_without_their_lines_of_points_are_not_passed_over(tmp_path):
+def test_images_without_point_lines_are_read(tmp_path):
     write_model(tmp_path, ".txt", [Image("a.jpg"), Image("b.jpg"), Image("c.jpg")])
     path = tmp_path / "images.txt"
     path.write_bytes(path.read_bytes().replace(b"\n\n", b"\n"))
@@ -363,7 +363,7 @@ def test_images_without_their_lines_of_points_are_not_passed_over(tmp_path):
 
 
 @both_forms
-def test_points_are_passed_without_being_held(suffix, tmp_path):
+def test_points_are_skipped_without_keeping_them(suffix, tmp_path):
     count = 200_000
     write_model(tmp_path, suffix, [Image("a.jpg", points=count), Image("b.jpg", points=count)])
     tracemalloc.start()
@@ -586,7 +586,7 @@ def test_points_beyond_the_file_are_refused(count, tmp_path):
         (-(2**31), "number -2147483648"),
     ],
 )
-def test_model_that_is_no_pinhole_is_named(model, name, tmp_path):
+def test_unsupported_camera_model_is_named(model, name, tmp_path):
     write_model(tmp_path, ".bin", cameras=[Intrinsics(6, model, parameters=(1.0,) * 20)])
     assert_refused(tmp_path, f"camera 6: model '{name}', expected", tmp_path / "cameras.bin")
 
@@ -597,7 +597,7 @@ def test_empty_name_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("size", [9, 4096, 100_000])
-def test_name_without_end_is_refused(size, tmp_path):
+def test_unterminated_name_is_refused(size, tmp_path):
     path = write_model(tmp_path, ".bin") / "images.bin"
     path.write_bytes(path.read_bytes()[:72] + b"n" * size)
     message = f"image 1: no end of its name in {min(size, 4097):,} bytes"
@@ -663,12 +663,12 @@ def test_model_is_found_in_the_folder_of_a_dataset(suffix, inside, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "cameras.txt", "images.txt"])
-def test_file_of_a_model_stands_for_its_folder(name, tmp_path):
+def test_a_models_file_stands_for_its_folder(name, tmp_path):
     write_kind(tmp_path, name[-4:], 6.0)
     assert kind(tmp_path / name) == 6
 
 
-def test_binary_goes_before_text_and_a_model_before_json(tmp_path):
+def test_binary_is_preferred_to_text_and_a_model_to_json(tmp_path):
     write_json(tmp_path / "cameras.json", inria_entry(fx=1.0))
     assert kind(tmp_path) == 1
     write_kind(tmp_path / "sparse", ".txt", 2.0)
@@ -687,7 +687,7 @@ def names(count: int) -> list[Image]:
 
 
 @both_forms
-def test_of_several_models_that_with_most_images_is_read(suffix, tmp_path, caplog):
+def test_the_model_with_the_most_images_is_read(suffix, tmp_path, caplog):
     for number, count in ((0, 2), (2, 3), (10, 5), (11, 1)):
         write_model(tmp_path / "sparse" / str(number), suffix, names(count))
     assert len(read_cameras(tmp_path)) == 5
@@ -721,13 +721,13 @@ def test_models_are_found_where_programs_put_them(place, tmp_path):
     assert kind(tmp_path) == (2 if place.startswith("sparse") else 1)
 
 
-def test_models_elsewhere_are_named(tmp_path):
+def test_models_in_other_folders_are_named(tmp_path):
     for place in ("a/sparse/0", "b c/model"):
         write_kind(tmp_path / place, ".txt", 2.0)
     assert_refused(tmp_path, "nor transforms.json; COLMAP models are in 'a/sparse/0', 'b c/model'$")
 
 
-def test_half_a_model_is_none(tmp_path):
+def test_incomplete_model_is_ignored(tmp_path):
     write_kind(tmp_path, ".bin", 2.0)
     write_kind(tmp_path, ".txt", 3.0)
     (tmp_path / "images.bin").unlink()

@@ -56,7 +56,7 @@ def _line(free: float, estimated: float, at_size: float) -> dict:
         (_line(0.1, 0.2, 0.1), {FREE: 0.035, ESTIMATED: 0.1, "worse": 0.08}),
     ],
 )
-def test_misses_are_what_is_beyond_the_aims(line: dict, missed: dict) -> None:
+def test_misses_are_amounts_beyond_the_targets(line: dict, missed: dict) -> None:
     assert misses_of(line) == pytest.approx(missed)
     row = loss_table([line])[2]
     assert row.endswith(f"| {', '.join(missed)} |")
@@ -111,7 +111,7 @@ def test_scene_without_held_out_cameras_is_refused(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("style", "seed", "count"), CAPTURES)
-def test_capture_meets_the_aims(style: str, seed: int, count: int, tmp_path: Path) -> None:
+def test_capture_meets_the_targets(style: str, seed: int, count: int, tmp_path: Path) -> None:
     """Takes about a minute each; with ``-s``, it prints the row of the table."""
     folder = tmp_path / f"{style}-{seed}"
     write_capture(folder, capture(style, count, seed))

@@ -89,7 +89,7 @@ def true_loss(scene, coded, views):
     return psnr_loss(float(np.mean([np.mean((a - b) ** 2) for a, b in images])))
 
 
-def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
+def test_measured_loss_equals_that_of_true_views(still_life, cameras):
     data, report = as_requested(still_life, Config("s"))
     loss = report.rendered
     assert loss.views == "likely"
@@ -102,7 +102,7 @@ def test_what_is_measured_is_what_true_views_lose(still_life, cameras):
     assert loss.psnr == pytest.approx(-10 * np.log10(error_of(loss.loss)))
 
 
-def test_both_ways_to_measure_agree(still_life):
+def test_both_measurements_agree(still_life):
     check, config = check_of(still_life), Config("m")
     watched = check.watch()
     parts, _ = encode_cleaned(still_life, config, StageTimes(), watched=watched)
@@ -115,7 +115,7 @@ def test_both_ways_to_measure_agree(still_life):
     assert kept.windows == decoded.windows
 
 
-def test_windows_that_check_are_from_other_places(still_life):
+def test_checking_windows_are_from_other_positions(still_life):
     windows = choose_windows(sample_of(still_life), still_life.count)
     assert len(windows.choosing) == 96
     assert len(windows.checking) == 64
@@ -144,7 +144,7 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
     assert not caplog.records
 
 
-def test_where_finer_steps_do_not_help_that_is_said(still_life, monkeypatch, caplog):
+def test_useless_finer_steps_are_reported(still_life, monkeypatch, caplog):
     def clipped(scene, config, times, *_, **__):
         """Like a format that cannot represent such colours."""
         return encode_cleaned(replace(scene, f_dc=np.minimum(scene.f_dc, 0)), config, times)
@@ -183,7 +183,7 @@ def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
         as_requested(still_life, Config(strict=True), Plan(cameras=flipped))
 
 
-def test_preparation_is_measured_against_the_scene_before_it(still_life, cameras):
+def test_prepared_scenes_are_compared_with_the_scene_before(still_life, cameras):
     plan = Plan(Steps(prune=40), cameras)
     _, report = as_requested(still_life, Config("l"), plan)
     _, whole = as_requested(still_life, Config("l"), Plan(cameras=cameras))
@@ -191,7 +191,7 @@ def test_preparation_is_measured_against_the_scene_before_it(still_life, cameras
     assert report.rendered.aimed is None
 
 
-def test_a_loss_asked_for_is_what_is_aimed_at(still_life, cameras):
+def test_a_requested_loss_is_the_target(still_life, cameras):
     target = {"psnr_drop": 0.2}
     _, report = as_requested(still_life, Config(), Plan(cameras=cameras), target)
     assert report.rendered.aimed == 0.2
@@ -202,7 +202,7 @@ def test_a_loss_asked_for_is_what_is_aimed_at(still_life, cameras):
 
 
 @pytest.mark.parametrize("config", [Config("lossless"), Config("paper-m"), Config(format="splat")])
-def test_strict_needs_a_loss_to_aim_at(config):
+def test_strict_needs_a_target_loss(config):
     with pytest.raises(InvalidInput, match="strict: profile"):
         replace(config, strict=True)
 
@@ -214,7 +214,7 @@ def test_scenes_at_the_limits(name):
     assert report.rendered is None or np.isfinite(report.rendered.loss)
 
 
-def test_what_views_do_not_show_is_not_measured(still_life):
+def test_invisible_scenes_are_not_measured(still_life):
     clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
     assert as_requested(clear, Config())[1].rendered is None
 
@@ -224,13 +224,13 @@ def test_threads_do_not_matter(still_life):
     assert found[0] == found[1]
 
 
-def test_finer_steps_keep_to_the_range():
+def test_finer_steps_stay_in_range():
     assert finer(Config(coarseness=1 / 64), 0.1).coarseness == 1 / 64
     assert finer(Config(), 2.0**-1.76).coarseness == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("suffix", ["egs", "spz", "sog", "compressed.ply", "splat", "glb"])
-def test_every_format_says_what_views_lose(suffix, tmp_path, still_life):
+def test_every_format_reports_the_loss_of_views(suffix, tmp_path, still_life):
     write_ply(tmp_path / "scene.ply", still_life)
     report = gs_codec.encode_file(tmp_path / "scene.ply", tmp_path / f"out.{suffix}")
     done = gs_codec.convert_file(tmp_path / "scene.ply", tmp_path / f"again.{suffix}")
@@ -239,7 +239,7 @@ def test_every_format_says_what_views_lose(suffix, tmp_path, still_life):
     assert gs_codec.convert_file(tmp_path / "scene.ply", tmp_path / "again.ply").rendered is None
 
 
-def test_commands_say_it(tmp_path, still_life):
+def test_commands_report_the_loss(tmp_path, still_life):
     write_ply(tmp_path / "scene.ply", still_life)
     run = CliRunner().invoke
     line = (

@@ -73,7 +73,7 @@ def scene_of(tensors) -> Scene:
 
 @pytest.mark.parametrize("count", [0, 1, 300])
 @pytest.mark.parametrize("degree", range(4))
-def test_what_is_written_is_read_the_same(degree, count, tmp_path):
+def test_written_checkpoints_round_trip(degree, count, tmp_path):
     scene = random_scene(count, degree)
     assert write_scene(tmp_path / "a.pt", scene, Config()).lost == ()
     assert_same(read_scene(tmp_path / "a.pt"), scene)
@@ -99,7 +99,7 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path):
     assert digests == DIGESTS
 
 
-def test_numbers_begin_where_memory_maps_want_them(tmp_path):
+def test_values_are_aligned_for_memory_maps(tmp_path):
     write_scene(tmp_path / "a.pt", random_scene(7, 3), Config())
     data = (tmp_path / "a.pt").read_bytes()
     with zipfile.ZipFile(tmp_path / "a.pt") as archive:
@@ -109,7 +109,7 @@ def test_numbers_begin_where_memory_maps_want_them(tmp_path):
             assert (at + 30 + name + extra) % 64 == 0
 
 
-def test_what_a_checkpoint_cannot_hold_is_said(tmp_path, caplog):
+def test_losses_of_a_checkpoint_are_reported(tmp_path, caplog):
     scene = random_scene(5, 0)
     extra = {"label": np.arange(5, dtype="<i4")}
     scene = replace(scene, extra=extra, comments=("one", "SplatRenderMode: mip"))
@@ -124,7 +124,7 @@ def test_what_a_checkpoint_cannot_hold_is_said(tmp_path, caplog):
 @needs_torch
 @pytest.mark.parametrize("mapped", [False, True])
 @pytest.mark.parametrize("degree", range(4))
-def test_pytorch_reads_what_is_written(degree, mapped, tmp_path):
+def test_pytorch_reads_our_checkpoints(degree, mapped, tmp_path):
     import torch
 
     scene = random_scene(40, degree)
@@ -139,7 +139,7 @@ def test_pytorch_reads_what_is_written(degree, mapped, tmp_path):
 
 
 @needs_torch
-def test_splatfacto_loads_what_is_written(tmp_path):
+def test_splatfacto_loads_our_checkpoints(tmp_path):
     import torch
 
     scene = random_scene(40, 3)
@@ -234,7 +234,7 @@ class Evil:
         return os.mkdir, (str(self.folder / "made"),)
 
 
-def test_what_a_pickle_calls_is_not_run(tmp_path):
+def test_calls_in_a_pickle_are_not_executed(tmp_path):
     data = pickle.dumps({"a": Evil(tmp_path), "b": [1, "x", (2.5, None)]}, 2)
     assert parse_pickle(data) == {"a": UNKNOWN, "b": [1, "x", (2.5, None)]}
     assert parse_pickle(pickle.dumps({"a": Evil(tmp_path), "s": {3}}, 4)) == {
@@ -246,7 +246,7 @@ def test_what_a_pickle_calls_is_not_run(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
-def test_keys_that_take_for_ever_to_compare_are_left_out():
+def test_keys_that_are_slow_to_compare_are_ignored():
     assert parse_pickle(b"\x80\x02}" + LEAVES + b"K\x01s.") == {}
 
 
@@ -268,13 +268,13 @@ FOR_EVER = {
 
 
 @pytest.mark.parametrize("name", FOR_EVER)
-def test_values_that_take_for_ever_to_print_are_refused(name):
+def test_values_that_are_slow_to_print_are_refused(name):
     with pytest.raises(InvalidInput, match="pickle: tuple, expected a whole number"):
         parse_pickle(b"\x80\x02" + FOR_EVER[name])
     assert parse_pickle(b"\x80\x02" + LEAVES + b"K\x01\x93)R.") is UNKNOWN
 
 
-def test_one_dictionary_many_times_is_searched_once(tmp_path):
+def test_repeated_dictionary_is_searched_once(tmp_path):
     inner = b"}(" + b"".join(b"J%sN" % struct.pack("<i", i) for i in range(100_000)) + b"uq\0"
     outer = b"".join(b"J%sh\0" % struct.pack("<i", i) for i in range(100_000))
     pickled = b"\x80\x02}(K\0" + inner + outer + b"u."
@@ -283,13 +283,13 @@ def test_one_dictionary_many_times_is_searched_once(tmp_path):
         read_scene(tmp_path / "a.zip")
 
 
-def test_a_pickle_is_read_as_it_was_written():
+def test_pickles_round_trip():
     tensor = StoredTensor("torch FloatStorage", "0", 12, 0, (4, 3), (3, 1))
     value = {"step": 0, "nothing": {}, "splats": {"means": tensor}}
     assert parse_pickle(write_pickle(value)) == value
 
 
-def test_degree_4_of_tensors_is_left_out(caplog):
+def test_degree_4_of_tensors_is_dropped(caplog):
     tensors = tensors_of(random_scene(5, 3, seed=1))
     whole = np.pad(tensors["shN"], ((0, 0), (0, 9), (0, 0)), constant_values=1.0)
     assert_same_floats(scene_of_tensors(tensors | {"shN": whole}), scene_of_tensors(tensors))
@@ -394,7 +394,7 @@ def with_large_storage(method: int) -> bytes:
     return out.getvalue()
 
 
-def test_of_a_large_storage_only_what_is_used_takes_memory(tmp_path):
+def test_only_the_used_part_of_a_large_storage_takes_memory(tmp_path):
     path = tmp_path / "a.pt"
     path.write_bytes(with_large_storage(zipfile.ZIP_STORED))
     tracemalloc.start()
@@ -416,13 +416,13 @@ def test_bad_checkpoints_are_refused_in_one_line(name, tmp_path):
     assert_refused(path, message)
 
 
-def test_the_checkpoints_that_were_made_bad_are_good(tmp_path):
+def test_checkpoints_are_valid_before_they_are_damaged(tmp_path):
     for data in (zipped(), with_tensors()):
         (tmp_path / "a.zip").write_bytes(data)
         assert read_scene(tmp_path / "a.zip").count == 2
 
 
-def test_checkpoints_cut_off_anywhere_are_refused(tmp_path):
+def test_truncated_checkpoints_are_refused(tmp_path):
     write_scene(tmp_path / "a.pt", random_scene(1, 0), Config())
     data = (tmp_path / "a.pt").read_bytes()
     for end in range(1, len(data), 7):
@@ -431,7 +431,7 @@ def test_checkpoints_cut_off_anywhere_are_refused(tmp_path):
             read_scene(tmp_path / "b.pt")
 
 
-def test_a_changed_byte_of_a_number_is_found(tmp_path):
+def test_a_changed_byte_of_a_value_is_detected(tmp_path):
     scene = random_scene(3, 0)
     write_scene(tmp_path / "a.pt", scene, Config())
     data = bytearray((tmp_path / "a.pt").read_bytes())
@@ -446,7 +446,7 @@ def test_a_changed_byte_of_a_number_is_found(tmp_path):
 
 @pytest.mark.parametrize("count", [0, 1, 50])
 @pytest.mark.parametrize("degree", range(4))
-def test_tensors_there_and_back(degree, count, tmp_path):
+def test_tensors_round_trip(degree, count, tmp_path):
     write_scene(tmp_path / "a.ply", random_scene(count, degree), Config())
     cloud = gs_codec.read(tmp_path / "a.ply")
     tensors = gs_codec.to_tensors(cloud)
@@ -460,7 +460,7 @@ def test_tensors_there_and_back(degree, count, tmp_path):
 
 
 @needs_torch
-def test_parameters_of_a_trainer_are_taken_as_they_are():
+def test_a_trainers_parameters_are_accepted_unchanged():
     import torch
 
     splats = trained()

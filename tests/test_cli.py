@@ -38,7 +38,7 @@ COMMANDS = ("encode", "decode", "verify", "inspect", "compare", "bench")
 # What works
 
 
-def test_encode_and_decode_write_what_the_library_does(folder, trio):
+def test_encode_and_decode_write_the_librarys_bytes(folder, trio):
     status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m")
     assert (status, err) == (0, "")
     assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
@@ -74,7 +74,7 @@ def test_decode_reports_as_json(folder):
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_profile_decides_the_depths(folder, profile):
+def test_profile_determines_the_depths(folder, profile):
     assert folder.run("encode", "scene.ply", "out.egs", "-p", profile).status == 0
     info = strict_json(folder.run("inspect", "out.egs", "--json").out)
     assert info["profile"] == profile
@@ -99,7 +99,7 @@ def test_depth_may_be_given_several_times(folder):
     assert used == expected
 
 
-def test_inspect_says_what_the_file_holds(folder, trio):
+def test_inspect_describes_the_file(folder, trio):
     scene = read_ply(trio.ply)
     status, out, err = folder.run("inspect", "scene.egs", "--json")
     info = strict_json(out)
@@ -119,7 +119,7 @@ def test_inspect_says_what_the_file_holds(folder, trio):
     assert {"x", "f_dc_2", "opacity", "scale_1", "rot_3", "f_rest_44"} <= rows
 
 
-def test_encode_prints_a_line_and_what_views_lose(folder):
+def test_encode_prints_a_line_and_the_loss_of_views(folder):
     for options in ([], ["-p", "paper-m"], ["-p", "lossless"]):
         out = folder.run("encode", "scene.ply", "out.egs", "--overwrite", *options).out
         first, *others = out.splitlines()
@@ -127,7 +127,7 @@ def test_encode_prints_a_line_and_what_views_lose(folder):
         assert others == ([] if "lossless" in options else ["rendered views: not measured"])
 
 
-def test_encode_of_what_comes_compressed_counts_from_the_floats(folder):
+def test_ratio_of_a_compressed_source_is_relative_to_the_floats(folder):
     write_scene("a.splat", read_ply("scene.ply"), Config())
     out = folder.run("encode", "a.splat", "out.egs").out
     size = Path("out.egs").stat().st_size
@@ -135,7 +135,7 @@ def test_encode_of_what_comes_compressed_counts_from_the_floats(folder):
 
 
 @pytest.mark.parametrize("suffix", ["ply", "splat", "egs"])
-def test_inspect_tells_of_every_scene(folder, suffix):
+def test_inspect_describes_every_scene(folder, suffix):
     scene = replace(
         read_ply("scene.ply"), comments=("CoordinateSystem: RUB", "SplatRenderMode: mip")
     )
@@ -155,7 +155,7 @@ def test_inspect_tells_of_every_scene(folder, suffix):
     assert info["raw_bytes"] == 4 * 1500 * (14 + 45 * kept)
 
 
-def test_inspect_tells_what_else_a_ply_has(folder):
+def test_inspect_lists_extra_properties_of_a_ply(folder):
     scene = read_ply("scene.ply")
     scene.positions[:, 3] = np.inf
     write_ply("labels.ply", replace(scene, extra={"label": np.arange(1500, dtype="<u2")}))
@@ -188,7 +188,7 @@ def test_identical_files_have_no_error(folder):
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_smallest_scenes_go_all_the_way(folder, count):
+def test_smallest_scenes_pass_through_all_commands(folder, count):
     write_ply("small.ply", random_scene(count, 3))
     for arguments in (
         ["encode", "small.ply", "small.egs"],
@@ -243,7 +243,7 @@ def test_zero_quaternions_are_reported(folder):
     assert strict_json(out)["zero_quaternions"] == 2
 
 
-def test_an_existing_file_is_refused_in_the_words_of_its_caller(folder):
+def test_an_existing_file_is_refused_with_the_callers_option(folder):
     (folder.path / "b.egs").touch()
     with pytest.raises(InvalidInput, match=r"b\.egs: already exists; .* overwrite=True$"):
         encode_file("scene.ply", "b.egs")
@@ -280,7 +280,7 @@ def test_version(folder):
     assert folder.run("--version") == (0, f"gs-codec {__version__}\n", "")
 
 
-def test_name_that_is_not_text_can_be_printed(folder, trio):
+def test_name_that_is_not_unicode_can_be_printed(folder, trio):
     name = os.fsdecode(b"out\xff.egs")
     assert folder.run("encode", "scene.ply", name, "--json").status == 0
     assert folder.run("encode", "scene.ply", name, "-p", "paper-m", "--overwrite").status == 0
@@ -299,7 +299,7 @@ def lattice(folder) -> Folder:
 
 
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
-def test_encode_to_lattices_writes_what_the_library_does(folder, profile):
+def test_encode_to_lattices_writes_the_librarys_bytes(folder, profile):
     status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile)
     assert (status, err) == (0, "")
     encode_file("scene.ply", "library.egs", Config(profile))
@@ -323,7 +323,7 @@ def test_encode_to_lattices_reports_as_json(folder):
         assert cost["coded_bits"] >= cost["shannon_bits"] * (1 - 1e-12), cost["name"]
 
 
-def test_values_beyond_the_lattices_are_told(folder):
+def test_values_beyond_the_lattices_are_reported(folder):
     scene = read_ply("scene.ply")
     scene.opacity[0, :3] = 1e6
     write_ply("far.ply", scene)
@@ -332,7 +332,7 @@ def test_values_beyond_the_lattices_are_told(folder):
 
 
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
-def test_inspect_says_what_lattices_hold(lattice, profile):
+def test_inspect_describes_lattices(lattice, profile):
     scene, name = read_ply("scene.ply"), f"{profile}.egs"
     status, out, err = lattice.run("inspect", name, "--json")
     info = strict_json(out)
@@ -397,7 +397,7 @@ def test_decode_of_a_box(lattice, name):
 
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize("count", [0, 1])
-def test_smallest_scenes_go_all_the_way_through_lattices(folder, profile, count):
+def test_smallest_scenes_pass_through_all_commands_with_lattices(folder, profile, count):
     write_ply("small.ply", random_scene(count, 3))
     for arguments in (
         ["encode", "small.ply", "small.egs", "-p", profile],
@@ -503,7 +503,7 @@ def test_bit_of_the_last_section_is_refused(folder):
 @pytest.mark.parametrize(
     "names", [["x"], ["two words"], [""], ["rot_3"], ["label", "label"]], ids=str
 )
-def test_egs_whose_properties_no_ply_can_have_is_refused(folder, names):
+def test_egs_with_properties_invalid_in_ply_is_refused(folder, names):
     """The checksums of such a file are right; only its content is wrong."""
     good = read_file(Path("scene.egs").read_bytes())
     one = write_extra({"?": np.zeros(1500, np.uint8)}, np.arange(1500))[4:]
@@ -607,7 +607,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_bad_use_is_refused(folder, name):
+def test_usage_errors_are_refused(folder, name):
     command, message = REFUSED[name]
     Path("some.dir").mkdir()
     Path("link.ply").symlink_to("scene.ply")
@@ -632,7 +632,7 @@ def test_folder_without_permission_is_refused(folder):
 @pytest.mark.parametrize(
     "command", ["encode scene.ply o.egs --overwrite", "decode scene.egs o.ply --overwrite"]
 )
-def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
+def test_full_disk_keeps_the_old_file(folder, command, existing):
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -807,7 +807,7 @@ def test_progress_in_a_pipe_is_a_line_every_ten_seconds(capsys, monkeypatch):
 
 @pytest.mark.parametrize("json", [[], ["--json"]], ids=["table", "json"])
 @pytest.mark.parametrize("command", ["encode scene.ply out.egs", "decode scene.egs out.ply"])
-def test_commands_tell_their_progress_in_a_pipe(folder, command, json):
+def test_commands_report_progress_in_a_pipe(folder, command, json):
     folder.monkeypatch.setattr(output, "SECONDS_A_LINE", 0)
     status, out, err = folder.run(*command.split(), *json)
     assert status == 0
@@ -817,7 +817,7 @@ def test_commands_tell_their_progress_in_a_pipe(folder, command, json):
 
 
 @pytest.mark.thorough
-def test_a_batch_tells_the_progress_of_its_scenes_in_a_pipe(folder):
+def test_a_batch_reports_progress_of_its_scenes_in_a_pipe(folder):
     folder.monkeypatch.setattr(output, "SECONDS_A_LINE", 0)
     status, _, err = folder.run("batch", "scene.ply", "out")
     assert status == 0
@@ -873,7 +873,7 @@ for line in {commands}:
     ],
     ids=["import", "help", "files", "views"],
 )
-def test_heavy_packages_load_where_they_are_used(folder, run, loaded, absent):
+def test_heavy_packages_load_on_use(folder, run, loaded, absent):
     python("-c", run, cwd=folder.path)  # compiles kernels
     status, _, err = python("-c", LOADED.format(run=run), cwd=folder.path)
     modules = set(err.split())

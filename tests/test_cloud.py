@@ -112,7 +112,7 @@ def test_cloud_outlives_its_scene_seed3():
     assert len(overwriting) == 3
 
 
-def test_changing_the_scene_made_of_a_cloud_leaves_the_cloud_alone():
+def test_changing_a_scene_from_a_cloud_keeps_the_cloud():
     scene = random_scene(40, 3)
     cloud = to_cloud(scene)
     made = from_cloud(cloud)
@@ -152,7 +152,7 @@ def with_log_scale_edited(cloud):
     ("edit", "count"),
     [(scaled_by_open3d, 40), (with_one_scale_edited, 1), (with_log_scale_edited, 40)],
 )
-def test_scales_of_which_one_was_edited_are_refused_seed5(edit, count, tmp_path):
+def test_contradicting_scales_are_refused_seed5(edit, count, tmp_path):
     for cloud in (to_cloud(random_scene(40, 1, seed=5)), to_cloud(random_scene(40, 1)).clone()):
         edited = edit(cloud)
         for use in (
@@ -165,7 +165,7 @@ def test_scales_of_which_one_was_edited_are_refused_seed5(edit, count, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_scale_that_is_left_counts_seed5(tmp_path):
+def test_the_remaining_scale_is_used_seed5(tmp_path):
     scene = random_scene(40, 1, seed=5)
     cloud = scaled_by_open3d(to_cloud(scene).clone())
     del cloud.point["log_scale"]
@@ -178,7 +178,7 @@ def test_the_scale_that_is_left_counts_seed5(tmp_path):
     np.testing.assert_array_equal(from_cloud(cloud).log_scale, scene.log_scale + np.float32(0.001))
 
 
-def test_scales_beyond_what_a_float_holds_agree():
+def test_scales_beyond_the_float_range_agree():
     scene = random_scene(8, 0)
     scene.log_scale[0] = [np.nan, np.inf, -np.inf, 200, -200, -95, 88.7, 0]
     assert_same_scene(scene, from_cloud(to_cloud(scene), exact=True))
@@ -218,7 +218,7 @@ def test_missing_attribute_is_refused(name):
         from_cloud(cloud)
 
 
-def test_cloud_without_anything_is_refused():
+def test_empty_cloud_is_refused():
     with pytest.raises(InvalidInput, match="'positions': missing"):
         from_cloud(o3d.t.geometry.PointCloud())
 
@@ -267,7 +267,7 @@ def test_extra_attributes_of_every_type(dtype):
 
 
 @pytest.mark.parametrize("name", ["positions", "scale", "rot", "normals", "f_rest"])
-def test_extra_property_never_takes_the_place_of_an_attribute(name, caplog):
+def test_extra_property_never_replaces_an_attribute(name, caplog):
     """A PLY may have a property ``scale``; the cloud's ``scale`` is the documented one."""
     scene = random_scene(40, 0)
     extra = {name: np.full(40, 5, np.float32)}
@@ -278,7 +278,7 @@ def test_extra_property_never_takes_the_place_of_an_attribute(name, caplog):
         np.testing.assert_array_equal(cloud.point[other].numpy(), expected.point[other].numpy())
 
 
-def test_changing_an_extra_attribute_is_possible_after_decoding():
+def test_extra_attributes_can_be_changed_after_decoding():
     scene = replace(random_scene(40, 0), extra={"label": np.arange(40, dtype="u1")})
     decoded = decode_scene(encode_scene(scene, gs_codec.Config("paper-m"))[0])
     assert decoded.extra["label"].flags.writeable
@@ -356,7 +356,7 @@ def test_open3d_opens_our_ply_seed10(sh_degree, tmp_path):
     )
 
 
-def test_what_open3d_read_can_be_encoded_seed11(tmp_path):
+def test_clouds_read_by_open3d_can_be_encoded_seed11(tmp_path):
     scene = random_scene(60, 3, seed=11)
     path = tmp_path / "scene.ply"
     gs_codec.write(path, to_cloud(scene))
@@ -368,7 +368,7 @@ def test_what_open3d_read_can_be_encoded_seed11(tmp_path):
 # The public API
 
 
-def test_public_names_are_few_and_there():
+def test_public_names_exist_and_are_few():
     assert set(gs_codec.__all__) <= set(dir(gs_codec))
     for name in gs_codec.__all__:
         assert getattr(gs_codec, name) is not None
@@ -412,7 +412,7 @@ def test_empty_cloud_through_the_api(tmp_path):
     assert from_cloud(gs_codec.read(tmp_path / "a.ply")).count == 0
 
 
-def test_compare_takes_two_files_or_two_clouds(trio):
+def test_compare_accepts_two_files_or_two_clouds(trio):
     matched = gs_codec.compare(trio.ply, str(trio.decoded))
     assert matched.matched_by == "stored order"
     assert matched == compare_files(trio.ply, trio.egs)
@@ -424,7 +424,7 @@ def test_compare_takes_two_files_or_two_clouds(trio):
         gs_codec.compare(trio.ply, decoded)
 
 
-def test_compare_of_clouds_leaves_extra_attributes_out():
+def test_compare_of_clouds_ignores_extra_attributes():
     cloud = to_cloud(random_scene(40, 0))
     cloud.point["label"] = tensor(np.zeros((40, 1), np.int32))
     result = gs_codec.compare(cloud, to_cloud(random_scene(40, 0)))
@@ -432,7 +432,7 @@ def test_compare_of_clouds_leaves_extra_attributes_out():
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.egs.bak"])
-def test_suffix_that_is_not_known_is_refused(name, tmp_path):
+def test_unknown_suffix_is_refused(name, tmp_path):
     with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .*\.ply, .* or \.csv"):
         gs_codec.write(tmp_path / name, to_cloud(random_scene(3)))
     assert list(tmp_path.iterdir()) == []
@@ -450,7 +450,7 @@ def test_suffix_that_is_not_known_is_refused(name, tmp_path):
     ids=["space", "non-ASCII", "taken", "int64", "three columns"],
 )
 @pytest.mark.parametrize("suffix", [".ply", ".egs"])
-def test_attribute_no_file_can_keep_is_refused(name, values, suffix, tmp_path):
+def test_attribute_that_no_file_can_store_is_refused(name, values, suffix, tmp_path):
     cloud = to_cloud(random_scene(40, 0))
     cloud.point[name] = tensor(values)
     with pytest.raises(InvalidInput, match=name):
@@ -472,7 +472,7 @@ def test_errors_are_of_one_family():
                 function(data)
 
 
-def test_reading_an_egs_tells_damage_with_the_name_of_the_file(trio, tmp_path):
+def test_damage_of_an_egs_is_reported_with_the_file_name(trio, tmp_path):
     path = tmp_path / "bad.egs"
     path.write_bytes(trio.egs.read_bytes()[:-1])
     for function in (gs_codec.read, gs_codec.inspect):

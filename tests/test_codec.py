@@ -110,7 +110,7 @@ def test_extremes_decode_exactly():
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_coding_what_was_decoded_changes_nothing_but_sh_ac(profile):
+def test_recoding_a_decoded_scene_changes_only_sh_ac(profile):
     scene = random_scene(3000, 0, seed=5)
     once = decode_scene(encode_scene(scene, Config(profile))[0])
     twice = decode_scene(encode_scene(once, Config(profile))[0])
@@ -183,7 +183,7 @@ def test_absent_bands_and_constant_channels_cost_a_flag():
     assert report.section_bytes["channels"] - without.section_bytes["channels"] in (224, 228)
 
 
-def test_carried_properties_and_comments_follow_their_gaussians():
+def test_extra_properties_and_comments_stay_with_their_gaussians():
     scene = random_scene(300, 0, seed=13)
     extra = {"label": np.arange(300, dtype="<i4"), "weight": scene.positions[0].astype("<f8")}
     scene = replace(scene, extra=extra, comments=("made by a test", ""), has_normals=True)
@@ -194,13 +194,13 @@ def test_carried_properties_and_comments_follow_their_gaussians():
     np.testing.assert_allclose(decoded.positions[0], decoded.extra["weight"], atol=1e-5)
 
 
-def test_decoder_refuses_more_than_it_may_hold():
+def test_decoder_refuses_scenes_above_the_size_limit():
     data, _ = encode_scene(random_scene(1000, 3, seed=14))
     with pytest.raises(CorruptStream, match="the limit is 1,000"):
         decode_scene(data, max_bytes=1000)
 
 
-def test_progress_counts_every_stage_to_its_end():
+def test_progress_reaches_the_total_of_every_stage():
     seen = {}
     scene = random_scene(3000, 1, seed=15)
 

@@ -34,7 +34,7 @@ def test_weights_are_those_of_the_reference():
     np.testing.assert_allclose(weights, expected, rtol=1e-6, atol=1e-12)
 
 
-def test_coefficients_there_and_back():
+def test_coefficients_round_trip():
     for degree in range(4):
         scene = random_scene(7, degree)
         assert_same_floats(with_coefficients(scene, coefficients_of(scene)), scene)
@@ -110,7 +110,7 @@ def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_cameras_see_the_same_when_nothing_is_asked(degree):
+def test_zero_strength_changes_nothing(degree):
     scene, cameras = visible_scene(60, 4, degree), orbit(8)
     compacted, _ = compact_sh(scene, cameras, 1e-14, smallest=0.0)
     np.testing.assert_allclose(images(compacted, cameras), images(scene, cameras), atol=1e-4)
@@ -131,7 +131,7 @@ def test_error_and_zeros_grow_with_strength(seed):
     assert zeros[-1] > zeros[0] > 0
 
 
-def test_seen_from_one_side_only_needs_dc():
+def test_gaussians_visible_from_one_side_need_only_dc():
     scene, camera = visible_scene(1, 7, bright=1.0), facing((1, 2, 3))
     scene = replace(scene, positions=np.zeros_like(scene.positions))
     compacted, _ = compact_sh(scene, [camera], 1e-6)
@@ -139,7 +139,7 @@ def test_seen_from_one_side_only_needs_dc():
     np.testing.assert_allclose(images(compacted, [camera]), images(scene, [camera]), atol=2e-3)
 
 
-def test_unseen_gaussians_keep_dc_alone():
+def test_unseen_gaussians_keep_only_dc():
     scene, cameras = visible_scene(20, 8), orbit(4)
     far = scene.positions.copy()
     far[:, :5] += 1000
@@ -150,7 +150,7 @@ def test_unseen_gaussians_keep_dc_alone():
     np.testing.assert_array_equal(compacted.f_dc[:, :5], scene.f_dc[:, :5])
 
 
-def test_what_is_clamped_at_black_costs_nothing():
+def test_colours_clamped_at_black_cost_nothing():
     scene, cameras = visible_scene(50, 9), orbit(12)
     black = replace(scene, f_dc=np.full_like(scene.f_dc, -3.0))
     compacted, _ = compact_sh(black, cameras, 1e-6)
@@ -172,7 +172,7 @@ def test_channels_at_black_follow_the_others():
     np.testing.assert_allclose(images(compacted, cameras), images(scene, cameras), atol=2e-3)
 
 
-def test_what_is_at_times_black_does_not_light_up():
+def test_partly_black_colours_stay_black():
     scene, cameras = visible_scene(50, 9), orbit(12)
     dark = replace(scene, f_dc=np.full_like(scene.f_dc, -2.2))
     compacted, _ = compact_sh(dark, cameras, 1e-5)
@@ -181,7 +181,7 @@ def test_what_is_at_times_black_does_not_light_up():
     assert np.mean((after - before) ** 2) < 1e-6
 
 
-def test_gaussians_without_ac_are_left_alone():
+def test_gaussians_without_ac_are_unchanged():
     scene, cameras = visible_scene(50, 10), orbit(6)
     f_rest = scene.f_rest.copy()
     f_rest[:, :20] = 0
@@ -192,7 +192,7 @@ def test_gaussians_without_ac_are_left_alone():
     np.testing.assert_array_equal(compacted.f_dc[:, :20], scene.f_dc[:, :20])
 
 
-def test_values_that_are_not_finite_stay():
+def test_nonfinite_values_are_unchanged():
     scene, cameras = visible_scene(10, 11), orbit(4)
     f_rest = scene.f_rest.copy()
     f_rest[3, 2], f_rest[20, 4] = np.nan, np.inf
@@ -203,7 +203,7 @@ def test_values_that_are_not_finite_stay():
     assert np.isnan(compacted.f_rest).sum() == 1
 
 
-def test_degree_0_is_left_alone():
+def test_degree_0_is_unchanged():
     scene = visible_scene(10, 12, sh_degree=0)
     compacted, _ = compact_sh(scene, orbit(2), 2e-5)
     assert_same_floats(compacted, scene)
@@ -230,7 +230,7 @@ def test_threads_do_not_change_it(monkeypatch):
     assert results[0][1] == results[1][1]
 
 
-def test_known_weights_are_taken():
+def test_known_weights_are_used():
     scene, cameras = visible_scene(30, 14), orbit(6)
     weights = squared_weights(scene, cameras)
     assert_same_floats(

@@ -55,7 +55,7 @@ def ply(tmp_path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".egs"])
-def test_what_spz_declares_stays_with_the_scene(suffix, spz, tmp_path, caplog):
+def test_declarations_of_spz_stay_with_the_scene(suffix, spz, tmp_path, caplog):
     caplog.set_level("INFO")
     target = tmp_path / f"out{suffix}"
     exact = ["-p", "lossless", "--keep-order"] if suffix == ".egs" else []
@@ -127,7 +127,7 @@ def test_a_table_has_every_float_exactly(count, tmp_path):
         np.testing.assert_array_equal(values, expected[name], name)
 
 
-def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
+def test_losses_of_splat_are_reported(ply, tmp_path, caplog):
     out, err = run("convert", ply, tmp_path / "a.splat", "--json")
     report = json.loads(out)
     assert report["gaussians"] == 60
@@ -138,7 +138,7 @@ def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
     assert "coordinates unchanged (RDF)" in err
 
 
-def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
+def test_nonfinite_values_are_refused_or_dropped(tmp_path):
     scene = random_scene(30, 0)
     opacity = scene.opacity.copy()
     opacity[0, 4:7] = np.nan
@@ -193,7 +193,7 @@ def test_converting_a_file_to_itself_is_refused(ply):
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".egs", ".splat"])
-def test_a_source_that_is_broken_leaves_nothing(suffix, spz, tmp_path):
+def test_damaged_source_leaves_no_output(suffix, spz, tmp_path):
     spz.write_bytes(spz.read_bytes()[:-30])
     with pytest.raises(GsCodecError):
         convert_file(spz, tmp_path / f"out{suffix}")
@@ -213,7 +213,7 @@ def test_every_command_reads_other_formats(spz, tmp_path):
     assert read_scene(tmp_path / "b.splat").count < 40
 
 
-def test_a_scene_of_several_files_is_as_large_as_all(tmp_path):
+def test_size_of_a_scene_includes_all_files(tmp_path):
     parts = foreign.sog_parts(300, 2, 0, seed=1)
     path = foreign.sog_folder(tmp_path, *parts)
     total = sum(file.stat().st_size for file in tmp_path.iterdir())
@@ -263,7 +263,7 @@ def test_scenes_whose_z_is_up_look_the_same_too(system, turn, degree):
     assert_same_bits(replace(scene, f_rest=back.f_rest), back)
 
 
-def test_turning_keeps_the_bits_of_what_is_no_number():
+def test_conversion_keeps_the_bits_of_nan():
     scene = random_scene(3, 1)
     bits = np.array([0x7FA00001, 0xFFC00002, 0x7F800000], np.uint32)
     scene.positions[:] = bits.view(np.float32)
@@ -328,7 +328,7 @@ def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, t
         (("CoordinateSystem: RRR", "CoordinateSystem: UP", "CoordinateSystem: RUBX"), None),
     ],
 )
-def test_the_last_comment_that_names_a_system_counts(comments, expected):
+def test_the_last_comment_on_the_coordinate_system_counts(comments, expected):
     assert replace(random_scene(1, 0), comments=comments).coordinates == expected
 
 
@@ -349,7 +349,7 @@ def test_chosen_gaussians_are_kept_in_their_order(ply, tmp_path):
         (1, np.zeros(60, bool), "chosen: no Gaussian"),
     ],
 )
-def test_what_cannot_be_chosen_is_refused(ply, tmp_path, sources, chosen, said):
+def test_invalid_selections_are_refused(ply, tmp_path, sources, chosen, said):
     with pytest.raises(InvalidInput, match=said):
         convert_file([ply] * sources, tmp_path / "a.ply", chosen=chosen)
     assert not (tmp_path / "a.ply").exists()

@@ -53,7 +53,7 @@ def without(script: str, folder, **values) -> tuple[str, list[str]]:
     return out, err.splitlines()
 
 
-def test_files_need_none_of_them(folder):
+def test_file_commands_need_no_optional_packages(folder):
     lines = [
         "encode scene.ply small.egs",
         "encode scene.ply guided.egs --cameras cameras.json --target-ratio 12",
@@ -73,12 +73,12 @@ def test_files_need_none_of_them(folder):
 
 
 @pytest.mark.thorough
-def test_cameras_are_estimated_without_them(folder):
+def test_cameras_are_estimated_without_optional_packages(folder):
     lines = ["compare scene.ply scene.egs --cameras auto --width 40"]
     assert json.loads(without(COMMANDS, folder, lines=lines)[1][-1]) == [0]
 
 
-def test_what_needs_them_says_how_to_install_them(folder):
+def test_missing_packages_are_named_with_their_install_command(folder):
     lines = [
         "convert scene.ply a.spz --remove-floaters --cameras cameras.json",
         "analyze scene.ply --out report",
@@ -184,7 +184,7 @@ def test_a_command_loads_what_it_needs(folder, line, ours, absent):
         assert "pydantic" not in packages
 
 
-def test_the_help_lists_what_each_command_says_of_itself():
+def test_the_help_lists_the_summary_of_each_command():
     commands = _Commands()
     for name, line in NAMES.items():
         assert commands.get_command(None, name).help.split("\n\n")[0].replace("\n", " ") == line

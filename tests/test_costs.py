@@ -41,7 +41,7 @@ def test_bits_add_up_to_the_file(profile, block_size):
 
 @pytest.mark.parametrize("sh_degree", range(4))
 @pytest.mark.parametrize("profile", ["l", "s"])
-def test_symbols_take_what_their_sections_do(profile, sh_degree):
+def test_bits_of_symbols_add_up_to_sections(profile, sh_degree):
     """Up to the coder's partly filled words: every pass is counted, including tables."""
     scene = random_scene(6000, sh_degree, seed=4)
     file = read_file(encode_scene(scene, Config(profile))[0])
@@ -132,7 +132,7 @@ def test_values_are_multiples_of_their_steps(guide):
         np.testing.assert_allclose(cells % 1, 0.5, atol=0.02)
 
 
-def test_classes_are_those_that_were_asked_for():
+def test_classes_equal_the_encoders():
     scene, steps = random_scene(900, 0, seed=9), []
 
     def guide(scene, config):
@@ -144,7 +144,7 @@ def test_classes_are_those_that_were_asked_for():
         np.testing.assert_array_equal(np.bincount(own), np.bincount(asked))
 
 
-def test_what_is_richer_takes_more():
+def test_more_complex_gaussians_take_more_bits():
     """Gaussians whose SH-AC were set to 0 take fewer bits than the others."""
     scene = random_scene(4000, 3, seed=5)
     f_rest = scene.f_rest.copy()

@@ -256,7 +256,7 @@ def test_a_file_that_is_truncated_while_it_is_read_is_one_line(
     assert not list(Path().glob("out.*"))
 
 
-def test_output_that_nothing_takes_is_one_line(folder):
+def test_closed_output_pipe_is_one_line(folder):
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full on this system")
     done = subprocess.run(

@@ -15,7 +15,7 @@ def _line(psnrs, factor=1.0) -> Curve:
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.7])
 @pytest.mark.parametrize("psnrs", [(40, 46, 52), (52, 40, 46), (41, 51), (35, 43.5, 44, 60)])
-def test_curves_a_factor_apart_are_so_at_every_quality(psnrs, factor):
+def test_curves_with_a_constant_ratio_have_that_rate(psnrs, factor):
     reference, tested = _line((38, 45, 47, 55)), _line(psnrs, factor)
     low, high = max(38, min(psnrs)), min(55, max(psnrs))
     for psnr in np.linspace(low, high, 7):
@@ -28,7 +28,7 @@ def test_curves_a_factor_apart_are_so_at_every_quality(psnrs, factor):
     assert there_and_back.percent == pytest.approx(100 * (1 / factor - 1), abs=1e-9)
 
 
-def test_a_curve_goes_through_its_points_and_not_beyond():
+def test_a_curve_interpolates_its_points_only():
     points = [(40.0, 60.0), (44.0, 75.0), (45.0, 160.0), (52.0, 170.0)]
     curve = Curve(points)
     for psnr, bits in points:

@@ -152,7 +152,7 @@ def test_the_number_is_exact(name):
 
 
 @pytest.mark.parametrize("sh_degree", range(4))
-def test_degree_comments_and_normals_stay(sh_degree):
+def test_degree_comments_and_normals_are_kept(sh_degree):
     scene = replace(random_scene(50, sh_degree, 1), comments=("made by hand",), has_normals=True)
     left = decimate(scene, 20)
     assert (left.sh_degree, left.comments, left.has_normals) == (sh_degree, scene.comments, True)
@@ -163,7 +163,7 @@ def test_a_number_below_one_is_refused():
         decimate(random_scene(5), 0)
 
 
-def test_threads_do_not_matter_and_the_argument_stays():
+def test_threads_do_not_matter_and_the_argument_is_unchanged():
     scene = painted_scene(6000, 3)
     before = scene.take(np.arange(scene.count))
     first = with_threads(1, decimate, scene, 1000)
@@ -173,7 +173,7 @@ def test_threads_do_not_matter_and_the_argument_stays():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("group", GROUPS)
-def test_values_that_are_not_finite_go_first(value, group):
+def test_nonfinite_gaussians_are_removed_first(value, group):
     scene = painted_scene(40, 4)
     plane = getattr(scene, group).copy()
     plane[0, [3, 7, 21]] = value
@@ -210,7 +210,7 @@ def test_properties_are_those_of_the_heavier():
         assert opacity(left, 0) == pytest.approx(opacity(twins, 0) + opacity(twins, 1), rel=1e-5)
 
 
-def test_what_is_not_merged_keeps_its_bits_and_its_order():
+def test_unmerged_gaussians_keep_bits_and_order():
     scene = replace(painted_scene(300, 7), extra={"number": np.arange(300, dtype=np.int32)})
     left = decimate(scene, 280)
     numbers = left.extra["number"]
@@ -229,7 +229,7 @@ def error(scene: Scene, views: ReferenceViews) -> float:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("percent", [20, 50])
-def test_without_cameras_it_looks_more_alike_than_dropping(seed, percent):
+def test_merging_without_cameras_looks_better_than_dropping(seed, percent):
     scene = painted_scene(1500, seed)
     number = scene.count * percent // 100
     views = draw_reference_views(scene, OTHERS, BLACK)
@@ -258,7 +258,7 @@ def test_steps_of_a_plan_do_not_count():
     assert_same_floats(decimate(scene, 100, plan), decimate(scene, 100, steps))
 
 
-def test_one_that_is_far_from_its_neighbours_colour_outlasts_them():
+def test_gaussians_with_a_distinct_colour_are_kept_longest():
     scene = painted_scene(400, 9, 0)
     f_dc = np.full_like(scene.f_dc, 0.2 / SH_C0)
     f_dc[:, 123] = (-0.5 / SH_C0, 0.5 / SH_C0, -0.5 / SH_C0)

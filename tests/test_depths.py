@@ -60,7 +60,7 @@ def test_a_constant_group_has_no_step(scene):
     encode_scene(flat, Config("m", {"opacity": 8}))
 
 
-def test_means_move_and_all_else_stays():
+def test_only_the_means_change():
     rng = np.random.default_rng(221)
     known = np.concatenate([np.ones((1, 50)), rng.normal(size=(4, 50))])
     turns = ("turn_0", "turn_1", "turn_2")
@@ -105,7 +105,7 @@ def test_a_bit_more_halves_the_steps_of_one_group(scene, group, guided):
         assert of[1][name] == pytest.approx(step * halved, rel=0.02), name
 
 
-def test_coarseness_leaves_asked_depths(scene):
+def test_coarseness_does_not_change_requested_depths(scene):
     depths = {"rotation": 7, "sh-ac": 5}
     once, coarser = (
         finest_steps(encode_scene(scene, Config("m", depths, coarseness=factor))[0])
@@ -117,7 +117,7 @@ def test_coarseness_leaves_asked_depths(scene):
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
-def test_values_are_on_the_lattices_asked_for(scene, guided):
+def test_values_are_on_the_requested_lattices(scene, guided):
     guide = made_up_guide(seed=223) if guided else None
     depths = {"sh-ac": 5, "rotation": 6, "scaling": 9, "sh-dc": 4}
     data = encode_by(scene, Config("s", depths), guide)
@@ -140,7 +140,7 @@ def test_an_empty_scene_may_have_depths():
     assert arrange_scene(empty, Config("m", {"sh1": 4}), None).order.size == 0
 
 
-def test_coarseness_scales_everything_that_steps_come_from():
+def test_coarseness_scales_all_steps():
     plain, twice = Config("m").adaptive_profile(), Config("m", coarseness=2).adaptive_profile()
     assert twice.fineness == pytest.approx(2 * plain.fineness)
     assert twice.error == pytest.approx(4 * plain.error)

@@ -43,7 +43,7 @@ def sharp_file(path: Path, scene: Scene) -> Path:
 
 
 @pytest.mark.parametrize("profile", ["m", "lossless"])
-def test_one_line_names_all_that_a_file_has_beyond_the_gaussians(profile, tmp_path, caplog):
+def test_one_line_names_everything_beyond_the_gaussians(profile, tmp_path, caplog):
     columns = {name: np.arange(30, dtype="<f4") for name in ("nx", "ny", "nz", "red")}
     scene = replace(random_scene(30, 0), extra=columns)
     path = sharp_file(tmp_path / "a.ply", scene)
@@ -100,7 +100,7 @@ def test_the_filter_of_mip_splatting_is_fused_seed21(profile, tmp_path, caplog):
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
 
 
-def test_a_filter_that_an_egs_keeps_apart_is_fused_when_it_is_read(tmp_path, caplog):
+def test_a_filter_stored_in_an_egs_is_fused_on_reading(tmp_path, caplog):
     scene = replace(random_scene(40, 1), extra={"filter_3D": np.full(40, 0.5, "<f4")})
     data, _ = encode_scene(scene, Config("lossless", extra="keep", keep_order=True))
     (tmp_path / "a.egs").write_bytes(data)
@@ -118,7 +118,7 @@ def test_a_filter_that_an_egs_keeps_apart_is_fused_when_it_is_read(tmp_path, cap
     ],
 )
 @pytest.mark.parametrize("extra", ["keep", "drop"])
-def test_scenes_that_move_are_named_as_such(names, named, extra, tmp_path, caplog):
+def test_dynamic_scenes_are_named(names, named, extra, tmp_path, caplog):
     columns = {name: np.ones(9, "<f4") for name in names}
     write_ply(tmp_path / "a.ply", replace(random_scene(9, 0), extra=columns))
     back = read_scene(tmp_path / "a.ply", extra)
@@ -130,7 +130,7 @@ def test_scenes_that_move_are_named_as_such(names, named, extra, tmp_path, caplo
     assert rest == ([f"{tmp_path / 'a.ply'}: left out: properties label"] if left_out else [])
 
 
-def test_coordinates_of_a_texture_are_no_time(tmp_path, caplog):
+def test_texture_coordinates_are_not_time(tmp_path, caplog):
     columns = {name: np.ones(9, "<f4") for name in "st"}
     write_ply(tmp_path / "a.ply", replace(random_scene(9, 0), extra=columns))
     read_scene(tmp_path / "a.ply", "drop")
@@ -225,7 +225,7 @@ NOT_GAUSSIANS = {
 
 
 @pytest.mark.parametrize("kind", NOT_GAUSSIANS)
-def test_what_is_no_scene_is_named(kind, tmp_path):
+def test_files_that_are_not_scenes_are_named(kind, tmp_path):
     names, element, said = NOT_GAUSSIANS[kind]
     path = tmp_path / "a.ply"
     path.write_text(text_ply(names, [" ".join("1" for _ in names)]))
@@ -245,7 +245,7 @@ def test_comments_that_are_not_ascii_are_dropped_with_a_warning(encoding, tmp_pa
     assert caplog.messages == [f"{tmp_path / 'a.ply'}: left out: comments that are not ASCII (1)"]
 
 
-def test_names_that_are_not_ascii_are_left_out(tmp_path, caplog):
+def test_names_that_are_not_ascii_are_dropped(tmp_path, caplog):
     scene = random_scene(9, 0)
     write_ply(tmp_path / "a.ply", replace(scene, extra={"height": np.ones(9, "<f4")}))
     back = read_scene(rewritten(tmp_path / "a.ply", (b"height", "höhe".encode())))
@@ -274,7 +274,7 @@ def test_text_of_other_compilers_and_editors_is_read(start, newline, space, tmp_
     np.testing.assert_array_equal(rows, READ)
 
 
-def test_a_byte_order_mark_tells_a_ply_by_any_name(tmp_path):
+def test_a_ply_with_a_byte_order_mark_is_recognised_by_any_name(tmp_path):
     path = tmp_path / "a.txt"
     path.write_bytes(b"\xef\xbb\xbf" + text_ply(LAYOUT, ["1 " * 14]).encode())
     assert read_scene(path).count == 1
@@ -291,7 +291,7 @@ def test_a_network_is_named_as_such(tmp_path):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("bits", [0x7FA00001, 0x7FC00000, 0x7F800000, 0xFF800000, 0x7F7FFFFF])
-def test_numbers_that_are_none_give_no_warning_of_numpy(bits, tmp_path):
+def test_nan_causes_no_numpy_warning(bits, tmp_path):
     value = np.full(9, bits, "<u4").view("<f4")
     scene = random_scene(9, 0)
     for group in GROUPS:

@@ -56,7 +56,7 @@ def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
 
 
-def test_what_is_left_out_and_fused_is_the_same_and_said_once(tmp_path, caplog):
+def test_dropped_and_fused_properties_are_the_same_and_reported_once(tmp_path, caplog):
     columns = {name: np.linspace(0, 1, 5000, dtype="<f4") for name in ("nx", "ny", "nz", "label")}
     columns["filter_3D"] = columns["label"]
     path = saved(tmp_path / "a.ply", replace(random_scene(5000, 1, seed=3), extra=columns))
@@ -91,7 +91,7 @@ def test_levels_are_the_same(tmp_path, blended, size):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("bad", [0.0, 0.1])
-def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, still_life, bad):
+def test_values_are_cleaned_in_every_task(tmp_path, still_life, bad):
     rng = np.random.default_rng(1)
     scene = replace(still_life, f_rest=still_life.f_rest.copy(), rot=still_life.rot.copy())
     scene.f_rest[3, rng.random(6000) < bad] = np.nan
@@ -106,7 +106,7 @@ def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, still_life, bad):
             in_tasks([path], tmp_path / "b.egs", replace(config, nonfinite="error"), 999)
 
 
-def test_what_leaves_no_gaussian_is_an_error_in_tasks_too(tmp_path):
+def test_an_empty_result_is_an_error_in_tasks_too(tmp_path):
     scene = random_scene(300, 1, seed=2)
     path = saved(tmp_path / "a.ply", replace(scene, f_rest=np.full_like(scene.f_rest, np.nan)))
     config = Config("m", block_size=BLOCK, nonfinite="drop")
@@ -165,7 +165,9 @@ def test_strict_refuses_the_same(tmp_path, still_life, aiming):
     assert str(expected.value).endswith(str(found.value))
 
 
-def test_windows_that_show_too_much_are_left_out_in_all_tasks(tmp_path, still_life, monkeypatch):
+def test_windows_with_too_many_gaussians_are_skipped_in_all_tasks(
+    tmp_path, still_life, monkeypatch
+):
     path = saved(tmp_path / "a.ply", still_life)
     config = Config("m", block_size=BLOCK)
     before = whole(path, tmp_path / "whole.egs", config)
@@ -251,7 +253,7 @@ def test_damaged_file_is_refused_by_a_task(tmp_path):
 @pytest.mark.thorough
 @pytest.mark.rounds(3)
 @pytest.mark.parametrize("share", [1.0, 0.05])
-def test_a_run_goes_on_where_one_before_it_ended(tmp_path, still_life, aiming, share, seed):
+def test_an_interrupted_run_is_resumed(tmp_path, still_life, aiming, share, seed):
     aiming(share)
     path = saved(tmp_path / "a.ply", still_life)
     config, target = Config("m", block_size=BLOCK), tmp_path / "tasks.egs"
@@ -268,7 +270,7 @@ def test_a_run_goes_on_where_one_before_it_ended(tmp_path, still_life, aiming, s
     assert len(done) == len(set(done))
 
 
-def test_what_another_run_left_does_not_count(tmp_path):
+def test_results_of_other_runs_are_ignored(tmp_path):
     path, target = saved(tmp_path / "a.ply", random_scene(3000, 0)), tmp_path / "tasks.egs"
     with pytest.raises(Lost):
         in_tasks([path], target, Config("l"), 1000, Here(fails_at=8))
@@ -277,7 +279,7 @@ def test_what_another_run_left_does_not_count(tmp_path):
     assert in_tasks([path], target, Config("m"), 1000) == expected
 
 
-def test_files_of_others_in_the_folder_stay(tmp_path):
+def test_unrelated_files_in_the_folder_are_kept(tmp_path):
     path, target = saved(tmp_path / "a.ply", random_scene(3000, 0)), tmp_path / "a.egs"
     (tmp_path / "a.egs.parts/mine").mkdir(parents=True)
     (tmp_path / "a.egs.parts/mine/notes").touch()
@@ -288,7 +290,7 @@ def test_files_of_others_in_the_folder_stay(tmp_path):
     assert [entry.name for entry in found] == ["mine", "notes"]
 
 
-def test_two_runs_do_not_work_in_one_folder(tmp_path):
+def test_two_runs_cannot_share_a_folder(tmp_path):
     where = tmp_path / "a.egs"
     other = pytest.raises(InvalidInput, match=r"a\.egs\.parts: another run is using it")
     with work_folder(where, {}), other, work_folder(where, {}):
@@ -306,7 +308,7 @@ def test_a_folder_that_is_not_shared_is_named(tmp_path):
         folder.load("scan-3")
 
 
-def test_memory_of_a_worker_says_how_much_a_task_holds():
+def test_memory_of_a_worker_limits_the_size_of_a_task():
     assert size_within(None, 4, 3, 10**6) == size_within(10**12, 1, 3, 10)
     one, four = (size_within(10**9, at_once, 3, 1024) for at_once in (2, 8))
     assert one == pytest.approx(4 * four, rel=0.01)
@@ -324,7 +326,7 @@ def test_memory_of_a_worker_says_how_much_a_task_holds():
         (Config("m", extra="keep"), "extra properties are not kept"),
     ],
 )
-def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
+def test_options_that_need_the_whole_scene_are_refused(tmp_path, config, match):
     path = saved(tmp_path / "a.ply", random_scene(10))
     with pytest.raises(InvalidInput, match=match):
         encode_distributed(path, tmp_path / "a.egs", config)
@@ -363,13 +365,13 @@ def test_levels_are_decoded_by_one_process(tmp_path):
         (["decode", "scene.egs", "b.ply", "--view", "none"], "--view has no effect with --dask"),
     ],
 )
-def test_command_refuses_what_has_no_effect(folder, arguments, expected):
+def test_command_refuses_options_without_effect(folder, arguments, expected):
     status, out, err = folder.run(*arguments, "--dask", "local")
     assert (status, out) == (2, "")
     assert expected in err
 
 
-def test_dask_that_is_not_installed_is_named(folder):
+def test_missing_dask_is_named(folder):
     folder.monkeypatch.delitem(sys.modules, "gs_codec.workers.dask", raising=False)
     for name in ("dask", "distributed"):
         folder.monkeypatch.setitem(sys.modules, name, None)

@@ -96,7 +96,7 @@ def wanted(tmp_path_factory) -> Path:
 
 @pytest.mark.thorough
 @pytest.mark.rounds(1)
-def test_whatever_is_killed_the_same_command_goes_on(tmp_path, machines, wanted, seed):
+def test_the_same_command_resumes_after_any_kill(tmp_path, machines, wanted, seed):
     rng = random.Random(seed)
     out = tmp_path / "out"
     out.mkdir()

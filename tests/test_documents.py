@@ -51,7 +51,7 @@ def document(folder, *arguments: str) -> dict:
     return strict_json(out)
 
 
-def test_each_command_is_tried():
+def test_every_command_is_tested():
     """Except `share` and `warm`, which take long, and `bench`, which prints lines."""
     assert {case.split()[0] for case in COMMANDS} == set(NAMES) - {"share", "bench", "warm"}
 
@@ -138,13 +138,13 @@ def test_errors_are_documents_too(folder, typed, kind, text):
     assert folder.run(*typed.split()).out == ""
 
 
-def test_error_leaves_a_piped_scene_alone(folder):
+def test_errors_do_not_corrupt_a_piped_scene(folder):
     status, out, err = folder.run("encode", "none.ply", "-", "--json")
     assert (status, out) == (2, "")
     assert strict_json(err.splitlines()[-1])["error"]["kind"] == "InvalidInput"
 
 
-def test_values_that_are_not_finite_are_null(folder):
+def test_nonfinite_values_are_null(folder):
     assert finite({"a": [math.nan, -math.inf, 1.5], "b": ({"c": math.inf},)}) == {
         "a": [None, None, 1.5], "b": [{"c": None}],
     }  # fmt: skip

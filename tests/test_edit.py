@@ -54,7 +54,7 @@ def scene() -> Scene:
     return replace(random_scene(500, 2, seed=31), extra=extra, comments=("trained",))
 
 
-def test_a_box_has_its_faces(scene):
+def test_a_box_includes_its_faces(scene):
     low, high = scene.positions[:, 3].tolist(), (scene.positions[:, 3] + 0.5).tolist()
     inside = [
         all(low[k] <= point[k] <= high[k] for k in range(3)) for point in scene.positions.T.tolist()
@@ -63,7 +63,7 @@ def test_a_box_has_its_faces(scene):
     assert_chosen(scene, inside, act(scene, f"crop-box {','.join(map(repr, low + high))}"))
 
 
-def test_a_sphere_has_its_surface(scene):
+def test_a_sphere_includes_its_surface(scene):
     scene.positions[:, :2] = [[0.0, 0.0], [0.75, 0.75], [1.0, 1.0000001]]
     inside = [math.dist(point, (0, 0, 0)) <= 1.25 for point in scene.positions.T.tolist()]
     assert inside[:2] == [True, False]
@@ -108,7 +108,7 @@ def test_conditions_are_in_natural_units(scene, condition):
 
 
 @pytest.mark.parametrize("compared", ["<", "<=", ">", ">=", "==", "!="])
-def test_nan_fulfils_no_condition(scene, compared):
+def test_nan_satisfies_no_condition(scene, compared):
     scene.opacity[0, :3] = np.nan
     scene.opacity[0, 3] = 0.0
     left = act(scene, f"filter opacity{compared}0.5", "filter opacity<2")
@@ -133,11 +133,11 @@ def test_nan_fulfils_no_condition(scene, compared):
         ("z>1e9", "no Gaussian is left of 9, bounds "),
     ],
 )
-def test_conditions_that_make_no_sense_are_refused(text, said):
+def test_invalid_conditions_are_refused(text, said):
     assert refused(f"filter {text}").startswith(f"--filter {text}".rstrip() + f": {said}")
 
 
-def test_gaussians_that_are_not_finite_go(scene):
+def test_nonfinite_gaussians_are_removed(scene):
     for i, (group, value) in enumerate(DAMAGE):
         getattr(scene, group)[-1, 20 * i] = value
     flat = replace(scene, opacity=scene.opacity.copy(), log_scale=scene.log_scale.copy())
@@ -151,7 +151,7 @@ def test_gaussians_that_are_not_finite_go(scene):
 
 
 @pytest.mark.parametrize("degree", range(4))
-def test_sh_above_a_degree_are_left_out(degree):
+def test_sh_above_a_degree_are_dropped(degree):
     scene = random_scene(20, 3, seed=4)
     left = act(scene, f"sh-degree {degree}")
     assert left.sh_degree == degree
@@ -194,7 +194,7 @@ def test_normals_turn_with_the_scene(scene):
 
 
 @pytest.mark.parametrize("degree", range(4))
-def test_a_rotation_and_its_inverse_give_the_scene_back(degree):
+def test_a_rotation_and_its_inverse_restore_the_scene(degree):
     scene = random_scene(300, degree, seed=degree)
     quaternion = np.array([0.4, 0.3, -0.7, 0.2])
     there = ",".join(map(repr, quaternion.tolist()))
@@ -205,7 +205,7 @@ def test_a_rotation_and_its_inverse_give_the_scene_back(degree):
     assert_seen_alike(scene, again, np.eye(3))
 
 
-def test_a_rotated_scene_is_seen_by_rotated_cameras_as_before():
+def test_a_rotated_scene_looks_the_same_to_rotated_cameras():
     scene = random_scene(2000, 3, seed=8)
     turn = Rotation.from_euler("xyz", [70, 20, -130], degrees=True).as_matrix()
     here = Camera("here", 90, 60, 70.0, 70.0, 45.0, 30.0, np.eye(3), np.array([0.1, 0.2, -5.0]))
@@ -256,7 +256,7 @@ def test_files_without_a_matrix_are_refused(tmp_path, text):
 
 
 @pytest.mark.parametrize("number", ["NaN", "1e999", f"1{'0' * 5000}", "0"])
-def test_matrices_that_are_no_similarity_are_refused(tmp_path, number):
+def test_matrices_that_are_not_similarities_are_refused(tmp_path, number):
     (tmp_path / "m.json").write_text(f"[[{number},0,0,0],[0,1,0,0],[0,0,1,0]]")
     assert "stretches or shears" in refused(f"transform {tmp_path}/m.json")
 
@@ -288,7 +288,7 @@ def test_matrices_that_are_no_similarity_are_refused(tmp_path, number):
         ("remove-nan 3", "takes no value"),
     ],
 )
-def test_values_that_make_no_sense_are_refused(typed, said):
+def test_invalid_values_are_refused(typed, said):
     shown = typed.replace(" -", "=-")
     assert refused(typed).startswith(f"--{shown}: {said}")
 
@@ -298,12 +298,12 @@ def test_unknown_actions_are_refused():
         Action("crop", "1")
 
 
-def test_what_is_not_finite_cannot_be_sorted(scene):
+def test_nonfinite_centres_cannot_be_sorted(scene):
     scene.positions[0, 7] = np.nan
     assert "--remove-nan" in refused("sort morton", scene=scene)
 
 
-def test_actions_are_done_in_their_order(scene):
+def test_actions_are_applied_in_order(scene):
     first = act(scene, "translate 10,0,0", "crop-box 9,-9,-9,11,9,9", "translate -10,0,0")
     inside = np.abs(scene.positions[0]) <= 1
     np.testing.assert_array_equal(first.extra["label"], scene.extra["label"][inside])
@@ -313,7 +313,7 @@ def test_actions_are_done_in_their_order(scene):
 
 
 @pytest.mark.parametrize("name", sorted(KINDS))
-def test_scenes_of_no_gaussian_stay(name, tmp_path):
+def test_empty_scenes_are_unchanged(name, tmp_path):
     (tmp_path / "m.json").write_text(json.dumps(matrix_of(np.eye(3), 2.0).tolist()))
     texts = {
         "crop-box": "0,0,0,1,1,1", "crop-sphere": "0,0,0,1", "filter": "z>0",
@@ -324,7 +324,7 @@ def test_scenes_of_no_gaussian_stay(name, tmp_path):
         assert act(random_scene(0, 2), f"{name} {texts.get(name, '')}".rstrip()).count == 0
 
 
-def test_reports_tell_what_went(scene):
+def test_reports_count_removed_gaussians(scene):
     actions = [Action("filter", "label!=3"), Action("scale", "2")]
     _, reports = edit_scenes([scene], actions)
     kept = int(np.count_nonzero(scene.extra["label"] != 3))
@@ -334,7 +334,7 @@ def test_reports_tell_what_went(scene):
     ]
 
 
-def test_actions_take_place_in_rdf():
+def test_actions_are_applied_in_rdf():
     scene = random_scene(60, 1, seed=6)
     up = turn_axes(scene, "RUB")
     assert up.coordinates == "RUB"
@@ -344,7 +344,7 @@ def test_actions_take_place_in_rdf():
     )
 
 
-def test_an_order_is_not_stated_of_edited_scenes(scene):
+def test_edited_scenes_state_no_order(scene):
     ordered = replace(scene, comments=("gs_codec order floats", "other"))
     assert act(ordered, "filter label!=3").comments == ("other",)
     assert act(ordered, "scale 2").comments == ("other",)
@@ -376,7 +376,7 @@ def test_scenes_of_two_systems_are_merged_in_rdf():
     assert_same_bits(replace(both, comments=()), merge_scenes([one, two]))
 
 
-def test_properties_that_not_all_merged_scenes_have_are_left_out(scene, caplog):
+def test_properties_missing_in_a_merged_scene_are_dropped(scene, caplog):
     other = replace(scene, extra={})
     wide = replace(scene, extra={"label": scene.extra["label"].astype("<f4")})
     for scenes in ([scene, other], [other, scene], [scene, wide]):
@@ -414,7 +414,7 @@ def test_properties_that_not_all_merged_scenes_have_are_left_out(scene, caplog):
         (["keep 9%"], None, True, False, "--keep 9%: needs the whole scene in memory"),
     ],
 )
-def test_what_rules_actions_out(actions, plan, limited, coded, said):
+def test_actions_are_refused_in_some_combinations(actions, plan, limited, coded, said):
     typed = [Action(*action.split(" ")) for action in actions]
     if said is None:
         check_actions(typed, plan, limited, coded)

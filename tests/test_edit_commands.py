@@ -43,7 +43,7 @@ def expected(scene: Scene, *typed: str) -> Scene:
     return edit_scenes([scene], actions)[0]
 
 
-def test_actions_are_done_in_the_order_typed(folder):
+def test_actions_are_applied_in_the_order_typed(folder):
     scene = read_ply("scene.ply")
     there = (CROP, TURN, SHIFT, CROP)
     status, out, err = folder.run("convert", "scene.ply", there[0], "o.ply", *there[1:])
@@ -60,7 +60,7 @@ def test_actions_are_done_in_the_order_typed(folder):
     assert read_ply("p.ply").count != edited.count
 
 
-def test_json_tells_what_actions_did(folder):
+def test_json_reports_actions(folder):
     typed = ("--remove-nan", *FILTER, "--sh-degree", "1")
     status, out, _ = folder.run("convert", "scene.ply", "o.egs", *typed, "--json")
     assert status == 0
@@ -97,7 +97,7 @@ def test_errors_name_the_scene(folder):
     assert "error: scene.ply + scene.egs: --crop-sphere" in line
 
 
-def test_gaussians_with_nan_go_before_they_are_refused(folder):
+def test_gaussians_with_nan_can_be_removed_before_encoding(folder):
     scene = read_ply("scene.ply")
     scene.opacity[0, 5] = np.nan
     write_ply("nan.ply", scene)
@@ -131,11 +131,11 @@ def test_gaussians_with_nan_go_before_they_are_refused(folder):
         ("batch scene.ply out --format pt --max-memory 1GB", "--max-memory has no effect on pt"),
     ],
 )  # fmt: skip
-def test_what_makes_no_sense_is_refused(folder, typed, said):
+def test_invalid_actions_are_refused(folder, typed, said):
     assert said in folder.refuse(*typed.split())
 
 
-def test_encoding_edits_first(folder):
+def test_encode_applies_actions_first(folder):
     typed = [CROP, *FILTER]
     status, out, err = folder.run("encode", "scene.ply", "o.egs", *typed, "--json")
     assert (status, err.count("removed")) == (0, 2)
@@ -153,7 +153,7 @@ def piped(*arguments: str, data: bytes = b"") -> bytes:
 
 
 @pytest.mark.thorough
-def test_scenes_go_through_pipes(folder):
+def test_scenes_pass_through_pipes(folder):
     data = piped("convert", "-", "-", TURN, data=(folder.path / "scene.ply").read_bytes())
     (folder.path / "turned.ply").write_bytes(data)
     assert_same_bits(read_ply("turned.ply"), expected(read_ply("scene.ply"), TURN))
@@ -180,7 +180,7 @@ def test_results_are_the_same_below_a_memory_limit(folder, monkeypatch, source, 
         convert_file(source, "o.spz", max_memory=1)
 
 
-def test_editing_below_a_limit_takes_files_and_not_memory(tmp_path, monkeypatch):
+def test_editing_below_a_limit_uses_files_instead_of_memory(tmp_path, monkeypatch):
     """Arrays that grow with the scene are in files, from reader to writer."""
     write_ply(tmp_path / "scene.ply", random_scene(3000, 3, seed=2))
     monkeypatch.setattr(arrays, "_LARGE", 0)
@@ -222,7 +222,7 @@ def test_batches_edit_and_convert(folder):
 
 
 @pytest.mark.thorough
-def test_batches_resume_by_what_actions_read(folder):
+def test_batches_resume_depending_on_files_of_actions(folder):
     def matrix(scale: float) -> None:
         rows = (scale * np.eye(3, 4)).tolist()
         (folder.path / "m.json").write_text(json.dumps(rows))
@@ -266,7 +266,7 @@ def test_scenes_are_decimated(folder, action, cameras):
     assert_same_bits(read_ply("o.ply"), decimate(read_ply("scene.ply"), 600, plan))
 
 
-def test_cleaning_tells_why_gaussians_went(folder):
+def test_cleaning_reports_reasons(folder):
     scene = read_ply("scene.ply")
     stray = scene.take(np.array([0]))
     stray.positions[:] = 500.0

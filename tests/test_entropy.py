@@ -169,7 +169,7 @@ def test_sent_tables_return_their_weights(mantissa):
         np.testing.assert_array_equal(before, after)
 
 
-def test_sent_tables_hold_weights_of_32_bits_and_refuse_longer_ones():
+def test_sent_tables_support_32_bit_weights_and_refuse_longer_ones():
     weights = np.array([1, 0xFFFF << 16, 1 << 31, 0], np.int64)
     (decoded,) = decode_tables(memoryview(encode_tables([weights], [15])), [4], [15], "x")
     np.testing.assert_array_equal(decoded, weights)
@@ -185,7 +185,7 @@ def test_sent_tables_refuse_an_empty_table():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_sent_tables_survive_noise(seed):
+def test_noisy_sent_tables_do_not_crash(seed):
     data = np.random.default_rng(seed).integers(0, 256, 100, np.uint8).tobytes()
     with pytest.raises(CorruptStream):
         decode_tables(memoryview(data), [256, 256], [15, 15], "x")

@@ -125,7 +125,7 @@ def chosen(places: np.ndarray, **options):
 
 
 @pytest.mark.parametrize("name", CHOICES)
-def test_which_are_far(name):
+def test_selection_of_far_gaussians(name):
     places, least, most = CHOICES[name]
     positions, grid, unit = chosen(places)
     far = outside(positions, grid)
@@ -147,7 +147,7 @@ def test_which_are_far(name):
         assert grid == everything
 
 
-def test_coarser_steps_are_weighed_against_far_ones():
+def test_coarser_steps_are_compared_with_far_gaussians():
     """A city uses a coarser grid where a scene with a few outliers would store far centres."""
     _, grid, unit = chosen(CHOICES["a city"][0])
     assert WANTED < unit <= WANTED + 3
@@ -183,7 +183,7 @@ def matched(data: bytes, scene: Scene) -> tuple[Scene, Scene]:
 @pytest.mark.parametrize("guide", GUIDES)
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize("distance", [1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 3e38, -3e38])
-def test_one_far_centre_is_exact_and_leaves_the_others_as_they_are(profile, guide, distance):
+def test_one_far_centre_is_exact_and_does_not_affect_others(profile, guide, distance):
     near = random_scene(3000, 1, seed=70)
     scene = replace(near, positions=near.positions.copy())
     scene.positions[0, 11] = distance
@@ -222,7 +222,7 @@ def test_many_far_centres_are_exact(profile, guide, number):
     assert errors.max() < 0.1
 
 
-def test_the_case_that_failed():
+def test_a_scene_that_failed_before():
     path = SHARED.parent / "cases" / "far_gaussian.ply"
     if not path.exists():
         pytest.skip("the shared cases are not on this machine")
@@ -239,7 +239,7 @@ def test_the_case_that_failed():
         assert np.quantile(apart[0], 0.99) <= 1.1 * np.quantile(apart[1], 0.99)
 
 
-def test_without_far_ones_files_are_of_version_1():
+def test_files_without_far_gaussians_are_version_1():
     for scene in (random_scene(3000, 1), random_scene(0), random_scene(1)):
         data = encode_scene(scene, Config("m"))[0]
         info = inspect_bytes(data)
@@ -258,13 +258,13 @@ def test_depths_and_coarseness():
         assert np.array_equal(decoded.positions[:, -far:], original.positions[:, -far:])
 
 
-def test_a_depth_of_geometry_is_over_the_range_of_the_near_ones():
+def test_a_depth_of_geometry_covers_the_near_range():
     near, depths = random_scene(3000, 1, seed=72), {"geometry": 12}
     far = with_far(near, 20)
     assert mean_octaves(far, depths) == pytest.approx(mean_octaves(near, depths), abs=0.1)
 
 
-def test_far_ones_do_not_change_how_coarse_a_scene_may_be():
+def test_far_gaussians_do_not_change_the_calibration():
     near = random_scene(8000, 1, seed=73)
     near.log_scale[:] += 1.5
     found = []
@@ -289,7 +289,9 @@ def shown(
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("number", [1, 60])
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
-def test_views_and_sizes_are_nearly_those_without_far_ones(number, profile, guided, monkeypatch):
+def test_views_and_sizes_are_nearly_those_without_far_gaussians(
+    number, profile, guided, monkeypatch
+):
     """In such a small scene, moving any few Gaussians changes views by up to 3 dB."""
     monkeypatch.setattr("gs_codec.encoding.retry._MOST_ENCODINGS", 1)
     near, config, views = generate(6000, 1, 5), Config(profile), cameras(12)
@@ -308,7 +310,7 @@ def test_views_and_sizes_are_nearly_those_without_far_ones(number, profile, guid
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("share", [0, 100])
-def test_views_and_sizes_of_a_real_scene_are_those_without_far_ones(share):
+def test_views_and_sizes_of_a_real_scene_are_those_without_far_gaussians(share):
     """One centre, or 1 %."""
     near = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
     scene = with_far(near, near.count // share if share else 1, 6)
@@ -330,7 +332,7 @@ def test_cameras_can_be_estimated_and_targets_met():
     assert 20 <= scene.float_bytes / len(data) < 25
 
 
-def test_keys_of_far_ones_are_the_last_and_they_are_beside_their_neighbours():
+def test_far_gaussians_sort_last_next_to_their_neighbours():
     scene = with_far(random_scene(4000, 0, seed=74), 400)
     arranged = arrange_scene(scene, Config("m"), None)
     grid = arranged.lattice.grid
@@ -379,13 +381,13 @@ def test_parts_slabs_and_blocks(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("mark", ["0 0 0 1 21 21 21 far", "0 0 0 1 2 2 far", "0 0 0 1 2 2 2 afar"])
-def test_orders_that_make_no_sense_are_refused(mark):
+def test_invalid_orders_are_refused(mark):
     scene = replace(random_scene(5), comments=(f"gs_codec order grid {mark}",))
     with pytest.raises(InvalidInput, match="comment"):
         order_of(scene)
 
 
-def test_bits_of_far_ones():
+def test_bits_of_far_gaussians():
     _, data = many()
     file = read_file(data)
     assert gaussian_bits(file).sum() == pytest.approx(8 * len(data))
@@ -427,7 +429,7 @@ def in_levels(number: int = 20) -> bytes:
     return encoded(with_far(random_scene(300, 1, seed=330), number))
 
 
-def test_levels_have_far_ones_or_not():
+def test_levels_with_and_without_far_gaussians():
     data = in_levels()
     file = read_file(data)
     levels = [open_level(file, level) for level in levels_of(file)]
@@ -443,7 +445,7 @@ def test_levels_have_far_ones_or_not():
         assert decode_part(data, Part(view=view))[0].count
 
 
-def test_levels_of_a_file_without_far_ones_have_none():
+def test_levels_of_a_file_without_far_gaussians_have_none():
     """Even if their own step sizes suggested them."""
     data = in_levels(0)
     level = bytes(read_file(in_levels()).read().sections[SectionId.LEVEL, 1])
@@ -564,7 +566,7 @@ def test_javascript_decodes_parts_and_lower_degrees():
 # Commands
 
 
-def test_inspect_says_how_many_are_far(tmp_path, run_codec):
+def test_inspect_counts_far_gaussians(tmp_path, run_codec):
     _, data = many()
     (tmp_path / "a.egs").write_bytes(data)
     number = inspect_bytes(data).far
@@ -587,7 +589,7 @@ def test_memory_limits_do_not_change_the_file(tmp_path):
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
 
 
-def test_pages_read_them_as_they_are(tmp_path):
+def test_pages_embed_them_unchanged(tmp_path):
     pytest.importorskip("viewer")
     data = encode_scene(with_far(random_scene(3000, 1, seed=74), 5), Config("m"))[0]
     (tmp_path / "far.egs").write_bytes(data)

@@ -87,7 +87,7 @@ def moved_lines(lost: tuple[str, ...]) -> list[str]:
 
 @pytest.mark.parametrize("distance", [30.0, *DISTANCES, 1e30])
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.03])
-def test_far_ones_are_found(scene, distance, share):
+def test_far_gaussians_are_found(scene, distance, share):
     moved, far = moved_away(scene, distance if share < 0.02 else 1e3 * distance, share)
     found = find_far(moved.positions, moved.log_scale)
     np.testing.assert_array_equal(found.far, np.flatnonzero(far))
@@ -97,7 +97,7 @@ def test_far_ones_are_found(scene, distance, share):
 
 
 @pytest.mark.parametrize("name", edge_scenes())
-def test_ordinary_scenes_have_none(name):
+def test_ordinary_scenes_have_no_far_gaussians(name):
     scene = edge_scenes()[name]
     assert find_far(scene.positions, scene.log_scale) is None
     assert bring_nearer(scene) == (scene, ())
@@ -118,7 +118,7 @@ def test_ordinary_scenes_have_none(name):
         "biker.compressed.ply",
     ],
 )
-def test_real_scenes_have_none_unless_they_are_put_there(name):
+def test_real_scenes_have_far_gaussians_only_if_added(name):
     scene = read_scene(shared_scene_path(name), "drop")
     assert find_far(scene.positions, scene.log_scale) is None
     reach = float(np.abs(scene.positions).max())
@@ -128,7 +128,7 @@ def test_real_scenes_have_none_unless_they_are_put_there(name):
         np.testing.assert_array_equal(found.far, np.flatnonzero(far))
 
 
-def test_a_background_of_large_ones_is_not_far(scene):
+def test_a_background_of_large_gaussians_is_not_far(scene):
     moved, far = moved_away(scene, 50.0, 0.01)
     sizes = np.where(far, np.float32(np.log(7.0)), moved.log_scale)
     assert find_far(moved.positions) is not None
@@ -139,7 +139,7 @@ def test_a_background_of_large_ones_is_not_far(scene):
     assert find_far(moved.positions, sizes).far.size == far.sum()
 
 
-def test_far_ones_at_all_distances(scene):
+def test_far_gaussians_at_all_distances(scene):
     """A tail without gaps, from 100 to 1e9: nearly all of it is far."""
     moved, far = moved_away(scene, 1.0, 0.02)
     tail = np.geomspace(100, 1e9, far.sum())
@@ -163,7 +163,7 @@ def test_few_gaussians(count):
 
 @pytest.mark.parametrize("distance", DISTANCES)
 @pytest.mark.parametrize("factor", [1.0, 4.0])
-def test_they_look_the_same_from_the_middle(scene, distance, factor):
+def test_moved_gaussians_look_the_same_from_the_middle(scene, distance, factor):
     moved, far = moved_away(scene, distance, 0.01)
     large = np.where(far, np.float32(np.log(0.1 * distance)), moved.log_scale)
     moved = replace(moved, log_scale=large)
@@ -188,7 +188,7 @@ def test_they_look_the_same_from_the_middle(scene, distance, factor):
     assert 'Action("remove-floaters")' in line
 
 
-def test_dots_fade_unless_the_scene_has_them_compensated(scene):
+def test_far_dots_fade_without_opacity_compensation(scene):
     moved, far = moved_away(scene, 1e6, 0.01)
     drawn, _ = bring_nearer(moved)
     np.testing.assert_array_equal(drawn.opacity[:, ~far], moved.opacity[:, ~far])
@@ -209,7 +209,7 @@ def test_dots_fade_unless_the_scene_has_them_compensated(scene):
     np.testing.assert_allclose(drawn.opacity, moved.opacity, atol=0.05)
 
 
-def test_opaque_ones_and_those_without_an_opacity(scene):
+def test_opaque_and_fully_transparent_far_gaussians(scene):
     moved, far = moved_away(scene, 1e6, 0.01)
     opacity = np.where(far, np.float32(200.0), moved.opacity)
     opacity[0, np.flatnonzero(far)[0]] = -200.0
@@ -220,7 +220,7 @@ def test_opaque_ones_and_those_without_an_opacity(scene):
         assert (drawn.opacity <= opacity).all()
 
 
-def test_small_ones_stay_finite_and_a_flat_scene_keeps_a_thickness(scene):
+def test_small_far_gaussians_stay_finite_and_flat_scenes_keep_a_thickness(scene):
     flat = scene.positions.copy()
     flat[1] = 0.25
     moved, far = moved_away(replace(scene, positions=flat), 1e9, 0.01)
@@ -233,7 +233,7 @@ def test_small_ones_stay_finite_and_a_flat_scene_keeps_a_thickness(scene):
 
 
 @pytest.mark.parametrize("logit", [0.5, 40.0])
-def test_of_those_as_large_as_can_be_only_the_centres_and_scales_change(scene, logit):
+def test_only_centres_and_scales_of_huge_gaussians_change(scene, logit):
     moved, far = moved_away(scene, 1e9, 0.01)
     sizes = np.where(far, np.float32(400.0), moved.log_scale)
     large = replace(moved, log_scale=sizes, opacity=np.full_like(moved.opacity, logit))
@@ -259,7 +259,7 @@ def test_a_scene_without_thickness_far_from_the_origin(scene, height, also_along
     assert np.isfinite(drawn.log_scale).all()
 
 
-def test_what_is_inside_the_box_stays(scene):
+def test_gaussians_inside_the_box_are_unchanged(scene):
     moved, _ = moved_away(scene, 1e3, 0.01)
     found = find_far(moved.positions)
     assert draw_nearer(moved, found, found.box(1e6)) == (moved, ())
@@ -270,7 +270,7 @@ def test_what_is_inside_the_box_stays(scene):
 
 @pytest.mark.parametrize("distance", DISTANCES)
 @pytest.mark.parametrize("share", SHARES)
-def test_far_ones_come_last_and_others_as_without(scene, distance, share):
+def test_far_gaussians_come_last_and_do_not_affect_the_order(scene, distance, share):
     moved, far = moved_away(scene, distance, share)
     order = spatial_order(moved.positions, moved.log_scale)
     near = np.flatnonzero(~far)
@@ -285,7 +285,7 @@ def test_far_ones_come_last_and_others_as_without(scene, distance, share):
 @pytest.mark.parametrize("name", GRIDS)
 @pytest.mark.parametrize("distance", DISTANCES)
 @pytest.mark.parametrize("share", SHARES)
-def test_near_centres_are_as_good_as_without(scene, name, distance, share):
+def test_near_centres_are_as_precise_as_without_far_ones(scene, name, distance, share):
     config = GRIDS[name]
     moved, far = moved_away(scene, distance, share)
     decoded, lost = coded(moved, config)
@@ -309,7 +309,7 @@ def test_near_centres_are_as_good_as_without(scene, name, distance, share):
 
 
 @pytest.mark.parametrize("name", FLOATS)
-def test_formats_of_floats_keep_them(scene, name):
+def test_float_formats_keep_far_gaussians(scene, name):
     moved, _ = moved_away(scene, 1e9, 0.01)
     decoded, lost = coded(moved, FLOATS[name])
     np.testing.assert_array_equal(decoded.positions, moved.positions)
@@ -317,7 +317,7 @@ def test_formats_of_floats_keep_them(scene, name):
 
 
 @pytest.mark.parametrize("name", GRIDS)
-def test_scenes_without_far_ones_have_no_line(scene, name):
+def test_scenes_without_far_gaussians_report_nothing(scene, name):
     assert not moved_lines(coded(scene, GRIDS[name])[1])
 
 
@@ -329,7 +329,7 @@ def test_sizes_hardly_change(scene, name):
         assert len(encode_scene(moved, GRIDS[name])[0]) < 1.03 * usual
 
 
-def test_spz_moves_only_what_it_cannot_hold(scene):
+def test_spz_moves_only_unrepresentable_centres(scene):
     moved, _ = moved_away(scene, 100.0)
     decoded, lost = coded(moved, GRIDS["spz"])
     assert not moved_lines(lost)
@@ -374,7 +374,7 @@ def test_a_file_of_full_range_is_matched(scene, monkeypatch):
     ],
     ids=lambda arguments: arguments[2],
 )
-def test_commands_say_so(scene, tmp_path, monkeypatch, caplog, arguments):
+def test_convert_reports_moved_gaussians(scene, tmp_path, monkeypatch, caplog, arguments):
     monkeypatch.chdir(tmp_path)
     write_ply("a.ply", moved_away(scene, 1e6, 0.01)[0])
     with caplog.at_level(logging.WARNING):
@@ -385,7 +385,7 @@ def test_commands_say_so(scene, tmp_path, monkeypatch, caplog, arguments):
     assert sum("moved nearer" in record.getMessage() for record in caplog.records) == 1
 
 
-def test_encode_says_so(scene, caplog):
+def test_encode_reports_moved_gaussians(scene, caplog):
     with caplog.at_level(logging.WARNING):
         gs_codec.encode(to_cloud(moved_away(scene, 1e6)[0]), Config("paper-m"))
     assert sum("moved nearer" in record.getMessage() for record in caplog.records) == 1
@@ -409,7 +409,7 @@ def test_remove_floaters_removes_them(scene, distance, share, size):
         assert find_floaters(moved, [away])[far].all()
 
 
-def test_a_far_cluster_goes(scene):
+def test_a_far_cluster_is_removed(scene):
     cluster = scene.take(np.arange(40))
     cluster = replace(cluster, positions=cluster.positions + np.float32([[1e5], [0], [0]]))
     labels = find_floaters(join_scenes([scene, cluster]))

@@ -96,7 +96,7 @@ def room() -> Opened:
 # Camera paths
 
 
-def test_it_goes_once_around_the_middle_of_what_cameras_see(ball):
+def test_the_path_circles_the_middle_of_the_cameras_subject(ball):
     rng = np.random.default_rng(313)
     places = [MIDDLE + at(30 * k, 0.4 + 0.1 * rng.random(), 5 + rng.random()) for k in range(12)]
     cameras = [look_at(place, MIDDLE) for place in places]
@@ -119,14 +119,14 @@ def test_it_goes_once_around_the_middle_of_what_cameras_see(ball):
     assert np.linalg.norm(places[0] - places[-1]) < 1.5  # the next pose would be the first
 
 
-def test_it_begins_with_the_view_asked_for(ball):
+def test_the_path_begins_with_the_requested_view(ball):
     cameras = [look_at(MIDDLE + at(30 * k, 0.1 * k, 4 + k), MIDDLE) for k in range(12)]
     poses, _ = turntable(ball, views_of(cameras), UP, cameras[7], 20)
     np.testing.assert_allclose(poses[0].position, cameras[7].position, atol=0.1)
     np.testing.assert_allclose(poses[0].rotation, cameras[7].rotation, atol=0.05)
 
 
-def test_few_cameras_do_not_tell_and_one_is_enough(ball):
+def test_few_cameras_are_ignored_and_one_is_enough(ball):
     for number in (1, 3):
         cameras = [look_at(MIDDLE + at(20 * k), MIDDLE) for k in range(number)]
         poses, told = turntable(ball, views_of(cameras), UP, None, 12)
@@ -134,7 +134,7 @@ def test_few_cameras_do_not_tell_and_one_is_enough(ball):
         assert np.ptp(azimuths(poses, MIDDLE)) > 320
 
 
-def test_a_view_from_straight_above_goes_around_too(ball):
+def test_a_view_from_straight_above_circles_too(ball):
     above = look_at(MIDDLE + 5 * UP, MIDDLE)
     poses, _ = turntable(ball, views_of([above]), UP, above, 12)
     assert np.ptp(azimuths(poses, MIDDLE)) > 320
@@ -142,7 +142,7 @@ def test_a_view_from_straight_above_goes_around_too(ball):
     assert min(turns) < -0.9
 
 
-def test_it_looks_around_from_inside_as_cameras_look_out(room):
+def test_the_path_looks_around_if_cameras_look_outward(room):
     places = [np.array([x, 0, z]) for x in (-3.5, 0, 3) for z in (-3, 0.2, 3.6)]
     cameras = [look_at(place, place + at(40 * k, 0.1)) for k, place in enumerate(places)]
     poses, told = turntable(room, views_of(cameras), UP, None, 24)
@@ -161,7 +161,7 @@ def test_drones_that_look_down_are_not_inside(room):
     assert turntable(room, views_of(cameras), UP, None, 8)[1] == "once around"
 
 
-def test_it_sways_within_what_cameras_of_one_side_saw(ball):
+def test_the_path_sways_within_cameras_on_one_side(ball):
     cameras = [
         look_at(MIDDLE + at(azimuth, height), MIDDLE)
         for azimuth in (200, 220, 240, 260) for height in (0.1, 0.3, 0.5)
@@ -177,7 +177,7 @@ def test_it_sways_within_what_cameras_of_one_side_saw(ball):
     assert moves.max() < 3 * np.median(moves)  # a closed loop
 
 
-def test_scenes_that_show_nothing_have_a_path():
+def test_empty_scenes_have_a_path():
     empty = Opened("empty", to_cloud(random_scene(3, 0, seed=1).take(np.arange(0))))
     poses, _ = turntable(empty, Views(), UP, Pose(np.eye(3), np.zeros(3)), 8)
     assert np.isfinite([pose.position for pose in poses]).all()
@@ -186,7 +186,7 @@ def test_scenes_that_show_nothing_have_a_path():
 @pytest.mark.thorough
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared scenes are absent")
 @pytest.mark.parametrize("name", ["bonsai", "mouse"])
-def test_real_scenes_look_from_around_as_their_cameras_do(name):
+def test_paths_of_real_scenes_follow_their_cameras(name):
     """A circle with the distance and height of the cameras, which shows what they see."""
     scene = open_scene(SHARED / name / "point_cloud.ply")
     views = given_views(gs_codec.read_cameras(SHARED / name / "cameras.json"))
@@ -202,7 +202,7 @@ def test_real_scenes_look_from_around_as_their_cameras_do(name):
 # Flights from pose to pose
 
 
-def test_a_flight_passes_all_poses_evenly_and_smoothly():
+def test_a_flight_passes_all_poses_at_even_speed():
     keys = [look_at(at(azimuth, 0.2), np.zeros(3)) for azimuth in (0, 30, 60, 100, 140)]
     keys = [replace(key, focal=(0.5 + 0.1 * k,) * 2) for k, key in enumerate(keys)]
     poses = flythrough(keys, 200)
@@ -220,7 +220,7 @@ def test_a_flight_passes_all_poses_evenly_and_smoothly():
     assert np.linalg.norm(np.diff(places, 2, axis=0), axis=1).max() < 0.1 * moves.max()
 
 
-def test_a_flight_of_two_poses_goes_straight_and_one_of_equal_poses_stays():
+def test_a_flight_of_two_poses_is_straight_and_of_equal_poses_still():
     ends = look_at(at(0), np.zeros(3)), look_at(at(0, 0, 8), np.zeros(3))
     poses = flythrough(ends, 5)
     np.testing.assert_allclose([-pose.position[2] for pose in poses], [4, 5, 6, 7, 8])
@@ -232,7 +232,7 @@ def test_a_flight_of_two_poses_goes_straight_and_one_of_equal_poses_stays():
     assert np.isfinite([pose.position for pose in again]).all()
 
 
-def test_kept_poses_come_back_and_are_cameras_for_everything(tmp_path):
+def test_saved_poses_round_trip_and_are_valid_cameras(tmp_path):
     lens = {"focal": (0.9, 0.8), "shift": (0.1, -0.2)}
     poses = [
         replace(look_at(at(30 * k, 0.3), np.ones(3)), frame=(k + 90, 60), **lens) for k in range(12)
@@ -257,7 +257,7 @@ def frames(folder: Path) -> list[np.ndarray]:
     return [np.asarray(Image.open(path)).astype(int) for path in sorted(folder.iterdir())]
 
 
-def test_frames_are_those_of_screenshots_and_the_same_again(files, tmp_path, run_viewer):
+def test_frames_equal_screenshots_and_are_reproducible(files, tmp_path, run_viewer):
     asked = [files / "a.ply", files / "b.egs", "--cameras", files / "cameras.json", "--mode",
              "wipe", "--width", "97", "--height", "64", "--frames", "3"]  # fmt: skip
     for name in ("first", "again"):
@@ -288,7 +288,7 @@ def test_a_turntable_without_cameras_begins_with_the_first_picture(files, tmp_pa
     assert all(np.abs(other - shot).mean() > 2 * np.abs(first - shot).mean() for other in others)
 
 
-def test_existing_frames_are_kept_unless_they_may_go(files, tmp_path, run_viewer):
+def test_existing_frames_are_kept_without_overwrite(files, tmp_path, run_viewer):
     folder = tmp_path / "frames"
     folder.mkdir()  # an empty folder is accepted
     asked = files / "a.ply", "--width", "64", "--height", "64", "--turntable", folder
@@ -368,7 +368,7 @@ def interrupted(shown: list[Image.Image]) -> Iterator[Image.Image]:
     raise KeyboardInterrupt
 
 
-def test_an_mp4_has_all_frames_in_true_colours(tmp_path, ffmpeg):
+def test_an_mp4_has_all_frames_in_correct_colours(tmp_path, ffmpeg):
     shown, size = pictures(6, (98, 66)), (98, 66)
     for name in ("film.mp4", "again.mp4"):
         write(tmp_path / name, size, shown)
@@ -397,7 +397,7 @@ def test_the_command_writes_a_film(files, tmp_path, run_viewer, ffmpeg):
     assert run_viewer(*asked, "--overwrite")[0] == 0
 
 
-def test_a_failed_film_leaves_nothing_and_says_why(tmp_path, ffmpeg, monkeypatch):
+def test_a_failed_film_leaves_nothing_and_reports_the_reason(tmp_path, ffmpeg, monkeypatch):
     out = tmp_path / "out.mp4"
     out.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt):
@@ -471,7 +471,7 @@ def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):
         (["--overwrite"], "overwrite: needs --screenshot, --turntable or --flythrough"),
     ],
 )
-def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, run_viewer, monkeypatch):
+def test_invalid_options_are_one_line(arguments, said, files, tmp_path, run_viewer, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "ffmpeg")
     status, _, err = run_viewer(files / "a.ply", *arguments)
@@ -482,7 +482,7 @@ def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, run_viewer,
     assert not os.listdir(tmp_path)
 
 
-def test_a_file_in_the_place_of_a_folder_stays(files, tmp_path, run_viewer):
+def test_a_file_in_place_of_a_folder_is_kept(files, tmp_path, run_viewer):
     (tmp_path / "out").write_text("mine")
     status, _, err = run_viewer(files / "a.ply", "--turntable", tmp_path / "out", "--overwrite")
     assert (status, err.count("\n")) == (2, 1)
@@ -509,7 +509,7 @@ def test_without_imageio_ffmpeg_the_extra_is_named(files, tmp_path, run_viewer, 
     assert len(err.splitlines()) == 1
 
 
-def test_chosen_views_are_gone_around_from_the_overview(files):
+def test_paths_without_cameras_begin_at_the_overview(files):
     scene = open_scene(files / "a.ply")
     views = choose_views(scene)
     overview = of_camera(views.cameras[0])

@@ -101,7 +101,7 @@ def test_distances_in_sizes_are_those_of_all_pairs(seed):
     assert (by_centre > expected * (1 + 1e-9)).any(), "nothing large is near from afar"
 
 
-def test_few_gaussians_have_their_farthest():
+def test_few_gaussians_use_their_farthest_neighbour():
     scene = sparse_and_dense(5).take(np.arange(4))
     expected = np.sort(all_ratios(scene), axis=1)[:, 2]
     np.testing.assert_allclose(far_from_others(find_spacing(scene), np.arange(4)), expected)
@@ -120,7 +120,7 @@ def test_isolated_by_brute_force(seed):
 
 
 @pytest.mark.parametrize("clump", [1, 3, 5, 8])
-def test_injected_clumps_go_and_a_sparse_wall_stays(clump):
+def test_injected_clumps_are_removed_and_a_sparse_wall_is_kept(clump):
     scene = wall_and_thing()
     rng = np.random.default_rng(clump)
     centres = np.repeat(disc(4, 1.5, -3.0), clump, axis=0)
@@ -136,7 +136,7 @@ def test_nine_together_are_not_isolated():
     assert not find_floaters(join_scenes([scene, together])).any()
 
 
-def test_large_ones_alone_stay_where_small_ones_go():
+def test_large_isolated_gaussians_are_kept_where_small_ones_are_removed():
     scene = wall_and_thing()
     places = [[0, 0, -4.0]]
     assert find_floaters(join_scenes([scene, made(places, 0.02)]))[-1] == ISOLATED
@@ -155,7 +155,7 @@ def test_units_make_no_difference(scale):
 # With cameras
 
 
-def test_what_is_hidden_is_hardly_seen():
+def test_hidden_gaussians_are_hardly_seen():
     front, behind = made(disc(40, 1.0), 0.06, 0.99), made(disc(12, 0.3, 0.8), 0.05)
     scene = join_scenes([front, front, behind])
     cameras = ring(12)
@@ -168,13 +168,13 @@ def test_what_is_hidden_is_hardly_seen():
 
 
 @pytest.mark.parametrize("count", [1, 3, 9])
-def test_few_cameras_do_not_tell_what_is_hardly_seen(count):
+def test_few_cameras_label_nothing_hardly_seen(count):
     front, behind = made(disc(40, 1.0), 0.06, 0.99), made(disc(12, 0.3, 0.8), 0.05)
     labels = find_floaters(join_scenes([front, front, behind]), ring(count))
     assert not (labels == HARDLY_SEEN).any()
 
 
-def test_far_outside_goes_and_unseen_nearby_stays():
+def test_far_gaussians_are_removed_and_unseen_near_ones_kept():
     thing = made(disc(40, 1.0), 0.06)
     behind = made(disc(10, 0.2) + np.array([0, 0, -3.3]), 0.06)
     outside = made(disc(10, 0.2) + np.array([0, 0, -60.0]), 0.06)
@@ -185,7 +185,7 @@ def test_far_outside_goes_and_unseen_nearby_stays():
 
 
 @pytest.mark.parametrize("before", [True, False], ids=["before cameras", "behind what they see"])
-def test_before_cameras_less_is_isolated(before):
+def test_the_isolation_threshold_is_lower_in_front_of_cameras(before):
     """A ring of eight around one is farther from it than usual, but only slightly."""
     angles = 2 * np.pi * np.arange(8) / 8
     ring_of = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
@@ -198,7 +198,7 @@ def test_before_cameras_less_is_isolated(before):
     assert (find_floaters(scene, ring(4))[thing.count] == ISOLATED) == before
 
 
-def test_seen_ones_are_never_outside():
+def test_visible_gaussians_are_never_outside():
     thing, far = made(disc(40, 1.0), 0.06), made(disc(6, 20.0) + np.array([0, 0, 60.0]), 6.0)
     labels = find_floaters(join_scenes([thing, far]), ring(12))
     assert not labels.any()
@@ -212,7 +212,7 @@ def test_cameras_and_points_without_a_hull(places):
     assert not (find_floaters(scene, [camera] * 2) == OUTSIDE).any()
 
 
-def test_cameras_that_see_nothing_only_leave_isolated_ones():
+def test_with_blind_cameras_only_isolated_gaussians_are_removed():
     scene = join_scenes([wall_and_thing(), made([[0, 0, -4.0]], 0.02)])
     away = Camera("a", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0, 0, 500.0]))
     np.testing.assert_array_equal(find_floaters(scene, [away] * 12), find_floaters(scene))
@@ -248,7 +248,7 @@ def test_edges(name):
 @pytest.mark.thorough
 @pytest.mark.parametrize("group", ["positions", "f_dc", "f_rest", "opacity", "log_scale", "rot"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite(group, value):
+def test_nonfinite_values(group, value):
     scene = join_scenes([sparse_and_dense(1), made([[0, 0, 90.0]], 0.01)])
     scene = replace(scene, f_rest=np.zeros((9, scene.count), np.float32))
     plane = getattr(scene, group).copy()
@@ -265,14 +265,14 @@ def test_values_that_are_not_finite(group, value):
     np.testing.assert_array_equal(cluster[sound], largest_cluster(scene.take(sound)))
 
 
-def test_nothing_finite():
+def test_no_finite_gaussians():
     scene = replace(sparse_and_dense(1), opacity=np.full((1, 700), np.nan, np.float32))
     assert not find_floaters(scene, ring(2)).any()
     assert remove_floaters(scene) is scene
     assert keep_largest_cluster(scene).count == 0
 
 
-def test_nothing_to_remove_gives_the_scene():
+def test_without_floaters_the_scene_is_returned():
     scene = wall_and_thing()
     assert remove_floaters(scene) is scene
     thing = made(disc(40, 1.0), 0.03)
@@ -319,7 +319,7 @@ def test_the_largest_cluster_by_brute_force(seed):
     np.testing.assert_array_equal(largest_cluster(scene), expected)
 
 
-def test_knots_of_many_in_one_place_hang_together():
+def test_dense_knots_are_connected():
     """The nearest neighbours of each are in its own knot, so nearest-neighbour links split it."""
     knots = np.repeat(disc(10, 1.0), 12, axis=0)
     jitter = np.random.default_rng(0).normal(0, 0.01, knots.shape)
@@ -331,7 +331,7 @@ def test_knots_of_many_in_one_place_hang_together():
     assert keep_largest_cluster(scene).count == expected.sum()
 
 
-def test_the_cluster_with_more_gaussians_stays():
+def test_the_cluster_with_more_gaussians_is_kept():
     few, many = made(disc(10, 5.0, 80.0), 1.2), made(disc(30, 1.0), 0.08)
     kept = keep_largest_cluster(join_scenes([few, many]))
     np.testing.assert_array_equal(kept.positions, many.positions)

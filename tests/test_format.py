@@ -115,7 +115,7 @@ def test_reference_decoder_gives_the_same_bits_of_edge_scenes(name):
     assert_same(data)
 
 
-def test_extra_of_lattices_is_carried_seed15():
+def test_extra_properties_with_lattices_round_trip_seed15():
     assert_same(encode_scene(with_extra(15, 1100), lattice_config("m", extra="keep"))[0])
 
 
@@ -165,6 +165,6 @@ def test_random_weights_give_the_same_table(seed):
     assert told == normalise(weights, 8).frequencies.tolist()
 
 
-def test_version_that_is_told_is_the_files_own():
+def test_reported_version_is_the_files_own():
     for version, scene in enumerate((random_scene(5, 0), with_far(random_scene(5, 0), 1)), 1):
         assert inspect_bytes(encode_scene(scene, Config("m"))[0]).version == version

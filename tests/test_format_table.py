@@ -21,7 +21,7 @@ named = pytest.mark.parametrize("known", FORMATS, ids=lambda known: known.name)
 
 
 @named
-def test_what_a_format_names_exists(known):
+def test_functions_named_by_a_format_exist(known):
     lazy = [value for value in vars(known).values() if isinstance(value, Lazy)]
     for each in lazy:
         assert callable(getattr(import_module(each.module), each.name)), each.name

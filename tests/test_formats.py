@@ -91,7 +91,7 @@ def packed_gaussian(elements: dict[str, np.ndarray], i: int) -> dict[str, list[f
 
 @pytest.mark.parametrize("end", ["<", ">"])
 @pytest.mark.parametrize("degree", range(4))
-def test_packed_ply_is_read_as_its_formula_says(degree, end, tmp_path):
+def test_packed_ply_follows_its_formula(degree, end, tmp_path):
     elements = foreign.packed_rows(300, degree, degree)
     if degree == 2:
         elements["chunk"] = elements["chunk"][foreign.PACKED_BOUNDS]
@@ -103,7 +103,7 @@ def test_packed_ply_is_read_as_its_formula_says(degree, end, tmp_path):
         assert_gaussian(scene, i, packed_gaussian(elements, i))
 
 
-def test_packed_ply_that_is_empty_is_read(tmp_path):
+def test_empty_packed_ply_is_read(tmp_path):
     elements = foreign.packed_rows(0, 0)
     path = written(tmp_path / "a.ply", foreign.ply_file(list(elements.items())))
     assert read_scene(path).count == 0
@@ -142,7 +142,7 @@ def test_bad_packed_ply_is_refused_in_one_line(name, tmp_path):
     assert_refused(path, message)
 
 
-def test_what_a_packed_ply_has_beyond_its_layout_is_left_out(tmp_path, caplog):
+def test_extra_properties_of_a_packed_ply_are_dropped(tmp_path, caplog):
     rows = foreign.packed_rows(300, 7, 1)
     vertex = rfn.append_fields(rows["vertex"], "label", np.zeros(300, "<f4"), usemask=False)
     more = changed_packed(vertex=vertex, face=np.zeros(3, [("a", "<f4")]))
@@ -154,7 +154,7 @@ def test_what_a_packed_ply_has_beyond_its_layout_is_left_out(tmp_path, caplog):
         read_scene(path, "error")
 
 
-def test_bounds_that_are_no_numbers_make_values_that_are_none(tmp_path):
+def test_nan_bounds_give_nan_values(tmp_path):
     elements = foreign.packed_rows(300, 7)
     elements["chunk"]["min_x"][0] = np.nan
     elements["chunk"]["max_y"][1] = np.inf
@@ -210,7 +210,7 @@ def test_planes_are_filled_part_by_part(count, monkeypatch):
 
 @pytest.mark.parametrize("version", [1, 2, 3, 4])
 @pytest.mark.parametrize("degree", range(4))
-def test_spz_is_read_as_its_formula_says(degree, version, tmp_path):
+def test_spz_follows_its_formula(degree, version, tmp_path):
     bits = 12 if degree else 7
     streams = foreign.spz_streams(50, version, degree, seed=degree)
     data = foreign.spz_file(streams, 50, version, degree, degree % 2, bits)
@@ -229,7 +229,7 @@ def test_spz_without_gaussians_is_read(version, tmp_path):
 
 
 @pytest.mark.parametrize("version", [3, 4])
-def test_spz_names_the_system_that_an_extension_names(version, tmp_path, caplog):
+def test_spz_has_the_coordinate_system_of_its_extension(version, tmp_path, caplog):
     other = struct.pack("<II", 0xADBE0002, 12) + bytes(12)
     for value, system in ((0, "RUB"), (6, "RDF"), (16, "RBU")):
         extension = other + struct.pack("<III", 0xADBE0003, 4, value)
@@ -243,7 +243,7 @@ def test_spz_names_the_system_that_an_extension_names(version, tmp_path, caplog)
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])
-def test_spz_that_is_not_zipped_is_read(version, tmp_path):
+def test_uncompressed_spz_is_read(version, tmp_path):
     streams = foreign.spz_streams(20, version, 1, seed=1)
     scenes = [
         read_scene(
@@ -257,7 +257,7 @@ def test_spz_that_is_not_zipped_is_read(version, tmp_path):
 
 
 @pytest.mark.parametrize("count", [0, 20])
-def test_degree_4_of_packed_ply_is_left_out(count, tmp_path, caplog):
+def test_degree_4_of_packed_ply_is_dropped(count, tmp_path, caplog):
     elements = foreign.packed_rows(count, 5, 3)
     sh = elements["sh"]
     whole = np.zeros(count, [(f"f_rest_{i}", "u1") for i in range(72)])
@@ -271,7 +271,7 @@ def test_degree_4_of_packed_ply_is_left_out(count, tmp_path, caplog):
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_degree_4_of_spz_is_left_out(version, tmp_path, caplog):
+def test_degree_4_of_spz_is_dropped(version, tmp_path, caplog):
     streams = foreign.spz_streams(20, version, 4, seed=1)
     path = written(tmp_path / "a.spz", foreign.spz_file(streams, 20, version, 4, 1))
     rows = np.frombuffer(streams[5], np.uint8).reshape(20, 72)[:, :45]
@@ -283,7 +283,7 @@ def test_degree_4_of_spz_is_left_out(version, tmp_path, caplog):
 
 @pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize("more", [0, 7, 1 << 21])
-def test_flags_of_spz_that_are_not_known_are_reported(more, version, tmp_path, caplog):
+def test_unknown_flags_of_spz_are_reported(more, version, tmp_path, caplog):
     """Unknown flags may announce data after the attributes."""
     streams = foreign.spz_streams(20, version, 1, seed=1)
     expected = read_scene(written(tmp_path / "b.spz", foreign.spz_file(streams, 20, version, 1)))
@@ -305,7 +305,7 @@ LEVELS_OF_SPARK = {
 
 @pytest.mark.parametrize("case", LEVELS_OF_SPARK)
 @pytest.mark.parametrize("zipped", [True, False])
-def test_of_the_levels_that_spark_writes_leaves_are_read(case, zipped, tmp_path, caplog):
+def test_only_leaves_of_sparks_levels_are_read(case, zipped, tmp_path, caplog):
     number, first, leaves, is_part = LEVELS_OF_SPARK[case]
     streams = foreign.spz_streams(7, 2, 1, seed=2)
     # Opacities up to 2, in units of 2/255.
@@ -409,7 +409,7 @@ def test_bad_spz_is_refused_in_one_line(name, tmp_path):
 # .splat
 
 
-def test_splat_is_read_as_its_formula_says(tmp_path):
+def test_splat_follows_its_formula(tmp_path):
     rows = foreign.splat_rows(100, seed=3)
     scene = read_scene(written(tmp_path / "a.splat", rows.tobytes()))
     for i, row in enumerate(rows):
@@ -424,7 +424,7 @@ def test_splat_is_read_as_its_formula_says(tmp_path):
     assert scene.coordinates is None
 
 
-def test_splat_that_is_read_is_written_the_same(tmp_path):
+def test_splat_round_trips(tmp_path):
     rows = foreign.splat_rows(256, seed=4)
     rows["c"] = np.arange(256)[:, None]
     rows["r"][:, 0] = 255  # nearly a unit quaternion
@@ -442,7 +442,7 @@ def test_splat_that_is_read_is_written_the_same(tmp_path):
 
 @pytest.mark.parametrize("axis", range(4))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_splat_holds_rotations_by_nothing_and_half_turns_exactly(axis, sign, tmp_path):
+def test_splat_represents_identity_and_half_turns_exactly(axis, sign, tmp_path):
     rot = np.zeros((4, 1), np.float32)
     rot[axis] = sign
     back = read_scene(
@@ -451,7 +451,7 @@ def test_splat_holds_rotations_by_nothing_and_half_turns_exactly(axis, sign, tmp
     np.testing.assert_array_equal(np.abs(back.rot), np.abs(rot))
 
 
-def test_splat_says_what_it_cannot_hold(tmp_path):
+def test_losses_of_splat_are_reported(tmp_path):
     scene = random_scene(50, 2, seed=5)
     scene = replace(scene, comments=("one",), extra={"label": np.arange(50, dtype="<i4")})
     lost, _ = write_scene(tmp_path / "a.splat", scene, Config())
@@ -467,7 +467,7 @@ def test_splat_says_what_it_cannot_hold(tmp_path):
 
 
 @pytest.mark.parametrize("group", ["positions", "opacity", "log_scale", "rot", "f_dc"])
-def test_splat_of_what_is_not_finite_is_refused(group, tmp_path):
+def test_splat_with_nonfinite_values_is_refused(group, tmp_path):
     scene = random_scene(5, 0)
     plane = getattr(scene, group).copy()
     plane[0, 2] = np.nan
@@ -478,14 +478,14 @@ def test_splat_of_what_is_not_finite_is_refused(group, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_splat_that_ends_in_a_record_is_refused(tmp_path):
+def test_truncated_splat_is_refused(tmp_path):
     path = written(tmp_path / "a.splat", bytes(95))
     with pytest.raises(InvalidInput, match="95 bytes, expected a multiple of 32") as caught:
         read_scene(path)
     assert_one_line(caught.value, path)
 
 
-def test_scales_of_zero_are_flat_and_negative_ones_not_finite(tmp_path):
+def test_zero_scales_are_flat_and_negative_ones_are_nan(tmp_path):
     rows = foreign.splat_rows(3, seed=6)
     rows["s"][0], rows["s"][1] = 0, -1
     scene = read_scene(written(tmp_path / "a.splat", rows.tobytes()))
@@ -532,7 +532,7 @@ def ksplat_gaussian(level: int, degree: int, i: int) -> dict[str, list[float]]:
 
 @pytest.mark.parametrize("level", range(3))
 @pytest.mark.parametrize("degree", range(3))
-def test_ksplat_is_read_as_its_formula_says(degree, level, tmp_path):
+def test_ksplat_follows_its_formula(degree, level, tmp_path):
     path = written(tmp_path / "a.ksplat", ksplat(level, degree))
     scene = read_scene(path)
     assert (scene.count, scene.sh_degree) == (24, degree)
@@ -544,7 +544,7 @@ def test_ksplat_is_read_as_its_formula_says(degree, level, tmp_path):
 
 @pytest.mark.parametrize("stated", ["most", "loaded", "both"])
 @pytest.mark.parametrize("of", ["file", "sections", "all"])
-def test_ksplat_may_state_one_of_its_two_counts(of, stated, tmp_path):
+def test_ksplat_may_state_only_one_of_its_counts(of, stated, tmp_path):
     """The capacity or the size of a file or section; writers omit either."""
     data = ksplat(1, 1)
     sections = range(int.from_bytes(data[4:8], "little"))
@@ -629,7 +629,7 @@ def sog_gaussian(meta: dict, images: dict[str, np.ndarray], i: int) -> dict[str,
 
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("degree", range(4))
-def test_sog_is_read_as_its_formula_says(degree, version, tmp_path):
+def test_sog_follows_its_formula(degree, version, tmp_path):
     meta, images = foreign.sog_parts(30, version, degree, seed=degree)
     if degree == 1:
         meta |= {"model": "antialiased"} if version == 1 else {"antialias": True}
@@ -671,7 +671,7 @@ TWO_IN_A_ZIP = {
 
 
 @pytest.mark.parametrize("case", TWO_IN_A_ZIP)
-def test_a_zip_that_may_mean_two_things_is_refused(case, tmp_path):
+def test_ambiguous_zip_is_refused(case, tmp_path):
     data, message = TWO_IN_A_ZIP[case]
     assert_refused(written(tmp_path / "two.sog", data), message)
 
@@ -704,7 +704,7 @@ ODD_PNG = {
 
 
 @pytest.mark.parametrize("message", ODD_PNG)
-def test_png_of_another_kind_is_refused(message, tmp_path):
+def test_unsupported_png_is_refused(message, tmp_path):
     meta, images = foreign.sog_parts(30, 2, 0, seed=1)
     path = foreign.sog_folder(tmp_path, meta, images)
     pixels, options = ODD_PNG[message]
@@ -734,7 +734,7 @@ def test_sog_without_gaussians_is_read(tmp_path):
     assert read_scene(path).count == 0
 
 
-def test_sog_rotation_that_says_nothing_is_reported(tmp_path, caplog):
+def test_invalid_sog_rotation_is_reported(tmp_path, caplog):
     meta, images = foreign.sog_parts(10, 2, 0, seed=1)
     images["quats.webp"][0, 1, 3] = 251
     path = written(tmp_path / "a.sog", foreign.sog_file(meta, images))
@@ -868,7 +868,7 @@ def test_bad_sog_is_refused_in_one_line(name, tmp_path):
     assert_refused(path, message)
 
 
-def test_images_that_would_be_huge_are_not_opened(tmp_path):
+def test_huge_images_are_not_opened(tmp_path):
     """16,384 x 16,384 pixels, in a header only."""
     meta, images = foreign.sog_parts(30, 2, 0, seed=2)
     path = foreign.sog_folder(tmp_path, meta, images)
@@ -881,7 +881,7 @@ def test_images_that_would_be_huge_are_not_opened(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [0, 10, 29, 40, 100])
-def test_images_cut_off_are_refused(cut, tmp_path):
+def test_truncated_images_are_refused(cut, tmp_path):
     meta, images = foreign.sog_parts(30, 2, 0, seed=2)
     path = foreign.sog_folder(tmp_path, meta, images)
     data = (tmp_path / "scales.webp").read_bytes()
@@ -911,7 +911,7 @@ def one_of_each(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".splat", ".json", ".bin", ""])
-def test_content_decides_before_the_suffix(suffix, tmp_path):
+def test_content_takes_precedence_over_the_suffix(suffix, tmp_path):
     for name, data in one_of_each(tmp_path).items():
         weak = name == "spz" and suffix == ".splat"  # only two bytes identify it
         if weak or (name == "splat" and suffix != ".splat"):
@@ -920,7 +920,7 @@ def test_content_decides_before_the_suffix(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("data", [b"hello", bytes(64), b"%PD", b"\x89PNG\r\n"], ids=repr)
-def test_what_is_no_scene_is_refused_in_one_line(data, tmp_path):
+def test_non_scenes_are_refused_in_one_line(data, tmp_path):
     path = written(tmp_path / "a.bin", data)
     with pytest.raises(InvalidInput, match=r"expected .ply, .egs, .spz, .sog") as caught:
         read_scene(path)
@@ -932,7 +932,7 @@ def test_what_is_no_scene_is_refused_in_one_line(data, tmp_path):
         assert_one_line(caught.value, path)
 
 
-def test_json_is_told_by_its_beginning(tmp_path):
+def test_json_is_recognised_by_its_beginning(tmp_path):
     path = written(tmp_path / "scene", json.dumps({"version": 2}).encode())
     with open_scene(path) as file:
         assert file.format == "sog"
@@ -958,7 +958,7 @@ def test_two_real_files_of_one_scene_agree_within_their_steps(caplog):
     np.testing.assert_allclose(np.abs((packed.rot * other.rot).sum(axis=0)), 1, atol=2e-6)
 
 
-def test_a_real_splat_is_as_its_records_say():
+def test_a_real_splat_follows_its_records():
     path = shared_scene_path("plant.splat")
     scene = read_scene(path)
     data = path.read_bytes()
@@ -1010,7 +1010,7 @@ IMPOSTERS = {
 
 @pytest.mark.parametrize("suffix", [".splat", ".ply", ".spz", ".sog", ".glb", ".gltf", ".egs", ""])
 @pytest.mark.parametrize("name", IMPOSTERS)
-def test_what_is_no_scene_is_named(name, suffix, tmp_path):
+def test_non_scenes_are_named(name, suffix, tmp_path):
     data, said = IMPOSTERS[name]
     path = written(tmp_path / f"a{suffix}", data)
     with pytest.raises(InvalidInput, match=f"{said}, not") as caught:
@@ -1021,7 +1021,7 @@ def test_what_is_no_scene_is_named(name, suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".splat", ".ksplat"])
-def test_text_is_no_splat(suffix, tmp_path):
+def test_text_is_not_read_as_splat(suffix, tmp_path):
     for data, kind in ((b'{"error": "gone"}', "JSON"), ("Größe\tund Farbe\r\n".encode(), "text")):
         path = written(tmp_path / f"a{suffix}", data.ljust(64))
         with pytest.raises(InvalidInput, match=kind) as caught:
@@ -1029,7 +1029,7 @@ def test_text_is_no_splat(suffix, tmp_path):
         assert_one_line(caught.value, path)
 
 
-def test_noise_is_no_splat(tmp_path):
+def test_noise_is_not_read_as_splat(tmp_path):
     path = written(tmp_path / "a.splat", np.random.default_rng(1).bytes(32 * 200))
     said = r"scales below 0 or not finite in 1\d\d of 200 records, not a .splat scene"
     with pytest.raises(InvalidInput, match=said):

@@ -89,5 +89,5 @@ def test_odd_values_in_json_are_refused_in_one_line(name):
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("found/*/*")), ids=lambda path: path.name)
-def test_what_was_found_stays_mended(path):
+def test_past_findings_stay_fixed(path):
     TARGETS[path.parent.name].check(path.read_bytes())

@@ -95,7 +95,7 @@ def test_constant_cost_of_a_million_duplicates():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_count_tree_refuses_or_returns_as_many_codes(seed):
+def test_count_tree_rejects_data_or_returns_all_codes(seed):
     rng = np.random.default_rng(seed)
     data = bytearray(encode_geometry(np.sort(rng.integers(0, 1 << 30, 300)), 30))
     data[rng.integers(len(data))] ^= 1 << rng.integers(8)
@@ -142,7 +142,7 @@ def test_colour_coder_predicts():
     )
 
 
-def test_colour_coder_stands_random_extremes():
+def test_colour_coder_handles_random_extremes():
     rng = np.random.default_rng(42)
     cells = rng.integers(0, 1 << 21, (3, 500)).astype(np.uint32)
     colours = rng.choice(np.array([0, 4095], np.uint16), (3, 500))
@@ -153,7 +153,7 @@ def test_colour_coder_stands_random_extremes():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_colour_decoder_refuses_or_stays_in_range(seed):
+def test_colour_decoder_rejects_data_or_stays_in_range(seed):
     rng = np.random.default_rng(seed)
     cells, colours = coloured_points(300, (8, 8, 8), seed)
     data = bytearray(encode_colour(cells, colours, (8, 8, 8)))

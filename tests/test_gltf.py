@@ -147,7 +147,7 @@ def test_attributes_are_as_specified(count, degree):
 
 @pytest.mark.parametrize("form", ["glb", "gltf"])
 @pytest.mark.parametrize("degree", range(4))
-def test_what_is_written_is_read(degree, form, tmp_path):
+def test_written_gltf_round_trips(degree, form, tmp_path):
     scene = random_scene(200, degree, seed=9)
     path = tmp_path / f"a.{form}"
     path.write_bytes(pack_gltf(scene, form == "gltf")[0])
@@ -168,7 +168,7 @@ def test_a_gltf_of_text_has_the_same_numbers():
     assert text == document
 
 
-def test_nothing_is_no_gltf():
+def test_an_empty_scene_cannot_be_written():
     with pytest.raises(InvalidInput, match="no Gaussians, glTF has at least one"):
         pack_gltf(random_scene(0))
 
@@ -176,7 +176,7 @@ def test_nothing_is_no_gltf():
 # Reading
 
 
-def test_integers_are_read_as_the_extension_says(tmp_path):
+def test_integers_follow_the_extension(tmp_path):
     document, binary = made()
     scene = read(tmp_path, document, binary)
     assert (scene.count, scene.sh_degree, scene.coordinates) == (6, 1, "LUF")
@@ -245,7 +245,7 @@ def test_nodes_turn_and_mirror(tmp_path):
     assert_seen_alike(plain, smaller, turn)
 
 
-def test_a_buffer_beside_it_is_read(tmp_path):
+def test_a_separate_buffer_is_read(tmp_path):
     document, binary = made()
     (tmp_path / "a b.bin").write_bytes(binary + b"more")
     document["buffers"][0]["uri"] = "a%20b.bin"
@@ -258,7 +258,7 @@ def test_a_buffer_beside_it_is_read(tmp_path):
         read_scene(tmp_path / "a.gltf")
 
 
-def test_opacities_and_scales_at_their_ends_are_finite(tmp_path):
+def test_extreme_opacities_and_scales_are_finite(tmp_path):
     document, binary = made(2, 0)
     mutable = bytearray(binary)
     for name, values in ((f"{KHR}:OPACITY", [0, 65535]), (f"{KHR}:SCALE", [0, 0, 0, 1, 2, 3])):
@@ -381,7 +381,7 @@ def test_nodes_may_show_a_mesh_often_but_not_each_of_many_primitives(tmp_path):
     assert read(tmp_path, document, binary).count == 300 * 6
 
 
-def test_degree_4_is_left_out(tmp_path, caplog):
+def test_degree_4_is_dropped(tmp_path, caplog):
     document, binary = made(degree=3)
     expected = read(tmp_path, document, binary)
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
@@ -403,7 +403,7 @@ def test_primitives_of_several_degrees_are_refused(tmp_path):
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("form", ["glb", "gltf"])
-def test_what_is_cut_off_is_refused(form, tmp_path):
+def test_truncated_files_are_refused(form, tmp_path):
     data = pack_gltf(random_scene(3, 1), form == "gltf")[0]
     path = tmp_path / f"a.{form}"
     for end in range(len(data)):

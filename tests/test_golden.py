@@ -70,7 +70,7 @@ def test_encoder_still_writes_the_same_bytes(name):
 
 
 @pytest.mark.parametrize("form", HOME)
-def test_our_reader_sees_what_a_program_of_the_format_saw(form):
+def test_our_reader_agrees_with_the_formats_program(form):
     with np.load(FOLDER / f"other.{form}.npz") as planes:
         theirs = Scene(**planes)
     assert theirs.count == COUNT

@@ -91,25 +91,25 @@ def assert_interchangeable(scene, options, **more):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", EDGES)
-def test_edge_scenes_are_those_of_the_octree(name, stand_in):
+def test_edge_scenes_decode_like_the_octree(name, stand_in):
     assert_interchangeable(EDGES[name], {"profile": "paper-m"})
 
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PROFILES)
-def test_blocks_are_those_of_the_octree(profile, stand_in):
+def test_blocks_decode_like_the_octree(profile, stand_in):
     data = assert_interchangeable(duplicated(2500, seed=90), {"profile": profile})
     assert inspect_bytes(data).blocks == 3
     assert encode_scene(duplicated(2500, seed=90), config(profile))[0] == data
 
 
 @pytest.mark.parametrize("depths", [{"geometry": 18, "sh-dc": 1}, {"geometry": 1, "sh-dc": 8}])
-def test_depths_are_those_of_the_octree(depths, stand_in):
+def test_depths_decode_like_the_octree(depths, stand_in):
     scene = random_scene(1500, 0, seed=91)
     assert_interchangeable(scene, {"profile": "paper-l", "depths": depths})
 
 
-def test_a_part_is_that_of_the_octree(stand_in):
+def test_parts_decode_like_the_octree(stand_in):
     scene = random_scene(3000, 2, seed=92)
     low, high = np.quantile(scene.positions, [0.1, 0.4], axis=1)
     part = Part((*low, *high), sh_degree=1)
@@ -121,7 +121,7 @@ def test_a_part_is_that_of_the_octree(stand_in):
     assert_same_floats(*parts)
 
 
-def test_a_reader_that_does_not_know_it_refuses_it(stand_in):
+def test_readers_without_the_feature_refuse_it(stand_in):
     file = read_file(encode_scene(random_scene(50, 0, seed=93), config())[0])
     entries = file.header_size - 4 - 20 * len(file.table)
     table = bytes(file.data[entries : file.header_size - 4])
@@ -132,7 +132,7 @@ def test_a_reader_that_does_not_know_it_refuses_it(stand_in):
     assert file.header.features == Feature.GPCC
 
 
-def test_inspect_tells_who_coded_the_points(stand_in, tmp_path):
+def test_inspect_names_the_program(stand_in, tmp_path):
     scene = random_scene(300, 1, seed=94)
     path = tmp_path / "scene.egs"
     path.write_bytes(encode_scene(scene, config())[0])
@@ -149,7 +149,7 @@ def test_inspect_tells_who_coded_the_points(stand_in, tmp_path):
     ]  # fmt: skip
 
 
-def test_auto_takes_the_program_where_there_is_one(stand_in, monkeypatch):
+def test_auto_uses_the_program_if_found(stand_in, monkeypatch):
     scene = random_scene(200, 1, seed=95)
     for profile in (*PROFILES, *ADAPTIVE_PROFILES, LOSSLESS):
         asked = "gpcc" if profile in PROFILES else "octree"
@@ -177,7 +177,7 @@ def test_auto_takes_the_program_where_there_is_one(stand_in, monkeypatch):
         ({"verify": False}, "verify: only geometry gpcc and auto use it"),
     ],
 )
-def test_what_makes_no_sense_is_refused(options, message):
+def test_invalid_options_are_refused(options, message):
     with pytest.raises(InvalidInput, match=message):
         Config(**{"profile": "paper-m", **options})
 
@@ -185,7 +185,7 @@ def test_what_makes_no_sense_is_refused(options, message):
 # The command line
 
 
-def test_the_command_line_finds_the_program_where_it_is_told(stand_in, tmp_path, monkeypatch):
+def test_the_command_line_finds_the_program(stand_in, tmp_path, monkeypatch):
     monkeypatch.delenv("GS_CODEC_TMC3")
     source, target, back = (str(tmp_path / n) for n in ("a.ply", "a.egs", "b.ply"))
     write_ply(source, random_scene(400, 1, seed=96))
@@ -217,7 +217,7 @@ def test_the_command_line_finds_the_program_where_it_is_told(stand_in, tmp_path,
     assert result.exit_code == 0, result.output
 
 
-def test_without_the_program_one_line_says_what_it_is(stand_in, tmp_path, monkeypatch):
+def test_a_missing_program_is_named_in_one_line(stand_in, tmp_path, monkeypatch):
     source, target, back = (str(tmp_path / n) for n in ("a.ply", "a.egs", "b.ply"))
     write_ply(source, random_scene(10, 0, seed=97))
     encode = ["encode", source, target, "-p", "paper-m", "--geometry", "gpcc"]
@@ -239,13 +239,13 @@ def test_without_the_program_one_line_says_what_it_is(stand_in, tmp_path, monkey
     ("failure", "message"),
     [("help:silent", "not tmc3, --help prints ''"), ("help:other", "prints 'usage: other'")],
 )
-def test_another_program_is_none(failure, message, stand_in, monkeypatch):
+def test_a_different_program_is_refused(failure, message, stand_in, monkeypatch):
     monkeypatch.setenv("TMC3_STAND_IN", failure)
     with pytest.raises(MissingTool, match=message):
         Tmc3.find()
 
 
-def test_what_cannot_be_run_is_none(tmp_path):
+def test_an_unrunnable_program_is_refused(tmp_path):
     broken = tmp_path / "broken"
     broken.write_bytes(b"\x7fELF and nothing more")
     broken.chmod(0o755)
@@ -312,7 +312,7 @@ def test_a_failure_leaves_no_file(stand_in, tmp_path, monkeypatch):
         ("memory", Limits(memory_bytes=1 << 29), "ended with status 1: MemoryError"),
     ],
 )
-def test_what_takes_too_much_is_stopped(failure, limits, message, stand_in, monkeypatch):
+def test_excessive_runs_are_stopped(failure, limits, message, stand_in, monkeypatch):
     points = np.zeros((3, 5), np.uint32), np.zeros((3, 5), np.uint16)
     tool = Tmc3(stand_in, VERSION, limits)
     monkeypatch.setenv("TMC3_STAND_IN", f"encode:{failure}")
@@ -365,7 +365,7 @@ def decode_ply(content: bytes):
     return decode_points(writer, b"", 1, (2, 2, 2), (3, 3, 3))
 
 
-def test_a_sound_ply_is_read():
+def test_a_valid_ply_is_read():
     cells, colours = decode_ply(HEADER.encode() + POINT)
     assert (cells.tolist(), colours.tolist()) == ([[1], [2], [3]], [[6], [4], [5]])
     assert (cells.dtype, colours.dtype) == (np.uint32, np.uint16)
@@ -394,19 +394,19 @@ def test_a_sound_ply_is_read():
         ("comment anything", "\x1b", r"'\\x1b' is not expected there"),
     ],
 )
-def test_another_ply_is_refused(old, new, message):
+def test_an_unexpected_ply_is_refused(old, new, message):
     with pytest.raises(ToolFailed, match=message):
         decode_ply(HEADER.replace(old, new, 1).encode() + POINT)
 
 
 @pytest.mark.parametrize("data", [b"", POINT[:-1], POINT + b"\0", 2 * POINT])
-def test_another_size_is_refused(data):
+def test_an_unexpected_size_is_refused(data):
     with pytest.raises(ToolFailed, match="bytes of data, expected 15"):
         decode_ply(HEADER.encode() + data)
 
 
 @pytest.mark.parametrize("value", [-1, 4, 0.5, np.nan, np.inf, 3e38])
-def test_values_that_are_no_symbols_are_refused(value):
+def test_values_that_are_not_symbols_are_refused(value):
     point = np.array([1, value, 3], "<f4").tobytes() + b"\4\5\6"
     with pytest.raises(ToolFailed, match="value of y that is not an integer of 2 bits"):
         decode_ply(HEADER.encode() + point)
@@ -429,7 +429,7 @@ def test_values_that_are_no_symbols_are_refused(value):
         (SectionId.GPCC, b"1234", ToolFailed, "ended with status 1"),
     ],
 )
-def test_sections_that_make_no_sense_are_refused(section, content, kind, message, stand_in):
+def test_invalid_sections_are_refused(section, content, kind, message, stand_in):
     data = encode_scene(random_scene(20, 0, seed=99), config())[0]
     data = with_section(data, section, lambda _: content)
     with pytest.raises(kind, match=message):
@@ -512,7 +512,7 @@ def test_real_scenes_by_the_program(name, real):
 
 @needs_real
 @pytest.mark.parametrize("seed", range(8))
-def test_damage_never_goes_unnoticed(seed, real):
+def test_damage_is_always_detected(seed, real):
     """The program may crash, hang or return other points: one error, or the same points."""
     tool = Tmc3(REAL.path, REAL.version, Limits(processor_seconds=2))
     rng = np.random.default_rng(seed)

@@ -121,7 +121,7 @@ def test_a_device_decodes_to_the_same_bits(folder, name):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_device_refuses_what_the_cpu_refuses(folder, name):
+def test_a_device_refuses_the_same_as_the_cpu(folder, name):
     refused = None
     try:
         scene = decode_scene((folder / f"{name}.egs").read_bytes())
@@ -148,7 +148,7 @@ def test_tensors_of_the_cpu_are_the_scene(tmp_path, profile):
     )
 
 
-def test_devices_that_are_not_there_are_refused(monkeypatch):
+def test_missing_devices_are_refused(monkeypatch):
     data = sample("m")
     with pytest.raises(InvalidInput, match="device 'tpu': expected cpu, cuda"):
         gs_codec.decode_tensors(data, "tpu")
@@ -164,7 +164,7 @@ def test_devices_that_are_not_there_are_refused(monkeypatch):
         gs_codec.decode_tensors(data, "cpu")
 
 
-def test_what_tensors_are_not_encoded_to_is_refused():
+def test_unsupported_configurations_for_tensors_are_refused():
     splats = gs_codec.decode_tensors(sample("m"), "cpu")
     for config, name in ((Config(lod=True), "lod"), (Config(format="spz"), "format 'spz'")):
         with pytest.raises(

@@ -201,7 +201,7 @@ def test_gradients_at_limits_are_those_of_central_differences(name, antialiased)
     assert all(np.isfinite(found[group]).all() for group in GROUPS)
 
 
-def test_the_splats_at_the_limits_are_there():
+def test_test_scene_has_splats_at_the_limits():
     scenes = special_scenes()
     camera = straight(20, 17, fx=14.0, fy=13.0)
     x, y, z = scenes["Jacobian at its edge"].positions
@@ -269,7 +269,7 @@ def test_threads_do_not_change_a_gradient(seed):
 
 
 @pytest.mark.parametrize("scene", [splats([]), splats([(0, 0, -3)])], ids=["none", "none seen"])
-def test_what_is_not_seen_has_no_gradient(scene):
+def test_invisible_gaussians_have_no_gradient(scene):
     camera = straight(16, 16)
     target = noise(camera, 22)
     error, found = gradients(scene, camera, target)

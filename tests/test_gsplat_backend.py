@@ -93,7 +93,7 @@ def test_sums_come_from_the_cpu(stand_in):
     assert drawn.accumulations is not None
 
 
-def test_cuda_is_refused_where_it_is_not():
+def test_cuda_is_refused_if_missing():
     if gsplat_backend.sees_device():
         pytest.skip("gsplat and CUDA are here")
     scene = random_scene(1)
@@ -165,7 +165,7 @@ def test_gsplat_refines_as_the_cpu_does(refined):
         assert found["psnr"] == pytest.approx(point["psnr"], abs=0.3)
 
 
-def test_an_interrupted_refinement_goes_on_where_it_was(refined, tmp_path, monkeypatch):
+def test_an_interrupted_refinement_is_resumed(refined, tmp_path, monkeypatch):
     class Stop(Exception):
         pass
 
@@ -188,7 +188,7 @@ def test_an_interrupted_refinement_goes_on_where_it_was(refined, tmp_path, monke
         refined(11, checkpoint=path)
 
 
-def test_what_fits_already_stays(stand_in):
+def test_fitting_scenes_are_unchanged(stand_in):
     """Its own views, rendered by gsplat."""
     plan = Plan(Steps(refine=4, prune=0), CAMERAS, device="cuda")
     scene = garden(1)

@@ -56,7 +56,7 @@ def plan() -> Plan:
     return Plan(Steps(), cameras(12))
 
 
-def test_by_views_the_same_bytes_show_more(scene, plan):
+def test_guided_files_have_better_views_at_equal_size(scene, plan):
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
     blind = {p: encode_scene(scene, Config(p))[0] for p in ADAPTIVE_PROFILES}
     guided = as_requested(scene, Config("m"), plan)[0]
@@ -88,7 +88,7 @@ def test_threads_do_not_change_the_bytes(scene, plan):
     assert len(streams) == 1
 
 
-def test_colours_make_up_for_what_shapes_lose(scene, plan):
+def test_colours_compensate_for_shapes(scene, plan):
     views = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     found = guide(scene, views)
     rng = np.random.default_rng(7)
@@ -111,7 +111,7 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("count", "compacted"), [(30, True), (4, False)])
-def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
+def test_compaction_must_work_in_held_out_views(scene, count, compacted):
     found = guide(scene, draw_reference_views(scene, cameras(count), (0.0, 0.0, 0.0)))
     steps = np.full(scene.count, 0.1, np.float32)
     compact = found.compact(shaped(scene, np.arange(scene.count), steps), compacting(1e-5))
@@ -121,7 +121,7 @@ def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
 
 
 @pytest.mark.thorough
-def test_what_pruning_has_lost_lets_compaction_lose_too(scene, plan):
+def test_a_pruning_loss_allows_more_compaction(scene, plan):
     whole = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
     steps = np.full(pruned.count, 0.1, np.float32)
@@ -137,7 +137,7 @@ def test_one_view_is_not_enough_to_compact_by(scene, plan):
 
 
 @pytest.mark.thorough
-def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
+def test_a_pruning_loss_coarsens_the_steps(scene, plan):
     whole = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
     assert guide(scene, whole).loss == 0.0
@@ -152,7 +152,7 @@ def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
 
 
 @pytest.mark.thorough
-def test_carried_properties_follow_their_gaussians(scene, plan):
+def test_extra_properties_stay_with_their_gaussians(scene, plan):
     extra = {"x0": scene.positions[0].copy(), "label": np.arange(scene.count, dtype="<i4")}
     carrying = replace(scene, extra=extra, comments=("made by a test",))
     config = Config("m", extra="keep")
@@ -174,7 +174,7 @@ def test_only_profiles_that_ask_are_guided(scene, plan):
 
 
 @pytest.mark.thorough
-def test_what_the_encoder_changes_is_told_with_views_too(scene, plan):
+def test_changes_by_the_encoder_are_reported_with_views_too(scene, plan):
     broken = replace(scene, opacity=scene.opacity.copy(), rot=scene.rot.copy())
     broken.opacity[0, :3] = np.nan
     broken.rot[:, 10:12] = 0
@@ -203,7 +203,7 @@ def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
 
 
 @pytest.mark.thorough
-def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch):
+def test_pruning_and_encoding_use_the_same_views(scene, plan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_ply("scene.ply", scene)
     pruning = replace(plan, steps=Steps(prune=40.0))

@@ -51,7 +51,7 @@ def sections_of(data: bytes) -> list[Section]:
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
-def test_fields_are_where_the_format_has_them(profile):
+def test_fields_are_at_their_specified_offsets(profile):
     given = replace(scene("SplatRenderMode: mip", "CoordinateSystem: LFD"), has_normals=True)
     data = encode_scene(given, Config(profile, block_size=1024))[0]
     fields = struct.unpack_from("<8sHHIQIHBBB3sII", data)
@@ -190,7 +190,7 @@ def test_the_last_system_counts_in_comments_of_several_lines_too():
     ["CoordinateSystem: RUB", " coordinatesystem:rdf", "SplatRenderMode: mip", "antialiased 0",
      "splatrendermode:\tdefault "],
 )  # fmt: skip
-def test_comments_on_what_the_header_has_are_refused(line):
+def test_comments_that_duplicate_the_header_are_refused(line):
     data = with_section(
         encode_scene(scene("one"))[0], SectionId.COMMENTS, lambda _: b"one\n" + line.encode()
     )

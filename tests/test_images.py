@@ -53,7 +53,7 @@ def test_one_module_opens_images():
     assert found == {READER}
 
 
-def test_postscript_is_not_run(tmp_path, monkeypatch):
+def test_postscript_is_not_executed(tmp_path, monkeypatch):
     """An EPS file opens as an image of any name; its pixels are rendered by Ghostscript."""
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("was run"))
     path = tmp_path / "view.png"
@@ -97,7 +97,7 @@ def test_bombs_are_refused_in_one_line(data, tmp_path):
 
 
 @pytest.mark.parametrize("kind", [AttributeError, AssertionError, KeyError, RecursionError])
-def test_whatever_a_reader_raises_is_one_line(kind, tmp_path, monkeypatch):
+def test_any_exception_of_a_reader_is_one_line(kind, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise kind("odd\nbytes")
 
@@ -109,7 +109,7 @@ def test_whatever_a_reader_raises_is_one_line(kind, tmp_path, monkeypatch):
     assert_one_line(caught.value, path)
 
 
-def test_only_the_formats_asked_for_are_read():
+def test_only_requested_formats_are_read():
     data = io.BytesIO(png(3, 2))
     assert read_pixels(data, ("PNG",), any_size).shape == (2, 3, 4)
     with pytest.raises(InvalidInput, match=r"not an image \(JPEG\)"):
@@ -124,7 +124,7 @@ def test_grey_and_transparency_become_rgba(tmp_path):
     assert np.array_equal(read_image(tmp_path / "b.png"), np.full((2, 2, 3), np.float32(0.4)))
 
 
-def test_warnings_come_back_with_the_last_of_several_threads():
+def test_warnings_are_restored_by_the_last_thread():
     before = list(warnings.filters)
     first, second = _warnings_ignored(), _warnings_ignored()
     first.__enter__()

@@ -55,7 +55,7 @@ def surfaces(scene: Scene, number: int, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
-def test_boxes_hold_the_decoded_gaussians(profile):
+def test_boxes_contain_the_decoded_gaussians(profile):
     scene, file = decode_scene(blocks(profile)), read_file(blocks(profile))
     extents = index_of(file)
     assert len(extents) == 3
@@ -69,7 +69,7 @@ def test_boxes_hold_the_decoded_gaussians(profile):
 
 
 @pytest.mark.thorough
-def test_reach_is_little_larger_than_the_ellipsoids():
+def test_boxes_are_slightly_larger_than_the_ellipsoids():
     scene = random_scene(400, 0, seed=313)
     for k in range(scene.count):
         one = scene.take(np.array([k]))
@@ -103,7 +103,7 @@ def test_powers_are_rounded_up():
     ("log_scale", "most"),
     [(-3e38, 1e-30), (-100.0, 1e-40), (0.0, 3.3), (88.0, LARGEST), (3e38, LARGEST)],
 )
-def test_any_scale_reaches_somewhere(log_scale, most):
+def test_boxes_of_any_scale_are_valid(log_scale, most):
     scale = np.full((3, 1), log_scale, np.float32)
     extent = block_extent(np.zeros((3, 1), np.float32), scale, np.eye(4, 1, dtype=np.float32))
     assert (extent[9:] > 0).all()
@@ -111,13 +111,13 @@ def test_any_scale_reaches_somewhere(log_scale, most):
     np.testing.assert_array_equal(extent[6:9], -extent[9:])
 
 
-def test_zero_quaternions_reach_as_far_as_any():
+def test_zero_quaternions_get_the_largest_extent():
     scale = np.log(np.array([[1.0], [2.0], [4.0]], np.float32))
     extent = block_extent(np.zeros((3, 1), np.float32), scale, np.zeros((4, 1), np.float32))
     assert (extent[9:] >= 12).all()
 
 
-def test_values_that_are_not_finite_are_left_out():
+def test_nonfinite_values_are_ignored():
     scene = any_bits(300, 0, 315)
     extent = block_extent(scene.positions, scene.log_scale, scene.rot)
     assert np.isfinite(extent).all()

@@ -33,7 +33,7 @@ def install(tmp_path, monkeypatch):
     return install
 
 
-def test_packages_are_those_that_are_required(install):
+def test_required_packages_are_counted(install):
     needs = "numba>=0.60", "open3d-cpu==0.20.*; sys_platform == 'linux'", "scipy>=1.14"
     install("gs-codec", 1, *needs, "torch; extra == 'paper'", "absent>=1; sys_platform == 'x'")
     install("numba", 1000, "LLVM_lite<1")
@@ -48,14 +48,14 @@ def test_packages_are_those_that_are_required(install):
     }
 
 
-def test_of_core_alone(install):
+def test_packages_of_core_are_counted(install):
     install("gs-codec-core", 1, "numba>=0.60")
     install("numba", 1000)
     core = {"packages": 2, "bytes": 1007}
     assert installed() == {"gs-codec": core, "gs-codec-core": core}
 
 
-def test_what_is_not_installed_is_not_measured(install):
+def test_missing_packages_are_not_counted(install):
     assert installed() == {}
 
 

@@ -83,7 +83,7 @@ def angle(first: Scene, second: Scene) -> np.ndarray:
 @pytest.mark.parametrize("version", [3, 4])
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("count", [1, 2, 700])
-def test_spz_holds_values_to_half_of_its_steps(count, degree, version, tmp_path):
+def test_spz_errors_are_within_half_a_step(count, degree, version, tmp_path):
     scene = usual(count, degree, seed=count + degree)
     data, lost = pack_spz(scene, version)
     back = read_scene(written(tmp_path / "a.spz", data))
@@ -113,7 +113,7 @@ def test_headers_of_spz_are_as_specified():
     assert first == plain[16 : 16 + 81]
 
 
-def test_spz_has_fewer_bits_of_fractions_for_far_centres(tmp_path):
+def test_spz_has_fewer_fraction_bits_for_far_centres(tmp_path):
     for farthest, bits in ((100.0, 16), (130.0, 15), (3000.0, 11), (1e7, 0)):
         scene = usual(20, 0)
         positions = scene.positions * np.float32(farthest / np.abs(scene.positions).max())
@@ -128,7 +128,7 @@ def test_spz_has_fewer_bits_of_fractions_for_far_centres(tmp_path):
         assert np.abs(back.positions - ordered)[inside].max() <= bound
 
 
-def test_what_spz_does_not_reach_is_clipped_and_counted(tmp_path):
+def test_values_out_of_range_of_spz_are_clipped_and_counted(tmp_path):
     scene = usual(50, 1)
     f_dc, f_rest, log_scale = scene.f_dc.copy(), scene.f_rest.copy(), scene.log_scale.copy()
     f_dc[:, :3], f_rest[4, :5], log_scale[1, :7] = 4, -1.5, -30
@@ -190,7 +190,7 @@ def test_quaternions_of_any_norm_lose_their_largest(scale):
 
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("count", [1, 255, 256, 257, 700])
-def test_packed_ply_holds_values_to_half_of_its_steps(count, degree, tmp_path):
+def test_packed_ply_errors_are_within_half_a_step(count, degree, tmp_path):
     scene = usual(count, degree, seed=count)
     data, _ = pack_ply(scene)
     back = read_scene(written(tmp_path / "a.compressed.ply", data))
@@ -247,7 +247,7 @@ def test_threads_do_not_change_bytes(form):
 
 
 @pytest.mark.parametrize("form", ALL)
-def test_what_is_not_finite_is_refused(form):
+def test_nonfinite_values_are_refused(form):
     scene = random_scene(30, 1)
     f_rest = scene.f_rest.copy()
     f_rest[2, 7] = np.inf
@@ -305,7 +305,7 @@ def loss(scene: Scene, coded: Scene, plan: Plan) -> float:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("form", ROUNDING)
-def test_colours_make_up_for_what_a_format_rounds(form, seen):
+def test_colours_compensate_for_rounding(form, seen):
     scene, plan = seen
     config = Config(format=form)
     plain = as_requested(scene, config)[0]
@@ -366,7 +366,7 @@ def test_a_loss_of_a_fixed_format_is_met_by_pruning(seen):
         (None, {"size": 9000, "allow_prune": True}),
     ],
 )
-def test_pruning_is_not_asked_for_twice(plan, target, seen):
+def test_pruning_twice_is_refused(plan, target, seen):
     with pytest.raises(InvalidInput, match="sets the number of Gaussians"):
         as_requested(seen[0], Config(format="splat"), plan, target)
 
@@ -389,7 +389,7 @@ def refused(*arguments: object) -> str:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("form", ALL)
-def test_the_suffix_says_the_format(form, ply, tmp_path):
+def test_the_suffix_selects_the_format(form, ply, tmp_path):
     for command in ("encode", "convert"):
         out = tmp_path / f"{command}.{form}"
         result = CliRunner().invoke(app, [command, str(ply), str(out), "--json"])
@@ -401,7 +401,7 @@ def test_the_suffix_says_the_format(form, ply, tmp_path):
     assert (tmp_path / f"encode.{form}").read_bytes() == (tmp_path / f"convert.{form}").read_bytes()
 
 
-def test_python_writes_them_too(ply, tmp_path):
+def test_python_writes_all_formats(ply, tmp_path):
     cloud = gs_codec.read(ply)
     for form in ALL:
         gs_codec.write(tmp_path / f"a.{form}", cloud)
@@ -466,7 +466,7 @@ def test_an_spz_has_coordinates_of_its_own(ply, tmp_path):
         convert_file(ply, tmp_path / "c.spz", coordinates="LUF")
 
 
-def test_a_batch_writes_them(ply, tmp_path):
+def test_a_batch_writes_all_formats(ply, tmp_path):
     out = tmp_path / "out"
     result = CliRunner().invoke(app, ["batch", str(tmp_path), str(out), "--format", "spz"])
     assert result.exit_code == 0, result.output
@@ -474,7 +474,7 @@ def test_a_batch_writes_them(ply, tmp_path):
 
 
 @pytest.mark.parametrize("form", ALL)
-def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
+def test_formats_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
     fine = Config("l", coarseness=0.05) if form in ("spz", "sog") else Config()
     encode_file(ply, tmp_path / f"a.{form}", fine)
     compared = compare_files(ply, tmp_path / f"a.{form}")
@@ -489,7 +489,7 @@ def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
 
 @pytest.mark.parametrize("suffix", [*SORTED, "splat", "glb"])
 @pytest.mark.parametrize("count", [2, 3, 300])
-def test_small_gaussians_are_compared_with_their_own(count, suffix, tmp_path):
+def test_small_gaussians_are_matched_correctly(count, suffix, tmp_path):
     """They are smaller than the steps of centres, so only other attributes identify them."""
     scene = random_scene(count, 1, seed=11)
     scene = replace(scene, log_scale=(0.1 * scene.log_scale - 9).astype(np.float32))
@@ -538,7 +538,7 @@ def test_steps_are_no_coarser_than_those_of_an_egs():
         *((name, encode_file) for name in ("b.spz", "b.sog")),
     ],
 )
-def test_rounded_scenes_keep_what_the_format_holds(name, write, tmp_path):
+def test_rounded_scenes_keep_the_formats_precision(name, write, tmp_path):
     source = tmp_path / "a.spz"
     write_scene(source, random_scene(300, 2, seed=4), Config("s"))
     before, target = read_scene(source), tmp_path / "b" / name

@@ -78,7 +78,7 @@ def archive(tmp_path_factory) -> Path:
     return path
 
 
-def test_listed_kernels_exist_and_take_so_many_arguments():
+def test_listed_kernels_exist_with_matching_arguments():
     for entry in LISTED:
         function, types = entry.kernel().py_func, entry.signature()
         assert len(types) == function.__code__.co_argcount, entry
@@ -131,7 +131,7 @@ def test_a_damaged_archive_changes_nothing_but_time(archive, tmp_path, how):
     assert (out, messages) == (["0.6666666666666666", "False"], "")
 
 
-def test_an_archive_cut_off_anywhere_is_refused(archive):
+def test_a_truncated_archive_is_refused(archive):
     content = archive.read_bytes()[len(kernel_archive._MAGIC) :]
     names = [*(" ".join(entry) for entry in FEW), "numba runtime"]
     assert all(Archive(content).part(name) for name in names)
@@ -140,7 +140,7 @@ def test_an_archive_cut_off_anywhere_is_refused(archive):
             Archive(content[:size])
 
 
-def test_a_flipped_bit_anywhere_is_noticed(archive):
+def test_a_flipped_bit_anywhere_is_detected(archive):
     content = archive.read_bytes()[len(kernel_archive._MAGIC) :]
     names = [*(" ".join(entry) for entry in FEW), "numba runtime"]
     for place in range(0, len(content), 997):
@@ -152,7 +152,7 @@ def test_a_flipped_bit_anywhere_is_noticed(archive):
 
 
 @pytest.mark.thorough
-def test_a_warning_says_that_nothing_is_kept(tmp_path):
+def test_a_warning_reports_a_missing_cache(tmp_path):
     (tmp_path / "file").touch()
     file = str(tmp_path / "file")
     out, messages = run(USE.format(before=""), tmp_path, NUMBA_CACHE_DIR=file)
@@ -182,7 +182,7 @@ def test_a_warning_says_that_nothing_is_kept(tmp_path):
     ],
     ids=["numba", "boundscheck", "opt", "processor named", "processor", "missing", "edited"],
 )  # fmt: skip
-def test_where_the_archive_is_not_for_it_a_kernel_is_compiled(
+def test_kernels_are_compiled_if_the_archive_does_not_apply(
     archive, tmp_path, before, environment, why
 ):
     cache = {"NUMBA_CACHE_DIR": str(tmp_path)}

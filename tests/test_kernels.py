@@ -35,7 +35,7 @@ except IndexError:
 
 
 @pytest.mark.thorough
-def test_bounds_are_checked_where_that_is_asked(tmp_path):
+def test_bounds_are_checked_on_request(tmp_path):
     script = tmp_path / "beyond.py"
     script.write_text(BEYOND)
     environment = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
@@ -111,7 +111,7 @@ def change(value):
 
 
 @pytest.mark.thorough
-def test_kernels_are_compiled_again_when_what_they_use_changes(tmp_path):
+def test_kernels_are_recompiled_when_their_sources_change(tmp_path):
     """Including other modules, which numba does not check: a decoder would read files wrongly."""
     (tmp_path / "uses.py").write_text(USES)
     environment = {
@@ -187,7 +187,7 @@ def test_compiled_kernels_are_kept_in_the_cache_folder_of_the_user(places, tmp_p
 
 
 @pytest.mark.parametrize("named", ["", "cache"])
-def test_a_cache_folder_without_an_absolute_name_is_not_taken(places, tmp_path, monkeypatch, named):
+def test_a_relative_cache_folder_is_not_used(places, tmp_path, monkeypatch, named):
     """Otherwise code would be loaded from the current folder, such as a download."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", named)
@@ -205,7 +205,7 @@ def test_without_a_home_compiled_kernels_are_kept_among_temporary_files(
 
 
 @pytest.mark.parametrize("mode", [0o720, 0o702])
-def test_no_code_is_loaded_from_where_others_write(places, tmp_path, mode):
+def test_no_code_is_loaded_from_folders_writable_by_others(places, tmp_path, mode):
     (tmp_path / "home/.cache/gs-codec").mkdir(parents=True)
     (tmp_path / "home/.cache/gs-codec").chmod(mode)
     assert places() == TEMPORARY
@@ -223,7 +223,7 @@ def test_no_code_is_loaded_from_folders_of_others(places, tmp_path, monkeypatch)
     assert places() is None
 
 
-def test_no_code_is_loaded_from_what_others_can_move_or_link(places, tmp_path):
+def test_no_code_is_loaded_from_paths_others_can_move_or_link(places, tmp_path):
     (tmp_path / "home/.cache").mkdir()
     (tmp_path / "home/.cache").chmod(0o777)
     (tmp_path / "tmp/elsewhere").mkdir()
@@ -233,13 +233,13 @@ def test_no_code_is_loaded_from_what_others_can_move_or_link(places, tmp_path):
     assert places() == "home/.cache/gs-codec"
 
 
-def test_make_asks_for_it():
+def test_make_requests_bounds_checks():
     rule = (ROOT / "Makefile").read_text().split("boundscheck: ")[1]
     assert "NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=" in rule
 
 
 @pytest.mark.skipif(not numba.config.BOUNDSCHECK, reason="bounds are checked by make boundscheck")
-def test_bounds_are_checked_here():
+def test_bounds_are_checked_in_this_process():
     @kernel
     def beyond(values, i):
         return values[i]

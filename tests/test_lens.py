@@ -174,7 +174,7 @@ def test_models_without_distortion_keep_their_size(suffix, tmp_path):
         assert (camera.width, camera.height, camera.lens) == (*SIDES, None)
 
 
-def test_fisheye_lens_without_coefficients_is_no_pinhole(tmp_path):
+def test_fisheye_lens_without_coefficients_is_not_a_pinhole(tmp_path):
     intrinsics = Intrinsics(1, "OPENCV_FISHEYE", *SIDES, (400.0, 400.0, 400.0, 300.0, 0, 0, 0, 0))
     (camera,) = read_cameras(write_model(tmp_path, ".bin", cameras=[intrinsics]))
     # The middle of the left edge is 1 rad from the axis.
@@ -182,14 +182,14 @@ def test_fisheye_lens_without_coefficients_is_no_pinhole(tmp_path):
     np.testing.assert_allclose(camera.lens.undistort([[800], [300]]), [[math.tan(1)], [0]])
 
 
-def test_lens_wider_than_a_half_space_gives_twice_the_sides():
+def test_very_wide_lens_doubles_the_sides():
     lens = Lens(800, 800, 200.0, 200.0, 400.0, 400.0, True, (0.0,) * 4)
     fields = lens.pinhole()
     assert (fields["width"], fields["height"]) == (1600, 1600)
     assert lens.undistort([[800.0], [400.0]])[0] == np.inf  # 2 rad from the axis
 
 
-def test_width_and_size_do_not_lose_the_lens(tmp_path):
+def test_resizing_keeps_the_lens(tmp_path):
     camera = camera_of("OPENCV", tmp_path)
     (small,) = find_cameras([camera], random_scene(1), width=100)
     assert small.lens == camera.lens
@@ -207,7 +207,7 @@ BAD_LENSES = {
 
 @pytest.mark.parametrize("name", BAD_LENSES)
 @both_forms
-def test_lens_that_cannot_be_undone_is_refused(suffix, name, tmp_path):
+def test_irreversible_distortion_is_refused(suffix, name, tmp_path):
     parameters, message = BAD_LENSES[name]
     intrinsics = Intrinsics(4, "SIMPLE_RADIAL", *SIDES, parameters)
     with pytest.raises(InvalidInput, match=f"camera 4: {message}") as caught:
@@ -290,7 +290,7 @@ def dot_near(image: np.ndarray, u: float, v: float) -> tuple[float, float]:
 @needs_opencv
 @each_model
 @pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_points_of_a_photograph_come_to_where_the_camera_sees_them(model, scale, tmp_path):
+def test_photograph_points_move_to_the_cameras_pixels(model, scale, tmp_path):
     camera = camera_of(model, tmp_path)
     places = points(camera)
     seen = [np.multiply(scale, photographed_at(model, point)) for point in places]
@@ -341,7 +341,7 @@ def test_photograph_has_no_empty_border(tmp_path):
         assert straight.dtype == np.float32
 
 
-def test_photographs_that_are_undistorted_already_are_kept(tmp_path):
+def test_undistorted_photographs_are_unchanged(tmp_path):
     camera = camera_of("OPENCV", tmp_path)
     for by in (1, 2, 4):
         size = round(camera.width / by), round(camera.height / by)

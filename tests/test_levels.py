@@ -95,7 +95,7 @@ def test_older_readers_skip_levels(monkeypatch):
     assert all(np.array_equal(found[name], row, equal_nan=True) for name, row in expected.items())
 
 
-def test_the_scene_is_coded_as_without_levels():
+def test_levels_do_not_change_the_coded_scene():
     scene = random_scene(300, 1, seed=330)
     data, file = sample(), read_file(sample())
     kept = [
@@ -108,7 +108,7 @@ def test_the_scene_is_coded_as_without_levels():
     assert_same_floats(decode_scene(data), decode_scene(stripped))
 
 
-def test_levels_come_before_the_blocks_the_coarsest_first():
+def test_levels_precede_the_blocks_coarsest_first():
     file = read_file(sample())
     assert list(file.table)[:5] == [(16, 0), (13, 0), (20, 3), (20, 2), (20, 1)]
     assert all(entry.position % 4 == 0 for entry in file.table.values())
@@ -179,7 +179,7 @@ def test_errors_do_not_fall_from_level_to_level():
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("seed", range(12))
-def test_selection_is_that_of_the_format(seed):
+def test_selection_follows_the_format(seed):
     rng = np.random.default_rng(seed)
     data = sample(500)
     view = camera(tuple(rng.normal(size=3) * 10.0 ** rng.uniform(-1, 2)), 10.0 ** rng.uniform(1, 3))
@@ -217,7 +217,7 @@ def test_from_far_away_the_coarsest_level_is_enough():
     assert_same_floats(seen, decode_part(data, Part(level=3))[0])
 
 
-def test_a_budget_is_spent_on_what_is_near():
+def test_a_budget_is_spent_on_near_blocks():
     data = sample()
     counts = [decode_part(data, Part(view=NEAR, budget=n))[0].count for n in (8, 40, 120, 300)]
     assert counts == sorted(counts)
@@ -238,13 +238,13 @@ def test_without_levels_a_budget_takes_the_nearest_blocks():
         decode_part(plain, Part(view=FAR, budget=3))
 
 
-def test_a_view_of_nothing_is_empty():
+def test_a_view_without_blocks_is_empty():
     behind = replace(FAR, rotation=FAR.rotation * np.array([[-1], [1], [-1]]))
     assert decode_part(sample(), Part(view=behind))[0].count == 0
 
 
 @pytest.mark.thorough
-def test_sh_degree_goes_with_views_and_levels():
+def test_sh_degree_combines_with_views_and_levels():
     data = sample(300, 2)
     assert decode_part(data, Part(sh_degree=1, level=2))[0].sh_degree == 1
     assert decode_part(data, Part(sh_degree=0, view=FAR, tolerance=30))[0].sh_degree == 0
@@ -269,12 +269,12 @@ def test_a_box_of_a_level():
         ({"view": FAR, "box": (0.0, 0, 0, 1, 1, 1)}, "box: cannot be combined with a view"),
     ],
 )
-def test_parts_that_make_no_sense_are_refused(fields, message):
+def test_invalid_parts_are_refused(fields, message):
     with pytest.raises(InvalidInput, match=message):
         Part(**fields)
 
 
-def test_a_level_that_is_not_there_is_refused():
+def test_missing_level_is_refused():
     with pytest.raises(InvalidInput, match="level 4: the file has levels 0 to 3"):
         decode_part(sample(), Part(level=4))
 
@@ -340,7 +340,7 @@ def test_errors_below_those_of_the_level_before_are_refused(tmp_path):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("change", NO_LEVELS)
-def test_levels_that_are_no_levels_of_the_file_are_refused(change, tmp_path):
+def test_levels_of_another_file_are_refused(change, tmp_path):
     damaged = in_level(sample(), change)
     (tmp_path / "a.egs").write_bytes(damaged)
     with pytest.raises(REFUSALS, match="level 1: "):
@@ -361,7 +361,7 @@ def test_missing_and_surplus_levels_are_refused():
             decode_scene(with_section(sample(), SectionId.LEVEL, lambda _: b"", level))
 
 
-def test_sections_of_levels_elsewhere_are_refused():
+def test_misplaced_sections_of_levels_are_refused():
     errors = with_section(sample(), SectionId.ERRORS, lambda _: bytes(4))
     with pytest.raises(CorruptStream, match="section 'errors'"):
         decode_scene(errors)
@@ -383,7 +383,7 @@ def test_damage_in_a_level_is_found_when_it_is_read(tmp_path):
             verify_file(tmp_path / "a.egs")
 
 
-def test_a_level_needs_no_checksum_of_the_whole_section():
+def test_levels_are_read_without_checking_their_whole_section():
     """Like a reader that fetches some of its blocks."""
     data = sample()
     position, size, _ = read_file(data).table[SectionId.LEVEL, 1]
@@ -393,7 +393,7 @@ def test_a_level_needs_no_checksum_of_the_whole_section():
     assert_same_floats(decode_part(damaged, far)[0], decode_part(data, far)[0])
 
 
-def test_files_cut_short_are_refused():
+def test_truncated_files_are_refused():
     data = sample()
     position, size, _ = read_file(data).table[SectionId.LEVEL, 2]
     for end in (position, position + 30, position + size // 2, position + size):

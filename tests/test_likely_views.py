@@ -48,7 +48,7 @@ def weights_of(scene):
     return np.full((1, scene.count), 2.0, np.float32)
 
 
-def test_they_look_where_training_left_colours(scene):
+def test_likely_views_follow_the_strength_of_sh_ac(scene):
     views = likely_views(scene, weights_of(scene))
     total = views.weights.sum(axis=1)
     aside = views.centres / np.linalg.norm(views.centres, axis=1)[:, None]
@@ -56,7 +56,7 @@ def test_they_look_where_training_left_colours(scene):
     assert total[cosines > 0.9].mean() > 4 * total[cosines < 0.6].mean()
 
 
-def test_they_have_a_share_of_the_weight_of_all_others(scene):
+def test_likely_views_have_a_share_of_the_total_weight(scene):
     weights = weights_of(scene)
     weights[:, :7] = 0
     views = likely_views(scene, weights)
@@ -65,7 +65,7 @@ def test_they_have_a_share_of_the_weight_of_all_others(scene):
     assert (views.weights[:, :7].sum(axis=0) > 0).all()
 
 
-def test_compaction_keeps_what_cameras_missed(scene):
+def test_compaction_keeps_colours_missed_by_cameras(scene):
     rotation = facing(-SEEN, np.array([0, 0, 1.0]))
     camera = Camera("seen", 60, 40, 60.0, 60.0, 30.0, 20.0, rotation, SEEN)
     weights = weights_of(scene)

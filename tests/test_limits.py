@@ -143,7 +143,7 @@ def one_of_each(target: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_every_format_is_held_to_a_stated_limit(tmp_path):
+def test_every_format_respects_a_given_limit(tmp_path):
     for path in one_of_each(tmp_path):
         floats = read_scene(path).float_bytes
         assert floats > 1000
@@ -201,7 +201,7 @@ def test_headers_state_at_least_what_is_read(tmp_path):
         assert stated_bytes(path) >= read_scene(path).float_bytes
 
 
-def test_a_batch_is_planned_by_what_headers_state(tmp_path):
+def test_a_batch_is_planned_from_headers(tmp_path):
     floats = 1 << 25
     (tmp_path / "a.spz").write_bytes(spz_bomb(4, 0, floats))
     (tmp_path / "b.sog").write_bytes(sog_bomb(2, 0, floats))
@@ -215,13 +215,13 @@ def test_a_batch_is_planned_by_what_headers_state(tmp_path):
     assert max(task.need for task in limited) == memory.needed_bytes(1000)
 
 
-def test_a_batch_refuses_what_takes_more_than_its_limit(folder: Folder):
+def test_a_batch_refuses_scenes_above_its_limit(folder: Folder):
     assert folder.run("batch", "in/a.ply", "out", "--max-bytes", "999").status == 1
     report = json.loads(Path("out/report.jsonl").read_text())
     assert "at most 999 are read" in report["error"]["text"]
 
 
-def test_a_batch_does_not_unfold_much_more_than_planned_of_remote_files(folder: Folder):
+def test_a_batch_limits_decompression_of_remote_files(folder: Folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     bomb = spz_bomb(4, 0, 2 * memory.most_floats(0, "a.spz"))
     storage_of("memory://")._fs.pipe_file("/bombs/a.spz", bomb)

@@ -22,14 +22,14 @@ def test_fits_are_least_squares(seed, count):
 
 
 @pytest.mark.parametrize("copies", [1, 2, 4])
-def test_rows_that_depend_on_one_another_share_their_coefficient(copies):
+def test_dependent_rows_share_their_coefficient(copies):
     rng = np.random.default_rng(copies)
     row = rng.normal(size=50)
     fitted = np.array([dot(fit, 3 * row) for fit in fitting(np.stack([row] * copies))])
     np.testing.assert_allclose(fitted, 3 / copies, rtol=1e-12)
 
 
-def test_rows_of_nothing_have_no_coefficient():
+def test_zero_rows_have_no_coefficient():
     assert not fitting(np.zeros((3, 7))).any()
     assert fitting(np.ones((2, 0))).shape == (2, 0)
 

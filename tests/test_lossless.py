@@ -76,7 +76,7 @@ def assert_same_bits(first: Scene, second: Scene) -> None:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", SCENES)
-def test_every_bit_and_the_order_come_back(name):
+def test_bits_and_order_are_restored(name):
     data, report = encode_scene(SCENES[name], KEPT)
     assert report.file_bytes == len(data)
     assert_same_bits(decode_scene(data), SCENES[name])
@@ -84,7 +84,7 @@ def test_every_bit_and_the_order_come_back(name):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", SCENES)
-def test_every_bit_comes_back_in_the_order_of_the_stream(name):
+def test_bits_are_restored_in_stream_order(name):
     scene = SCENES[name]
     data, _ = encode_scene(scene, LOSSLESS)
     decoded = decode_scene(data)
@@ -118,7 +118,7 @@ def test_reference_decoder_agrees(name, config):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", REAL_SCENES)
-def test_real_scene_comes_back_and_is_smaller(name):
+def test_real_scene_is_restored_and_smaller(name):
     path = shared_scene_path(name)
     scene = read_ply(path)
     data, _ = encode_scene(scene, Config("lossless"))
@@ -135,7 +135,7 @@ def test_bonsai_is_smaller_in_its_order():
     assert_same_bits(decode_scene(kept), scene)
 
 
-def test_lacking_colours_and_unit_quaternions_cost_little():
+def test_absent_colours_and_unit_quaternions_cost_little():
     full, lacking = random_scene(4000, 3, 61), without_colours(4000, 3, 61)
     sizes = [encode_scene(scene, LOSSLESS)[1].section_bytes["sh3"] for scene in (full, lacking)]
     assert sizes[1] < 0.65 * sizes[0]
@@ -159,7 +159,7 @@ def test_no_argument_is_changed():
     np.testing.assert_array_equal(rows_of(scene), before)
 
 
-def test_carried_properties_and_comments_follow_their_gaussians():
+def test_extra_properties_and_comments_stay_with_their_gaussians():
     scene = replace(
         any_bits(3000, 1, 65),
         extra={"label": np.arange(3000, dtype="<i4")},
@@ -172,7 +172,7 @@ def test_carried_properties_and_comments_follow_their_gaussians():
         assert_same_bits(decoded, scene.take(decoded.extra["label"]))
 
 
-def test_nonfinite_gaussians_are_dropped_where_asked():
+def test_nonfinite_gaussians_are_dropped_on_request():
     scene = random_scene(50, 1, 66)
     scene.rot[0, 7] = np.nan
     scene.f_rest[3, 9] = -np.inf
@@ -189,7 +189,7 @@ def test_ordered_integers_ascend_with_the_floats():
     assert (np.diff(floats[np.isfinite(floats)].astype(np.float64)) >= 0).all()
 
 
-def test_inspect_tells_bounds_of_finite_centres():
+def test_inspect_reports_bounds_of_finite_centres():
     scene = any_bits(300, 2, 68)
     for config in (LOSSLESS, KEPT):
         info = inspect_bytes(encode_scene(scene, config)[0])
@@ -209,7 +209,7 @@ def test_inspect_tells_bounds_of_finite_centres():
         ({"profile": "paper-m", "keep_order": True}, "expected 'lossless'"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(config, message):
+def test_unsupported_options_are_refused(config, message):
     with pytest.raises(InvalidInput, match=message):
         Config(**config)
 
@@ -234,7 +234,7 @@ def run(*arguments) -> str:
     return result.stdout
 
 
-def test_command_line_gives_the_same_file_back(plain, tmp_path):
+def test_command_line_restores_the_file(plain, tmp_path):
     stream, back = tmp_path / "scene.egs", tmp_path / "back.ply"
     run("encode", plain, stream, "-p", "lossless", "--keep-order", "--extra", "keep")
     run("decode", stream, back)
@@ -264,7 +264,7 @@ def test_command_line_sorts_and_compare_finds_no_difference(tmp_path):
     assert_same_bits(read_scene(back), read_scene(stream))
 
 
-def test_a_kept_order_mark_still_tells_the_order(tmp_path):
+def test_the_kept_order_comment_is_still_valid(tmp_path):
     names = ("scene.ply", "lossy.egs", "lossy.ply", "kept.egs", "kept.ply")
     plain, lossy, decoded, kept, back = (tmp_path / name for name in names)
     write_ply(plain, random_scene(800, 1, 72))
@@ -319,7 +319,7 @@ def survive(data: bytes) -> None:
 
 
 @pytest.mark.thorough
-def test_every_flipped_bit_under_right_checksums_is_survived():
+def test_flipped_bits_with_correct_checksums_do_not_crash():
     stream = encode_scene(random_scene(4, 0, 83), KEPT)[0]
     for bit in range(8 * len(stream)):
         damaged = bytearray(stream)
@@ -329,7 +329,7 @@ def test_every_flipped_bit_under_right_checksums_is_survived():
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("seed", range(100))
-def test_random_changes_under_right_checksums_are_survived(seed):
+def test_random_changes_with_correct_checksums_do_not_crash(seed):
     rng = np.random.default_rng(seed)
     scene = any_bits(int(rng.integers(1, 2500)), int(rng.integers(0, 4)), seed)
     data = bytearray(encode_scene(scene, LOSSLESS)[0])
@@ -421,7 +421,7 @@ def test_a_false_count_is_refused(stream, count):
 
 @pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 8191, 8192, 8193, 30000])
 @pytest.mark.parametrize("kind", ["any", "near", "ascending", "constant", "few"])
-def test_integers_come_back(kind, count):
+def test_integers_round_trip(kind, count):
     rng = np.random.default_rng(count)
     values = {
         "any": rng.integers(0, 1 << 32, count, np.uint32),

@@ -105,7 +105,7 @@ def test_values_are_those_of_the_package_with_the_same_weights(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("net", BACKBONES)
-def test_backbone_is_told_by_its_weights(stand_in, tmp_path, net):
+def test_backbone_is_recognised_by_its_weights(stand_in, tmp_path, net):
     path = stand_in(tmp_path / "weights.pth", net)
     assert load_lpips(path).backbone == BACKBONES[net][0]
     image = np.zeros((LPIPS_SIZE, 40, 3))
@@ -122,7 +122,7 @@ def test_weights_of_another_shape_are_refused(stand_in, tmp_path, net):
 
 
 @pytest.mark.parametrize("kind", ["text", "zip", "tensor", "list", "VGG19", "module"])
-def test_file_of_something_else_is_refused(stand_in, tmp_path, kind):
+def test_unrelated_file_is_refused(stand_in, tmp_path, kind):
     import torch
 
     path = tmp_path / f"{kind}.pth"
@@ -147,7 +147,7 @@ def test_file_of_something_else_is_refused(stand_in, tmp_path, kind):
         ("raise RuntimeError('operator torchvision::nms\\ndoes not exist')", "nms does not exist"),
     ],
 )
-def test_package_that_cannot_be_imported_is_named(folder, monkeypatch, code, why):
+def test_broken_package_is_named(folder, monkeypatch, code, why):
     (folder / "lpips.py").write_text(code)
     (folder / "weights.pth").write_bytes(b"weights")
     monkeypatch.syspath_prepend(folder)
@@ -162,7 +162,7 @@ def test_package_that_cannot_be_imported_is_named(folder, monkeypatch, code, why
     ("name", "why"),
     [("none.pth", "No such file or directory"), (".", "a directory, expected a file")],
 )
-def test_file_that_cannot_be_read_is_refused(folder, name, why):
+def test_unreadable_file_is_refused(folder, name, why):
     result = compare("--lpips", name)
     assert isinstance(result.exception, InvalidInput)
     assert str(result.exception) == f"{name}: {why}"

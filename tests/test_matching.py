@@ -43,7 +43,7 @@ def test_a_decoded_scene_is_matched_with_its_own_encoding(decoded, tmp_path, fir
     assert compare_files(source, target).counts == (1500, 1500)
 
 
-def test_copies_and_odd_scenes_are_matched_or_refused():
+def test_copies_and_edge_scenes_are_matched_or_refused():
     scene = random_scene(400, 1, seed=230)
     order = np.random.default_rng(231).permutation(400)
     copies = scene.take(np.arange(400) // 4)
@@ -64,7 +64,7 @@ def test_copies_and_odd_scenes_are_matched_or_refused():
         np.testing.assert_array_equal(one.f_dc[:, 9:], other.f_dc[:, 9:])
 
 
-def test_other_scenes_that_were_decoded_alike_are_not_matched(decoded, tmp_path):
+def test_other_decoded_scenes_are_not_matched(decoded, tmp_path):
     write_ply(tmp_path / "other.ply", random_scene(1500, 1, seed=221))
     encode_file(tmp_path / "other.ply", tmp_path / "other.egs", Config("paper-m"))
     decode_file(tmp_path / "other.egs", tmp_path / "decoded.ply")

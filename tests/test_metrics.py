@@ -79,7 +79,7 @@ def test_a_scene_has_no_error_against_itself(name):
         ("rot", (3, 2), "rotation", "stored"),
     ],
 )
-def test_one_difference_is_measured_where_it_is(group, place, name, unit):
+def test_a_single_difference_is_measured_in_its_attribute(group, place, name, unit):
     scene = changed(random_scene(10, 3), group, place, 1.0)
     comparison = both_ways(scene, changed(scene, group, place, 1.75))
     size = getattr(scene, group).size
@@ -334,7 +334,7 @@ def test_real_scene_is_matched_with_its_encoded_version(name, tmp_path):
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("first", ["ply", "decoded", "egs"])
-def test_what_was_coded_twice_is_never_matched_wrongly(trio, first, profile, tmp_path):
+def test_scenes_coded_twice_are_never_matched_wrongly(trio, first, profile, tmp_path):
     """An error is right if the order is ambiguous; comparing in a wrong order is not."""
     again = tmp_path / "again.egs"
     encode_file(trio.decoded, again, Config(profile))
@@ -417,14 +417,14 @@ def test_two_real_formats_of_a_scene_are_compared_in_one_system():
 
 
 @pytest.mark.parametrize("depths", ["16 16 16", "16 16 16 8 8 x", "16 16 16 8 8 22", "-1 " * 6])
-def test_order_that_makes_no_sense_is_refused(trio, depths, tmp_path):
+def test_invalid_order_is_refused(trio, depths, tmp_path):
     path = tmp_path / "odd.ply"
     write_ply(path, replace(read_ply(trio.ply), comments=(f"gs_codec order {depths}",)))
     with pytest.raises(InvalidInput, match=r"odd\.ply: .*expected six depths"):
         compare_files(trio.ply, path)
 
 
-def test_opacity_without_a_logit_is_compared_as_it_is_seen():
+def test_infinite_logits_are_compared_as_opacities():
     first = random_scene(50, 0, seed=3)
     second = replace(first, opacity=first.opacity.copy())
     first.opacity[0, :2] = np.inf, -np.inf

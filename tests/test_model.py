@@ -26,7 +26,7 @@ def histogram_of(values, alphabet):
 
 @pytest.mark.parametrize("precision", [8, 12, 15])
 @pytest.mark.parametrize("seed", range(5))
-def test_normalise_sums_and_keeps_what_occurs(seed, precision):
+def test_normalise_sums_and_keeps_occurring_symbols(seed, precision):
     rng = np.random.default_rng(seed)
     weights = np.floor(10 ** rng.uniform(-1, 12, 200)).astype(np.int64)
     table = normalise(weights, precision)
@@ -43,7 +43,7 @@ def test_normalise_by_hand():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_normalise_takes_what_is_too_much_one_by_one(seed):
+def test_normalise_removes_a_surplus_one_by_one(seed):
     """The rule of FORMAT.md, written literally."""
     rng = np.random.default_rng(seed)
     weights = rng.integers(0, rng.choice([2, 4, 1 << 20], 256), 256)
@@ -149,7 +149,7 @@ def test_mixture_is_finite_on_degenerate_histograms(histogram, count):
 
 @pytest.mark.parametrize("sigma", [1, 1 << 16, (1 << 32) - 1])
 @pytest.mark.parametrize("mean", [0, 1 << 23, (1 << 32) - 1])
-def test_mixture_table_stands_extreme_parameters(mean, sigma):
+def test_mixture_table_handles_extreme_parameters(mean, sigma):
     model = MixtureModel((Component(65535, mean, sigma),) * 4, 12)
     table = model.frequencies(4096)
     assert table.frequencies.tolist() == [1] * 4096
@@ -198,7 +198,7 @@ def test_choice_is_the_cheapest_and_its_bits_are_real():
 
 
 @pytest.mark.parametrize("scale", [None, 1.2])
-def test_only_what_is_asked_for_is_chosen(scale):
+def test_only_allowed_models_are_chosen(scale):
     """Whatever is cheaper: here a table, for a comb that neither distribution fits."""
     histogram = np.zeros(64, np.int64)
     histogram[::7] = 100_000

@@ -64,12 +64,12 @@ def test_a_drag_ends_where_it_would_in_one_event(events, shifts):
 
 @pytest.mark.parametrize("shifts", [False, True], ids=["turn", "shift"])
 @pytest.mark.parametrize("way", [[(120, 50), (-120, -50)], [(90, 0), (0, 300), (-90, -300)]])
-def test_there_and_back_is_the_start(way, shifts):
+def test_a_drag_there_and_back_restores_the_pose(way, shifts):
     back, _ = dragged(way, 7, shifts)
     np.testing.assert_allclose(matrix(back), matrix(POSE), atol=1e-12)
 
 
-def test_half_a_height_is_a_quarter_turn_about_the_target():
+def test_a_drag_over_half_the_height_is_a_quarter_turn():
     turned, _ = dragged([(200, 0)], 3, False)
     before, after = POSE.position - TARGET, turned.position - TARGET
     assert after[1] == pytest.approx(before[1])
@@ -79,7 +79,7 @@ def test_half_a_height_is_a_quarter_turn_about_the_target():
 
 
 @pytest.mark.parametrize("roll", [0, 30, 90, 180])
-def test_what_is_before_the_target_follows_the_mouse(roll):
+def test_the_scene_follows_the_mouse(roll):
     turn = np.radians(roll)
     rolled = [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     pose = replace(POSE, rotation=np.array(rolled) @ POSE.rotation)
@@ -90,7 +90,7 @@ def test_what_is_before_the_target_follows_the_mouse(roll):
         assert moved @ drag > 0.9 * np.linalg.norm(moved) * np.linalg.norm(drag)
 
 
-def test_the_horizon_stays_level_and_nothing_turns_over():
+def test_the_horizon_stays_level_and_upright():
     pose = POSE
     for right, down in 40 * [(70, 30), (20, -90), (-110, 300)]:
         pose, _ = dragged([(right, down)], 2, False, pose)
@@ -108,7 +108,7 @@ def test_a_look_along_the_axis_can_be_turned():
         np.testing.assert_allclose(pixel(turned), [300, 200], atol=1e-6)
 
 
-def test_shifts_carry_the_point_ahead_with_the_mouse_and_it_stays_the_centre():
+def test_shifts_move_the_point_ahead_with_the_mouse():
     shifted, hand = dragged([(100, 40)], 4, True)
     np.testing.assert_allclose(pixel(shifted), [400, 240], atol=1e-9)
     np.testing.assert_array_equal(shifted.rotation, POSE.rotation)
@@ -117,7 +117,7 @@ def test_shifts_carry_the_point_ahead_with_the_mouse_and_it_stays_the_centre():
     np.testing.assert_allclose(pixel(turned, centre), [300, 200], atol=1e-9)
 
 
-def test_the_wheel_comes_nearer_goes_away_and_never_sticks():
+def test_the_wheel_moves_nearer_and_away_and_never_sticks():
     hand = navigator()
     first = hand.distance
     near = hand.nearer(POSE, 3)
@@ -131,7 +131,7 @@ def test_the_wheel_comes_nearer_goes_away_and_never_sticks():
         assert (pose.position - before.position) @ POSE.rotation[2] > 1e-3 * first
 
 
-def test_what_moves_the_camera_otherwise_ends_a_drag():
+def test_other_camera_moves_end_a_drag():
     for other in (lambda hand: hand.nearer(POSE, 1), lambda hand: hand.aim(1.0)):
         hand = navigator()
         hand.hold(POSE, 0, 0)
@@ -176,7 +176,7 @@ def test_up_of_cameras_that_are_upside_down_as_often_is_across_their_right_axes(
     np.testing.assert_allclose(np.abs(up_of(rotations)), [0, 1, 0], atol=1e-9)
 
 
-def test_looking_around_turns_where_the_camera_is_and_what_is_seen_follows():
+def test_looking_around_turns_in_place_and_follows_the_mouse():
     hand = navigator()
     hand.hold(POSE, 300, 200, "look")
     looked = hand.drag(330, 180, *SIZE)
@@ -185,7 +185,7 @@ def test_looking_around_turns_where_the_camera_is_and_what_is_seen_follows():
     np.testing.assert_allclose(matrix(hand.drag(300, 200, *SIZE)), matrix(POSE), atol=1e-12)
 
 
-def test_a_flight_goes_along_the_axes_by_distances_ahead():
+def test_a_flight_moves_along_the_axes_relative_to_the_distance_ahead():
     hand = navigator()
     flown = hand.flown(POSE, np.array([1.0, 0, 2.0]), 0.5)
     axes = POSE.rotation @ (flown.position - POSE.position)
@@ -193,7 +193,7 @@ def test_a_flight_goes_along_the_axes_by_distances_ahead():
 
 
 @pytest.mark.parametrize("at", [(300, 200), (410.5, 33.5)])
-def test_what_is_focused_comes_to_the_middle_at_its_depth(at):
+def test_focusing_moves_a_point_to_the_middle_at_its_depth(at):
     shifted = replace(POSE, shift=(0.1, -0.05))
     point = focused(shifted, at, 4.0, SIZE)
     depth = 4.0 * POSE.rotation[2]

@@ -116,7 +116,7 @@ def test_values_that_are_not_finite_are_refused(name, value):
         gs_codec.to_octree(to_cloud(replace(scene, **{name: plane})), 4)
 
 
-def test_nothing_and_what_floats_cannot_divide_are_refused():
+def test_empty_and_indivisible_scenes_are_refused():
     with pytest.raises(InvalidInput, match="no Gaussians, expected at least one"):
         gs_codec.to_octree(to_cloud(random_scene(0)), 4)
     far = replace(random_scene(2), positions=np.full((3, 2), 1e20, np.float32))

@@ -82,7 +82,7 @@ READ = {
 
 @pytest.mark.parametrize("how", READ)
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
-def test_what_describes_the_blocks_is_parsed_once(scene_file, counts, monkeypatch, profile, how):
+def test_descriptive_sections_are_parsed_once(scene_file, counts, monkeypatch, profile, how):
     monkeypatch.setattr("gs_codec.codecs.slabs._SLAB", 500)
     encode_file(scene_file, "coded.egs", Config(profile, block_size=1024, threads=1))
     counts.clear()

@@ -60,7 +60,7 @@ def test_adam_leaves_values_finite():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", [30, 31])
-def test_refitting_wins_back_most_of_what_was_lost(seed):
+def test_refinement_recovers_most_of_the_loss(seed):
     original = garden(seed)
     targets = views(original, CAMERAS)
     scene = changed(original, seed)
@@ -73,7 +73,7 @@ def test_refitting_wins_back_most_of_what_was_lost(seed):
 
 
 @pytest.mark.parametrize("scale", [0.02, 1e-3, 1e-4])
-def test_steps_are_small_where_little_is_to_win(scale):
+def test_steps_are_small_if_little_can_be_gained(scale):
     """Full steps would turn 45 dB into 42, and 65 dB as well."""
     original = garden(32)
     targets = views(original, CAMERAS)
@@ -82,13 +82,13 @@ def test_steps_are_small_where_little_is_to_win(scale):
     assert psnr(refit(100, scene, targets)[0], CAMERAS, targets) > before + 0.5
 
 
-def test_what_fits_already_stays():
+def test_fitting_scenes_are_unchanged():
     fitted, _ = refit(10, SCENE, [make_frame(SCENE, c).draw_float32((0, 0, 0))[0] for c in CAMERAS])
     assert_same_floats(fitted, SCENE)
 
 
 @pytest.mark.thorough
-def test_a_pruned_real_scene_wins_back_most_of_what_it_lost():
+def test_a_pruned_real_scene_recovers_most_of_its_loss():
     scene = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
     cameras = [camera.resized(100, 66) for camera in real_cameras()[::4]]
     weights = sum(render(scene, c, accumulate=True).accumulations.weight for c in cameras)
@@ -116,7 +116,7 @@ class Watched(list):
         return super().__getitem__(view)
 
 
-def test_each_view_comes_once_before_any_comes_again():
+def test_each_view_is_used_once_before_any_repeats():
     seen: list[int] = []
     fitted, _ = with_threads(1, lambda: refit(15, targets=Watched(renders(), seen)))
     for epoch in range(3):
@@ -125,7 +125,7 @@ def test_each_view_comes_once_before_any_comes_again():
     assert_same_floats(fitted, refit(15)[0])
 
 
-def test_inputs_are_only_read():
+def test_inputs_are_not_modified():
     copies = {group: getattr(SCENE, group).copy() for group in GROUPS}
     targets = [target.copy() for target in renders()]
     fitted, _ = refit(targets=targets)
@@ -135,7 +135,7 @@ def test_inputs_are_only_read():
         assert not np.shares_memory(getattr(fitted, group), getattr(SCENE, group))
 
 
-def test_what_no_view_sees_stays():
+def test_invisible_gaussians_are_unchanged():
     behind = splats([(0, 0, -50), (0, 90, 0)], f_rest=np.ones((9, 1)))
     planes = {group: np.hstack([getattr(SCENE, group), getattr(behind, group)]) for group in GROUPS}
     fitted, report = refit(scene=Scene(**planes))
@@ -160,7 +160,7 @@ def test_extreme_gaussians_stay_finite(background):
         assert np.isfinite(getattr(fitted, group)).all(), group
 
 
-def test_gaussians_that_are_not_numbers_stay():
+def test_nan_gaussians_are_unchanged():
     scene = changed(garden(7), 7)
     scene.positions[0, 3] = np.nan
     scene.f_rest[2, 4] = np.inf
@@ -183,7 +183,7 @@ def test_no_iterations_change_nothing():
     assert report == {"iterations": 0, "updated": 0, "seconds": 0.0, "curve": []}
 
 
-def test_rates_fall_and_are_those_of_their_group(monkeypatch):
+def test_rates_decay_and_are_set_by_group(monkeypatch):
     fitted, _ = refit(1)
     for group in GROUPS:
         change = np.abs(getattr(fitted, group) - getattr(SCENE, group)).max()
@@ -223,7 +223,7 @@ def stopped_at(iteration: int):
     return progress
 
 
-def test_an_interrupted_refit_goes_on_where_it_was(tmp_path, monkeypatch):
+def test_an_interrupted_refinement_is_resumed(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_CHECKPOINT_EVERY", 4)
     path = tmp_path / "refit.npz"
     options = {"checkpoint": path}
@@ -297,7 +297,7 @@ def test_a_checkpoint_that_cannot_be_written_is_refused_at_once(tmp_path: Path, 
 # Refused inputs
 
 
-def test_images_that_are_not_numbers_are_refused():
+def test_images_with_nan_are_refused():
     first, second, *others = renders()
     with pytest.raises(InvalidInput, match=r"image of 'view 1': not finite"):
         refit(targets=[first, second * np.nan, *others])

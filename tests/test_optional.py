@@ -15,7 +15,7 @@ from gs_codec.runtime.optional import check_installed, is_available, needed
 ROOT = Path(__file__).parents[1]
 
 
-def test_what_is_not_there_is_not_available(monkeypatch):
+def test_missing_packages_are_not_available(monkeypatch):
     assert is_available("json", "numpy")
     assert not is_available("json", "no_such_module")
     monkeypatch.setitem(sys.modules, "numpy", None)
@@ -31,7 +31,7 @@ def test_what_is_not_there_is_not_available(monkeypatch):
         ("no_such_module", "films: needs no_such_module; pip install no_such_module"),
     ],
 )
-def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, module, text):
+def test_a_missing_package_is_named_with_its_install_command(monkeypatch, module, text):
     monkeypatch.setitem(sys.modules, module.partition(".")[0], None)
     for call in (needed, lambda name, what: check_installed(name.partition(".")[0], what)):
         with pytest.raises(MissingTool) as caught:
@@ -39,7 +39,7 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, module, t
         assert str(caught.value) == text
 
 
-def test_a_package_that_cannot_be_loaded_says_why(tmp_path, monkeypatch):
+def test_a_broken_package_is_reported_with_the_reason(tmp_path, monkeypatch):
     (tmp_path / "broken_package.py").write_text("raise OSError('libGL.so.1: no such file')")
     monkeypatch.syspath_prepend(tmp_path)
     assert is_available("broken_package")

@@ -132,7 +132,7 @@ def test_refusal_names_the_option_as_typed(folder, command, typed):
         ("-p best", "--profile 'best': expected one of l, m, s, "),
     ],
 )
-def test_what_an_option_does_not_take_is_refused_in_one_line(folder, typed, message):
+def test_invalid_values_of_options_are_refused_in_one_line(folder, typed, message):
     cameras = [] if "target" in typed else ["--cameras", "cameras.json"]
     assert message in folder.refuse("encode", "scene.ply", "o.egs", *cameras, *typed.split())
 
@@ -151,7 +151,7 @@ def test_what_an_option_does_not_take_is_refused_in_one_line(folder, typed, mess
         ("report", "a b", Path("a b")),
     ],
 )
-def test_how_values_are_typed(name, text, value):
+def test_syntax_of_values(name, text, value):
     found = parse_value(name, text)
     assert (found, type(found)) == (value, type(value))
 
@@ -162,7 +162,7 @@ def test_misspelt_expert_option_is_recognised(folder, command):
     assert line.count("--coarseness") == 1
 
 
-def test_expert_options_do_what_the_library_does(folder):
+def test_expert_options_equal_the_librarys(folder):
     typed = (
         "--depth opacity=5 --depth sh-ac=4 --depth opacity=6 --coarseness 1.25 --block-size 1024"
     )

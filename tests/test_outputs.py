@@ -34,7 +34,7 @@ WRONG_SUFFIX = {
 
 
 @pytest.mark.parametrize("command", WRONG_SUFFIX)
-def test_suffix_that_a_command_does_not_write_is_refused(folder, command):
+def test_unsupported_output_suffix_is_refused(folder, command):
     assert WRONG_SUFFIX[command] in folder.refuse(*command.split())
 
 
@@ -58,7 +58,7 @@ WRITING = {
 
 
 @pytest.mark.parametrize("command", WRITING)
-def test_results_that_exist_are_refused_before_the_work(folder, command):
+def test_existing_outputs_are_refused_before_the_work(folder, command):
     existing = Path(WRITING[command])
     existing.parent.mkdir(exist_ok=True)
     # Looks like the beginning of a `batch` report.
@@ -71,7 +71,7 @@ def test_results_that_exist_are_refused_before_the_work(folder, command):
 @pytest.mark.parametrize(
     "command", [c for c in WRITING if c.split()[0] in ("encode", "decode", "convert", "render")]
 )
-def test_with_overwrite_they_are_replaced(folder, command):
+def test_existing_outputs_are_replaced_with_overwrite(folder, command):
     existing = Path(WRITING[command])
     existing.parent.mkdir(exist_ok=True)
     existing.write_text("old")
@@ -81,17 +81,17 @@ def test_with_overwrite_they_are_replaced(folder, command):
     assert (existing.parent / "beside").read_text() == "other"
 
 
-def test_empty_folder_is_taken(folder):
+def test_empty_folder_is_accepted(folder):
     Path("out").mkdir()
     assert folder.run("render", "scene.ply", *VIEWS.split(), "--out", "out").status == 0
 
 
-def test_link_that_leads_nowhere_exists(folder):
+def test_dangling_link_counts_as_existing(folder):
     Path("link.egs").symlink_to("nowhere.egs")
     assert "link.egs: already exists" in folder.refuse("encode", "scene.ply", "link.egs")
 
 
-def test_functions_replace_if_told_to(folder):
+def test_functions_overwrite_on_request(folder):
     cloud = gs_codec.read("scene.ply")
     writers = {
         "a.egs": lambda path, **keep: encode_file("scene.ply", path, **keep),
@@ -139,7 +139,7 @@ def test_dash_is_stdin_and_stdout(folder, trio):
         "encode - out.egs",
     ],
 )
-def test_commands_that_take_a_scene_from_stdin(folder, trio, command):
+def test_commands_that_read_a_scene_from_stdin(folder, trio, command):
     data = (trio.egs if command.startswith("verify") else trio.ply).read_bytes()
     folder.monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
     assert folder.run(*command.split()).status == 0
@@ -158,7 +158,7 @@ SPLAT = np.random.default_rng(5).uniform(0.25, 0.75, (40, 8)).astype("<f4").toby
         "encode - out.egs",
     ],
 )
-def test_the_format_of_stdin_may_be_said(folder, command):
+def test_the_format_of_stdin_can_be_given(folder, command):
     def given(data: bytes) -> None:
         stdin = io.TextIOWrapper(io.BytesIO(data))
         folder.monkeypatch.setattr(sys, "stdin", stdin)
@@ -186,7 +186,7 @@ def test_named_pipe_is_read_as_a_file(folder, trio):
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("given", [b"", b"no scene"])
-def test_errors_say_what_came_through_a_pipe(folder, given):
+def test_errors_name_a_piped_source(folder, given):
     done = piped("encode", "-", "-", given=given)
     assert (done.returncode, done.stdout) == (2, b"")
     assert_one_error_line(done.stderr.decode())
@@ -194,7 +194,7 @@ def test_errors_say_what_came_through_a_pipe(folder, given):
 
 
 @pytest.mark.thorough
-def test_warnings_say_what_goes_to_stdout(folder, trio):
+def test_warnings_name_stdout(folder, trio):
     done = piped("encode", "-", "-", "--format", "splat", given=trio.ply.read_bytes())
     assert done.returncode == 0
     warnings = [line for line in done.stderr.decode().splitlines() if "warning" in line]
@@ -216,7 +216,7 @@ def test_scene_is_not_written_to_a_terminal(folder):
         ("encode nope.ply - >&-", 2, "-: stdout is closed, expected a pipe or a file"),
     ],
 )
-def test_closed_streams_are_as_the_null_device(typed, status, error, tmp_path):
+def test_closed_streams_act_like_the_null_device(typed, status, error, tmp_path):
     command = ["sh", "-c", f"'{sys.executable}' -m gs_codec {typed}"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(

@@ -29,18 +29,18 @@ def found(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_it_names_exists(name):
+def test_names_in_the_document_exist(name):
     assert found(name) is not None
 
 
-def test_every_row_names_something_and_says_whether_it_is_exact():
+def test_every_row_names_code_and_states_whether_it_is_exact():
     assert len(ROWS) > 15
     for section, code, exact in ROWS[1:]:
         assert "`gs_codec." in code, section
         assert exact.strip(), section
 
 
-def test_every_section_and_table_is_there():
+def test_every_section_and_table_is_covered():
     text = " ".join(row[0] for row in ROWS)
     for part in ("3.1", "3.2", "3.3", "4.1", "4.2", "4.3", "4.4", "5,"):
         assert part in text

@@ -45,7 +45,7 @@ def test_lower_degree_is_the_whole_without_its_bands(profile, degree):
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
-def test_higher_degree_than_there_is_changes_nothing(profile):
+def test_degree_above_the_scenes_changes_nothing(profile):
     data, _ = encode_scene(random_scene(50, 1, seed=41), Config(profile))
     assert_same_floats(decode_part(data, Part(sh_degree=3))[0], decode_scene(data))
 
@@ -132,7 +132,7 @@ def test_box_of_constant_positions(profile, rows, inside):
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["sorted", "kept"])
-def test_box_of_lossless_has_all_that_is_within_and_nothing_that_is_nowhere(kept):
+def test_box_of_lossless_has_all_centres_inside_and_no_nan(kept):
     scene = any_bits(3000, 1, 51)
     scene = replace(scene, extra={"label": np.arange(3000, dtype="<i4")})
     data, _ = encode_scene(scene, Config("lossless", block_size=BLOCK, keep_order=kept))
@@ -146,7 +146,7 @@ def test_box_of_lossless_has_all_that_is_within_and_nothing_that_is_nowhere(kept
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_parts_of_damaged_files_are_survived(seed):
+def test_parts_of_damaged_files_do_not_crash(seed):
     rng = np.random.default_rng(seed)
     data = bytearray(large(("paper-m", "lossless")[seed % 2]))
     header_size = read_file(data).header_size

@@ -125,7 +125,7 @@ def test_tokens_round_trip_seed(seed):
     np.testing.assert_array_equal(round_trip(values, 1 + seed), values)
 
 
-def test_token_1_is_zero_as_well():
+def test_token_1_is_also_zero():
     made = made_pass(np.zeros(3, np.int64))
     made.tokens[:] = 1
     states, sections = encode_passes([made], ANY)
@@ -237,7 +237,7 @@ def test_lists_of_passes(coefficients, lists):
     assert sum(name.startswith("SH sum") for name in names) == len(sh_bands(coefficients))
 
 
-def test_symbols_of_the_shape_pass_take_turns():
+def test_symbols_of_the_shape_pass_alternate():
     assert SHAPE_PASS.streams == ["classes", "opacity", "scaling", "rotation"]
     assert SHAPE_PASS.cycle.tolist() == [0, 0, 1, 2, 2, 2, 3, 3, 3]
     assert SHAPE_OFFSETS[-1] == sum(item.contexts for item in SHAPE_PASS.lists)
@@ -258,7 +258,7 @@ def test_sums_have_a_context_for_each_half_octave():
         (0, -99 * ONE, 0), (1, ONE, 5), (1, -ONE, 3), (2, -1, 0), (2, 3 * ONE, 3), (3, 9 * ONE, 7),
     ],
 )  # fmt: skip
-def test_contexts_by_what_came_before(attribute, total, bucket):
+def test_contexts_depend_on_earlier_symbols(attribute, total, bucket):
     assert before_bucket(attribute, total) == bucket
 
 
@@ -319,7 +319,7 @@ def test_sh_round_trip_seed16(coefficients, count):
     reader.finish()
 
 
-def test_sh_takes_symbols_while_something_is_left():
+def test_sh_has_symbols_until_the_sum_is_used_up():
     levels = np.zeros((3, 15, 4), np.int32)
     levels[0, 1, 1], levels[2, 2, 1] = -3, 2
     levels[1, 5, 2] = 7

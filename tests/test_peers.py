@@ -44,7 +44,7 @@ EXACT = {
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("count", [0, 1, 700])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_what_is_lossless_comes_back_bit_for_bit(tmp_path, name, count, degree):
+def test_lossless_codecs_are_bit_exact(tmp_path, name, count, degree):
     write_ply(tmp_path / "scene.ply", random_scene(count, degree, seed=80))
     peer = EXACT[name]()
     assert peer.name == name
@@ -53,14 +53,14 @@ def test_what_is_lossless_comes_back_bit_for_bit(tmp_path, name, count, degree):
     assert vertex_rows(back).tobytes() == expected.tobytes()
 
 
-def test_all_are_looked_for(monkeypatch):
+def test_all_peers_are_searched(monkeypatch):
     monkeypatch.setenv(PROGRAM_VARIABLE, "/nowhere")
     names = [peer.name.split(" ")[0].rstrip(",") for peer in find_peers("error")]
     assert names == ["spz", "splat-transform", "pcodec", "zstd"]
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_spz_gives_the_same_scene_back(tmp_path, capfd, degree):
+def test_spz_restores_the_scene(tmp_path, capfd, degree):
     peer = spz_peer("error")
     if isinstance(peer, AbsentPeer):
         pytest.skip(peer.absent)
@@ -77,7 +77,7 @@ def test_spz_gives_the_same_scene_back(tmp_path, capfd, degree):
     assert compare_views(scene, back, cameras, device="cpu").mean.between.psnr > 30
 
 
-def test_spz_that_is_absent_says_how_to_get_it(monkeypatch):
+def test_missing_spz_is_reported_with_a_remedy(monkeypatch):
     peer = spz_peer("error", "no_module_of_this_name")
     assert isinstance(peer, AbsentPeer)
     assert peer.absent.startswith("spz: not installed ('make peers', or pip install ")
@@ -150,7 +150,7 @@ def test_splat_transform_is_found(tmp_path, monkeypatch):
         ("broken", "broken: not splat-transform, --version prints "),
     ],
 )
-def test_another_program_is_absent(failure, message, tmp_path, monkeypatch):
+def test_a_different_program_counts_as_absent(failure, message, tmp_path, monkeypatch):
     path = {"nowhere": "/nowhere", "broken": str(tmp_path / "broken")}.get(failure)
     (tmp_path / "broken").write_bytes(b"\x7fELF and nothing more")
     (tmp_path / "broken").chmod(0o755)
@@ -170,16 +170,14 @@ def test_another_program_is_absent(failure, message, tmp_path, monkeypatch):
         ("garbage", "wrote a PLY that cannot be read: "),
     ],
 )
-def test_what_splat_transform_does_wrong_is_one_error(
-    splat_peers, ply, failure, message, monkeypatch
-):
+def test_failures_of_splat_transform_are_one_error(splat_peers, ply, failure, message, monkeypatch):
     monkeypatch.setenv("SPLAT_STAND_IN", failure)
     peer = splat_peers[0]
     with pytest.raises(ToolFailed, match=message):
         peer.scene(peer.decode(peer.encode(ply)))
 
 
-def test_what_does_not_end_is_killed_with_all_that_it_started(ply, tmp_path, monkeypatch):
+def test_hanging_programs_are_killed_with_their_children(ply, tmp_path, monkeypatch):
     monkeypatch.setenv(PROGRAM_VARIABLE, stand_in(tmp_path))
     monkeypatch.setattr("gs_codec.bench.peers.SECONDS", 1.0)
     peer = splat_transform_peers()[2]
@@ -196,7 +194,7 @@ def test_what_does_not_end_is_killed_with_all_that_it_started(ply, tmp_path, mon
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_splat_transform_itself_gives_the_scene_back(tmp_path, index):
+def test_splat_transform_itself_restores_the_scene(tmp_path, index):
     peers = splat_transform_peers()
     if len(peers) < 3:
         pytest.skip(peers[0].absent)
@@ -246,7 +244,7 @@ def test_every_codec_has_a_line(beside_lines):
 
 
 @pytest.mark.thorough
-def test_what_is_bit_exact_looks_the_same(beside_lines):
+def test_bit_exact_codecs_have_equal_views(beside_lines):
     lines, table = beside_lines
     assert lines[4]["codec"] == "pcodec, columns"
     assert lines[4]["mean"]["psnr"] is None
@@ -254,13 +252,13 @@ def test_what_is_bit_exact_looks_the_same(beside_lines):
     assert lines[2]["mean"]["psnr"] < 90
 
 
-def test_what_is_absent_has_one_line(beside_lines):
+def test_absent_codecs_have_one_line(beside_lines):
     lines, table = beside_lines
     assert lines[-1]["absent"] == "other: not installed (get it)"
     assert table.count("other: not installed (get it)") == 1
 
 
-def test_what_fails_has_one_line(beside_lines):
+def test_failing_codecs_have_one_line(beside_lines):
     lines, table = beside_lines
     why = "splat-transform, SOG of scene: ended with status 1: Error: no good"
     assert lines[-2] == {

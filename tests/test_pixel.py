@@ -52,7 +52,7 @@ def traced(seen: Scene, view: Camera, column: int, row: int) -> dict[int, float]
 
 @pytest.mark.parametrize("compensated", [False, True])
 @pytest.mark.parametrize(("column", "row"), [(0, 0), (39, 26), (21, 13), (16, 15), (15, 16)])
-def test_a_pixel_is_drawn_of_what_the_reference_draws_it_of(column, row, compensated):
+def test_contributions_to_a_pixel_match_the_reference(column, row, compensated):
     seen = antialiased(scene(300), compensated)
     expected = traced(seen, camera(), column, row)
     rows, weights = pixel_weights(seen, camera(), column, row)
@@ -61,7 +61,7 @@ def test_a_pixel_is_drawn_of_what_the_reference_draws_it_of(column, row, compens
     np.testing.assert_allclose(weights, list(expected.values()), atol=1e-9)
 
 
-def test_weights_of_all_pixels_are_those_that_a_rendering_adds_up():
+def test_weights_of_all_pixels_match_the_renderers_sums():
     seen, view = scene(150), camera(24, 18)
     drawn = render(seen, view, accumulate=True, device="cpu")
     sums, pixels = np.zeros(150), np.zeros(150, int)
@@ -87,7 +87,7 @@ def test_equal_depths_keep_the_order_of_the_scene():
         assert rows.tolist() == list(traced(seen, camera(), column, row))
 
 
-def test_of_nothing_there_is_nothing():
+def test_an_empty_scene_has_no_contributions():
     empty = scene(3).take(np.arange(0))
     rows, weights = pixel_weights(empty, camera(), 3, 3)
     assert rows.shape == weights.shape == (0,)

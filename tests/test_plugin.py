@@ -63,14 +63,14 @@ def test_the_nearest_camera_is_near_and_looks_the_same_way():
     assert nearest_camera(cameras[:1], cameras[0].position, ahead).name == "0"
 
 
-def test_splats_are_drawn_by_graphics_cards_alone(monkeypatch):
+def test_splats_are_drawn_only_by_graphics_cards(monkeypatch):
     assert draws_splats("gpu")
     assert not draws_splats("cpu")
     monkeypatch.setattr("viewer.window.pane.rendering.MaterialRecord", object)
     assert not draws_splats("gpu")  # a version of Open3D without a splat shader
 
 
-def test_the_shader_leaves_out_no_large_splat():
+def test_the_shader_draws_large_splats():
     scene = Opened("a", to_cloud(random_scene(9, 1)))
     material = splat_material(scene, Appearance())
     assert material.gaussian_splat_max_tiles_per_splat == 1 << 16

@@ -136,7 +136,7 @@ def test_order_of_properties_does_not_matter(seed, form, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x", "f_rest_44", "rot_0"])
-def test_exact_doubles_are_read_in_silence_seed3(name, tmp_path, caplog):
+def test_exact_doubles_are_read_without_a_message_seed3(name, tmp_path, caplog):
     scene = random_scene(20, 3, seed=3)
     rows = vertex_rows(scene)
     doubles = with_columns(rows, {name: rows[name].astype("<f8")})
@@ -163,7 +163,7 @@ def test_real_files_are_written_back_byte_for_byte(name, tmp_path):
 
 
 @pytest.mark.parametrize("newline", [b"\r\n", b"\n"])
-def test_line_ends_of_the_header_are_no_surplus(newline, tmp_path, caplog):
+def test_line_ends_of_the_header_are_not_surplus(newline, tmp_path, caplog):
     path = tmp_path / "a.ply"
     scene = random_scene(5, 0)
     write_ply(path, scene)
@@ -173,7 +173,7 @@ def test_line_ends_of_the_header_are_no_surplus(newline, tmp_path, caplog):
     assert caplog.text == ""
 
 
-def test_what_is_not_read_is_reported(tmp_path, caplog):
+def test_ignored_content_is_reported(tmp_path, caplog):
     path = tmp_path / "a.ply"
     write_ply(path, random_scene(5, 0))
     data = path.read_bytes().replace(b"element", b"obj_info from a scanner\nelement")
@@ -198,7 +198,7 @@ def test_extra_properties_are_refused_kept_or_dropped(tmp_path, caplog):
 
 
 @pytest.mark.parametrize("extra", ["keep", "error", "drop"])
-def test_degree_4_is_left_out_seed6(extra, tmp_path, caplog):
+def test_degree_4_is_dropped_seed6(extra, tmp_path, caplog):
     scene = random_scene(9, 3, seed=6)
     rest = scene.f_rest.reshape(3, 15, 9)
     whole = np.concatenate([rest, np.ones((3, 9, 9), np.float32)], axis=1).reshape(72, 9)
@@ -262,7 +262,7 @@ def test_extra_of_every_type_stays_with_its_gaussian_bit_for_bit_seed7(byte_orde
 
 
 @pytest.mark.parametrize("comment", ["bell\x07", "form\x0cfeed", "\x1cseparator", "delete\x7f"])
-def test_odd_comment_is_refused_or_decodes(comment, tmp_path):
+def test_unusual_comment_is_refused_or_decodes(comment, tmp_path):
     path = write_rows(tmp_path / "a.ply", vertex_rows(random_scene(5, 0)), (comment,))
     try:
         data, _ = encode_scene(read_ply(path))
@@ -272,7 +272,7 @@ def test_odd_comment_is_refused_or_decodes(comment, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["bell\x07", "n" * 300], ids=["control", "long"])
-def test_odd_name_is_left_out(name, tmp_path, caplog):
+def test_unusual_name_is_dropped(name, tmp_path, caplog):
     extra = {name: np.arange(5, dtype="<f4")}
     path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(random_scene(5, 0)), extra))
     assert read_ply(path, "keep").extra == {}
@@ -356,7 +356,7 @@ def test_file_that_is_removed_or_replaced_is_read_as_it_was(change, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["two words", "é", "x", "f_dc_0", ""])
-def test_names_no_ply_can_have_are_refused(name, tmp_path):
+def test_names_invalid_in_ply_are_refused(name, tmp_path):
     scene, extra = random_scene(5, 0), {name: np.arange(5, dtype="<f4")}
     with pytest.raises(InvalidInput, match=f"'{name}'"):
         write_ply(tmp_path / "a.ply", replace(scene, extra=extra))
@@ -364,7 +364,7 @@ def test_names_no_ply_can_have_are_refused(name, tmp_path):
 
 
 @pytest.mark.parametrize("dtype", ["i8", "u8", "f2", "c8"])
-def test_types_no_ply_can_have_are_refused(dtype, tmp_path):
+def test_types_invalid_in_ply_are_refused(dtype, tmp_path):
     scene, extra = random_scene(5, 0), {"label": np.arange(5).astype(dtype)}
     with pytest.raises(InvalidInput, match="label"):
         write_ply(tmp_path / "a.ply", replace(scene, extra=extra))
@@ -525,7 +525,7 @@ def test_dialects_are_read_seed8(name, form, tmp_path):
     assert back.antialiased
 
 
-def test_colours_of_bytes_stand_for_sh_where_there_is_none_seed9(tmp_path):
+def test_byte_colours_replace_missing_sh_seed9(tmp_path):
     scene = random_scene(20, 0, seed=9)
     rng = np.random.default_rng(9)
     names = [name for name in inria_properties(0, False) if not name.startswith("f_dc")]
@@ -537,7 +537,7 @@ def test_colours_of_bytes_stand_for_sh_where_there_is_none_seed9(tmp_path):
     assert back.extra == {}
 
 
-def test_colours_beside_sh_are_extra_properties_seed10(tmp_path):
+def test_colours_next_to_sh_are_extra_properties_seed10(tmp_path):
     scene = random_scene(20, 1, seed=10)
     colours = {name: np.arange(20, dtype="u1") for name in ("red", "green", "blue")}
     path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), colours))
@@ -565,7 +565,7 @@ AFTER = "element face 5\nproperty list uchar int vertex_indices\n"
 @pytest.mark.parametrize(
     ("before", "after", "named"), [(BEFORE, "", "camera"), ("", AFTER, "face")]
 )
-def test_other_elements_are_refused_or_left_out(before, after, named, text, tmp_path, caplog):
+def test_other_elements_are_refused_or_dropped(before, after, named, text, tmp_path, caplog):
     scene = random_scene(20, 1, seed=11)
     path = with_elements(tmp_path / "a.ply", scene, before, after, text)
     with pytest.raises(
@@ -645,7 +645,7 @@ def test_bad_file_is_refused_in_one_line(name, extra, tmp_path):
     [("missing.ply", "No such file"), (".", "directory"), ("x" * 300, "name too long")],
     ids=["missing", "directory", "long name"],
 )
-def test_path_that_is_no_file_is_refused_in_one_line(name, message, tmp_path):
+def test_path_that_is_not_a_file_is_refused_in_one_line(name, message, tmp_path):
     path = tmp_path / name
     with pytest.raises(InvalidInput, match=message) as caught:
         read_ply(path)
@@ -669,7 +669,7 @@ def test_path_that_cannot_be_written_is_refused_in_one_line(name, message, tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
-def test_writing_replaces_a_file_whole(tmp_path):
+def test_writing_replaces_a_file_atomically(tmp_path):
     path = tmp_path / "a.ply"
     write_ply(path, random_scene(500, 3))
     write_ply(path, random_scene(5, 0))
@@ -685,7 +685,7 @@ def far_scene(path: Path) -> tuple[Path, np.ndarray]:
     return write_rows(path, with_columns(rows, dict(zip("xyz", centres.T, strict=True)))), centres
 
 
-def test_the_rounding_of_centres_is_told_in_units_and_sizes(tmp_path, caplog):
+def test_the_rounding_of_centres_is_reported_in_units_and_sizes(tmp_path, caplog):
     path, centres = far_scene(tmp_path / "a.ply")
     scene = read_ply(path)
     error = np.abs(scene.positions.T - centres).max(axis=1)

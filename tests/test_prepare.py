@@ -92,7 +92,7 @@ def test_plans_that_contradict_themselves():
         Plan(Steps(), views=0)
 
 
-def test_labels_tell_why_each_gaussian_went(scene):
+def test_labels_give_the_reason_for_each_gaussian(scene):
     steps = {"prune_importance": 20, "prune_geometry": 2, "prune": 25}
     result, report = prepare_scene(scene, plan(**steps))
     assert report.labels.shape == (400,)
@@ -129,14 +129,14 @@ def test_quality_is_measured_in_held_out_views(scene):
     assert last.size_bytes == result.float_bytes
 
 
-def test_cameras_without_marks_do_for_both(scene):
+def test_unmarked_cameras_guide_and_measure(scene):
     unmarked = [replace(c, split=None) for c in CAMERAS]
     _, report = prepare_scene(scene, Plan(Steps(rectify=7.5), unmarked, views=2))
     assert report.views.held_out is report.views.renders
     assert [c.name for c in report.views.renders.cameras] == ["a", "d"]
 
 
-def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
+def test_photographs_are_targets_if_available(scene, tmp_path):
     for name in ("b", "c"):
         write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))
     chosen = Plan(Steps(prune=10), CAMERAS, gt_images=tmp_path)
@@ -212,7 +212,7 @@ def test_drop_of_photographs_and_of_own_renders(scene):
     assert real.drop(*views) == pytest.approx(10 * np.log10(4))  # the mean is over decibels
 
 
-def test_rectification_moves_what_is_beyond_its_range(scene):
+def test_rectification_clips_values_out_of_range(scene):
     outlier = scene.f_rest.copy()
     outlier[2, 5], outlier[4] = 40.0, 0.5
     wild = replace(scene, f_rest=outlier)
@@ -230,7 +230,7 @@ def test_rectification_moves_what_is_beyond_its_range(scene):
 
 
 @pytest.mark.parametrize("scales", [2.0, 7.5])
-def test_rectification_is_what_coding_does(scene, scales):
+def test_rectification_equals_that_of_coding(scene, scales):
     """Rectifying a scene first gives the same result as rectifying in the encoder."""
     config = replace(PAPER, laplace_scales=scales)
     coded = decode_scene(encode_scene(scene, config)[0])
@@ -256,7 +256,7 @@ def test_all_steps_run_in_order(scene):
     assert json.loads(json.dumps(report.as_dict(), allow_nan=False))
 
 
-def test_refitting_wins_back_what_pruning_lost(scene):
+def test_refinement_recovers_the_pruning_loss(scene):
     pruned, before = prepare_scene(scene, plan(prune_importance=70))
     for steps in ({"refit_colour": 6}, {"refine": 60}):
         _, after = prepare_scene(scene, plan(prune_importance=70, **steps))
@@ -264,13 +264,13 @@ def test_refitting_wins_back_what_pruning_lost(scene):
         assert after.steps[-1].quality.psnr > before.steps[-1].quality.psnr + 0.5, steps
 
 
-def test_compaction_saves_bits_where_it_may_cost(scene):
+def test_compaction_saves_bits_within_its_allowed_cost(scene):
     compact, report = prepare_scene(scene, plan(compact_sh=1e-4))
     assert (compact.f_rest == 0).mean() > (scene.f_rest == 0).mean() + 0.2
     assert report.steps[-1].quality.psnr > 30
 
 
-def test_optimisation_goes_on_from_its_checkpoint(scene, tmp_path):
+def test_optimisation_resumes_from_its_checkpoint(scene, tmp_path):
     chosen = replace(plan(prune=90, refine=30), checkpoint=tmp_path / "state")
     first, report = prepare_scene(scene, chosen)
     assert report.steps[-1].quality.psnr > report.steps[-2].quality.psnr
@@ -281,7 +281,7 @@ def test_optimisation_goes_on_from_its_checkpoint(scene, tmp_path):
         prepare_scene(scene, replace(chosen, steps=Steps(prune=90, refine=31)))
 
 
-def test_refinement_is_left_out_where_nothing_is_to_win(scene, caplog):
+def test_refinement_is_skipped_if_nothing_can_be_gained(scene, caplog):
     same, report = prepare_scene(scene, plan(prune=0, refine=5))
     assert same is scene
     assert report.steps[-1].details["left_out"]
@@ -289,7 +289,7 @@ def test_refinement_is_left_out_where_nothing_is_to_win(scene, caplog):
     assert "refine: skipped, because there is nothing to gain" in caplog.text
 
 
-def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog, monkeypatch):
+def test_refinement_that_worsens_held_out_views_is_rejected(scene, caplog, monkeypatch):
     monkeypatch.setattr(optimise, "_SHARE", 1e9)
     _, report = prepare_scene(scene, plan(prune=30, refine=5))
     pruned, refined = report.steps[-2:]
@@ -298,7 +298,7 @@ def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog, monkeyp
     assert "refine: skipped, because held-out views would lose " in caplog.text
 
 
-def test_refinement_that_costs_held_out_views_is_kept_where_asked_for(scene, caplog, monkeypatch):
+def test_refinement_that_worsens_held_out_views_is_kept_on_request(scene, caplog, monkeypatch):
     monkeypatch.setattr(optimise, "_SHARE", 1e9)
     _, report = prepare_scene(scene, plan(prune=30, refine=5, keep_refined=True))
     pruned, refined = report.steps[-2:]
@@ -307,7 +307,7 @@ def test_refinement_that_costs_held_out_views_is_kept_where_asked_for(scene, cap
     assert "would lose" not in caplog.text
 
 
-def test_steps_that_need_something_to_see_refuse_an_empty_scene():
+def test_steps_that_need_views_refuse_an_empty_scene():
     with pytest.raises(InvalidInput, match="no view shows anything"):
         prepare_scene(random_scene(0), Plan(Steps(prune=10)))
 
@@ -403,7 +403,7 @@ def run(*arguments):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
-def test_prepare_prints_what_went_and_the_table(folder):
+def test_prepare_prints_removed_gaussians_and_the_table(folder):
     options = ["--prune", 20, "--prune-geometry", 1, "--cameras", folder / "cameras.json"]
     result = run("prepare", folder / "scene.ply", folder / "out.ply", *options)
     assert result.exit_code == 0, result.output
@@ -419,7 +419,7 @@ def test_prepare_prints_what_went_and_the_table(folder):
 
 
 @pytest.mark.parametrize("profile", [None, "s", "paper-s", "lossless"])
-def test_prepared_scene_is_coded_as_encode_does(folder, profile):
+def test_prepared_scene_is_coded_like_by_encode(folder, profile):
     options = ["--prune", 20, "--cameras", folder, *(["-p", profile] if profile else [])]
     for command in ("prepare", "encode"):
         result = run(command, folder / "scene.ply", folder / f"{command}.egs", *options)
@@ -432,7 +432,7 @@ def test_prepared_scene_is_coded_as_encode_does(folder, profile):
 @pytest.mark.parametrize(
     "command", ["encode scene.ply o.egs", "prepare scene.ply o.ply --rectify 7"]
 )
-def test_errors_name_the_file_they_are_about(folder, monkeypatch, command):
+def test_errors_name_their_file(folder, monkeypatch, command):
     monkeypatch.chdir(folder)
     (folder / "broken").mkdir()
     for entry in json.loads((folder / "cameras.json").read_text()):
@@ -506,12 +506,12 @@ def test_refusals_are_one_line_and_write_nothing(folder, monkeypatch, name):
     ("prune_max_psnr_drop", 0.0),
     ("refine", 1), ("compact_sh", 1e-5), ("refit_colour", 1), ("rectify", 7.5),
 ])  # fmt: skip
-def test_any_step_is_something_to_do(name, value):
+def test_any_step_counts_as_preparation(name, value):
     assert not Steps().wanted
     assert Steps(**{name: value}).wanted
 
 
-def test_encode_tells_what_preparation_did(folder, monkeypatch):
+def test_encode_reports_preparation(folder, monkeypatch):
     monkeypatch.chdir(folder)
     asked = ["encode", "scene.ply", "a.egs", "--prune", "30", "--cameras", "cameras.json"]
     result = CliRunner().invoke(app, asked)

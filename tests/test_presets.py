@@ -78,7 +78,7 @@ def test_options_are_those_that_differ_from_the_defaults():
     assert Preset(Steps(), Config()).options() == {}
 
 
-def test_nothing_of_ours_is_mixed_in():
+def test_the_preset_uses_only_the_papers_methods():
     config = PRESET.config
     assert (config.models, config.geometry, config.depths) == ("parametric", "auto", {})
     assert config.profile in PROFILES
@@ -104,13 +104,13 @@ def test_the_command_is_the_library(folder, monkeypatch):
     assert [row for row in rows if row in steps] == steps
 
 
-def test_what_is_pruned_is_told_in_the_order_of_the_steps(folder):
+def test_pruning_is_reported_in_the_order_of_the_steps(folder):
     percent = ["--prune-geometry", "5", "--prune-importance", "20", "--cameras", "cameras.json"]
     rows = run("prepare", "scene.ply", "pruned.ply", *percent).stdout.splitlines()
     assert [row.split(":")[0] for row in rows[:2]] == ["pruned by importance", "pruned by geometry"]
 
 
-def test_what_is_typed_comes_before_the_preset(folder):
+def test_typed_options_override_the_preset(folder):
     preset = ["--preset", "entropygs", "--cameras", "cameras.json"]
     typed = ["-p", "paper-s", "--refine", "0", "--models", "best", "--geometry", "octree"]
     assert run("encode", "scene.ply", "a.egs", *preset, *typed).exit_code == 0
@@ -127,7 +127,7 @@ def test_what_is_typed_comes_before_the_preset(folder):
     assert read_ply("c.ply").count == left
 
 
-def test_largest_values_are_removed_wherever_the_scene_lies():
+def test_largest_values_are_removed_regardless_of_the_origin():
     """The paper's rule depends on the origin, ours does not."""
     scene = random_scene(1000, 0, seed=3)
     moved = replace(scene, positions=scene.positions + np.float32(50))
@@ -153,7 +153,7 @@ def test_largest_values_are_removed_wherever_the_scene_lies():
         ("bench paper none.ply --out out", "none.ply: No such file"),
     ],
 )
-def test_what_makes_no_sense_is_refused(folder, arguments, message):
+def test_invalid_presets_are_refused(folder, arguments, message):
     result = run(*arguments.split())
     assert isinstance(result.exception, InvalidInput), result.output
     assert message in str(result.exception)
@@ -209,7 +209,7 @@ def test_bench_paper_has_every_step_and_profile(reproduced):
     assert max(sizes[5:]) < sizes[4] / 3
 
 
-def test_its_page_is_what_it_measured(reproduced):
+def test_the_page_shows_the_measurements(reproduced):
     folder, result = reproduced
     page = (folder / "out" / "paper.md").read_text()
     assert result.stdout.strip() == page.strip()
@@ -230,7 +230,7 @@ def test_its_page_is_what_it_measured(reproduced):
 
 
 @pytest.mark.thorough
-def test_it_goes_on_from_its_checkpoint(reproduced):
+def test_the_preset_resumes_from_its_checkpoint(reproduced):
     folder, _ = reproduced
     before = lines_of(folder)
     kept = (folder / "out" / "still.checkpoint").read_bytes()
@@ -244,7 +244,7 @@ def test_it_goes_on_from_its_checkpoint(reproduced):
         }
 
 
-def test_what_it_coded_is_the_prepared_scene(reproduced):
+def test_the_coded_scene_is_the_prepared_one(reproduced):
     folder, _ = reproduced
     plan = Plan(replace(PRESET.steps, refine=4), folder / "cameras.json")
     encode_file(folder / "still.ply", folder / "again.egs", PRESET.config, plan)

@@ -85,7 +85,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("program", "form"), CASES)
-def test_a_program_sees_what_our_reader_sees(program, form, request):
+def test_programs_agree_with_our_reader(program, form, request):
     of = PROGRAMS[program]
     try:
         of.read([])

@@ -54,7 +54,7 @@ def assert_equal(first: Scene, second: Scene) -> None:
 
 
 @given(scene=scenes(), profile=st.sampled_from(PROFILE_CHOICES), blocks=st.booleans())
-def test_what_is_decoded_is_within_bounds(scene, profile, blocks):
+def test_decoded_values_are_within_bounds(scene, profile, blocks):
     config = config_of(profile, blocks)
     data, _ = encode_scene(scene, config)
     assert error_over_bound(scene, decode_scene(data, 1), data, config)[0] <= 1.0
@@ -67,7 +67,7 @@ def test_what_is_decoded_is_within_bounds(scene, profile, blocks):
     comments=st.lists(st.text(st.characters(min_codepoint=32, max_codepoint=126)), max_size=3),
     kinds=st.lists(st.sampled_from(["i1", "<u2", "<i4", "<f4", "<f8"]), max_size=3),
 )
-def test_what_is_carried_comes_back(scene, profile, normals, comments, kinds):
+def test_extra_data_round_trips(scene, profile, normals, comments, kinds):
     rng = np.random.default_rng(scene.count)
     raw = {f"p{i}": rng.bytes(scene.count * np.dtype(k).itemsize) for i, k in enumerate(kinds)}
     extra = {name: np.frombuffer(raw[name], k) for name, k in zip(raw, kinds, strict=True)}
@@ -104,7 +104,7 @@ def test_order_of_the_input_does_not_matter_to_lossless(scene, seed):
 
 
 @given(scene=scenes(), profile=st.sampled_from(PROFILE_CHOICES))
-def test_bytes_and_floats_are_the_same_again_and_with_threads(scene, profile):
+def test_bytes_and_floats_are_reproducible_and_independent_of_threads(scene, profile):
     config = config_of(profile)
     data, _ = encode_scene(scene, config)
     assert encode_scene(scene, config)[0] == data
@@ -145,7 +145,7 @@ def with_degree(scene: Scene, degree: int) -> Scene:
 
 
 @given(scene=scenes(), profile=st.sampled_from(PROFILE_CHOICES))
-def test_inspect_tells_the_truth(scene, profile):
+def test_inspect_is_correct(scene, profile):
     data, report = encode_scene(scene, config_of(profile))
     info, decoded = inspect_bytes(data), decode_scene(data, 1)
     json.dumps(info.as_dict(), allow_nan=False)

@@ -52,7 +52,7 @@ def visible_scene(count: int, seed: int, sh_degree: int = 1) -> Scene:
     ("count", "percent", "expected"),
     [(100, 7, 7), (100, 7.99, 7), (10, 99, 9), (3, 33.4, 1), (3, 33, 0), (0, 50, 0), (1, 99, 0)],
 )
-def test_never_more_than_asked(count, percent, expected):
+def test_never_more_than_requested(count, percent, expected):
     assert portion(count, percent) == expected
 
 
@@ -67,7 +67,7 @@ def test_a_scene_that_would_be_empty_is_refused():
         portion(7, 100)
 
 
-def test_of_equal_scores_the_first_go_first():
+def test_ties_are_removed_in_scene_order():
     scores = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 2.0])
     assert keep_highest(scores, 2).tolist() == [0, 2, 4, 5]
     assert keep_highest(scores, 4).tolist() == [2, 5]
@@ -99,7 +99,7 @@ def test_geometry_removes_the_farthest_of_each_axis_in_turn(rule):
     assert keep_near(scene, 10, rule).tolist() == sorted(left)
 
 
-def test_geometry_of_one_place_removes_the_first():
+def test_geometry_of_coincident_centres_removes_the_first():
     scene = edge_scenes()["one place"]
     kept = keep_near(scene, 10, "median")
     assert kept.tolist() == list(range(scene.count - len(kept), scene.count))
@@ -134,7 +134,7 @@ def squared_error(scene: Scene, targets, background=BLACK) -> float:
 
 
 @pytest.mark.parametrize("background", [BLACK, (0.9, 0.4, 0.1)], ids=["black", "orange"])
-def test_leave_one_out_is_what_removal_does(background):
+def test_leave_one_out_equals_the_error_of_removal(background):
     scene = visible_scene(80, 113)
     targets = [render(scene, view, background).colour for view in CAMERAS]
     scores = leave_one_out(scene, references(scene, background), "")
@@ -151,13 +151,13 @@ def test_leave_one_out_is_what_removal_does(background):
     assert unseen.any()
 
 
-def test_leave_one_out_is_the_same_every_time():
+def test_leave_one_out_is_deterministic():
     scene = visible_scene(50, 114)
     first = leave_one_out(scene, references(scene), "")
     np.testing.assert_array_equal(first, leave_one_out(scene, references(scene), ""))
 
 
-def test_a_hidden_gaussian_is_worth_nothing():
+def test_hidden_gaussians_have_score_0():
     scene = visible_scene(3, 115, 0)
     flat = np.full((3, 3), 1.5, np.float32)
     layers = np.array([[0, 0, 0], [0, 0, 0], [0, 0.5, 1]], np.float32)
@@ -166,7 +166,7 @@ def test_a_hidden_gaussian_is_worth_nothing():
     assert scores[2] < 1e-3 * scores[0]
 
 
-def test_gaussians_of_the_background_s_colour_are_worth_nothing():
+def test_gaussians_of_the_backgrounds_colour_have_score_0():
     scene = visible_scene(9, 116, 0)
     flat, opaque = np.ones((3, 9), np.float32), np.full((1, 9), 9, np.float32)
     scene = replace(scene, f_dc=flat, log_scale=flat, opacity=opaque)
@@ -175,7 +175,7 @@ def test_gaussians_of_the_background_s_colour_are_worth_nothing():
     assert leave_one_out(scene, references(scene), "").min() > 0
 
 
-def test_views_from_anywhere_are_not_all_that_counts():
+def test_spread_views_are_blended_with_the_expected_error():
     scene = visible_scene(80, 117)
     views = references(scene)
     seen = leave_one_out(scene, views, "")
@@ -207,7 +207,7 @@ def views_of(scene: Scene) -> ViewSplit:
 
 
 @pytest.mark.parametrize("percent", [1, 10, 37, 66, 90])
-def test_rounds_remove_exactly_what_is_asked(percent):
+def test_rounds_remove_exactly_the_requested_number(percent):
     scene = visible_scene(150, 116)
     kept, details = prune_leave_one_out(scene, views_of(scene), Steps(prune=percent))
     assert len(kept) == 150 - 150 * percent // 100
@@ -245,7 +245,7 @@ def test_a_limit_and_a_percentage_together():
     assert limited.tolist() == alone.tolist()
 
 
-def test_every_view_that_is_drawn_or_measured_is_told(monkeypatch):
+def test_progress_counts_every_rendered_view(monkeypatch):
     drawn: list[Camera] = []
     told: list[tuple[str, int, int]] = []
 
@@ -264,7 +264,7 @@ def test_every_view_that_is_drawn_or_measured_is_told(monkeypatch):
     assert {total for _, _, total in told} == {len(CAMERAS), len(CAMERAS) + between}
 
 
-def test_no_loss_allowed_removes_only_what_is_not_seen():
+def test_a_loss_limit_of_0_removes_only_invisible_gaussians():
     scene = visible_scene(200, 120)
     targets = references(scene)
     kept, _ = prune_leave_one_out(scene, views_of(scene), Steps(prune_max_psnr_drop=0.0))

@@ -122,7 +122,7 @@ def test_every_python_that_is_supported_is_tested():
     assert f'requires-python = ">={tested[0]}"' in PROJECT
 
 
-def test_one_variable_says_where_the_project_is():
+def test_one_variable_has_the_projects_url():
     url = recipes().project_url()
     files = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "setup.py", *WORKFLOWS]
     files += (path for path in (ROOT / ".ci").rglob("*") if path.is_file())

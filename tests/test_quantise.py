@@ -53,7 +53,7 @@ def test_positions_use_every_level_up_to_the_last(depth):
 @pytest.mark.parametrize(
     ("low", "high"), [(-BIGGEST, BIGGEST), (0.0, 1e-45), (1e7, np.nextafter(np.float32(1e7), 2e7))]
 )
-def test_range_quantiser_stands_the_limits_of_float32(low, high):
+def test_range_quantiser_handles_the_limits_of_float32(low, high):
     values = np.array([low, high, low], np.float32)
     quantiser = fit_range(values, 8)
     symbols, _, _ = quantise(values, quantiser, as_given(values))

@@ -118,7 +118,7 @@ def test_search_meets_its_interval_in_few_steps(goal, start):
 
 
 @pytest.mark.parametrize("goal", [1e-9, 1e9])
-def test_search_says_that_nothing_is_found(goal):
+def test_search_reports_failure(goal):
     assert search(lambda place: 2.0**-place, 0.98 * goal, goal, 0.0, -1.0) is None
 
 
@@ -134,7 +134,7 @@ def test_search_ends_below_a_jump(start):
     assert found == places[-1] < 0.3
 
 
-def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
+def test_search_tries_neighbours_if_the_measurement_is_noisy(monkeypatch):
     """Such as the loss of few Gaussians: a slightly different step may change all of them."""
 
     def met(seed: int) -> bool:
@@ -186,7 +186,7 @@ def test_the_same_target_gives_the_same_bytes(scene):
     assert len(streams) == 1
 
 
-def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene):
+def test_unreachable_sizes_are_refused_with_the_reachable_range(scene):
     with pytest.raises(
         InvalidInput, match=r"target .* bytes: unreachable, expected [\d,]+ to [\d,]+ bytes"
     ):
@@ -197,7 +197,7 @@ def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene):
 @pytest.mark.parametrize(
     "target", [RateTarget(size=10**9), RateTarget(ratio=1e-9), RateTarget(bits=1e5)], ids=str
 )
-def test_size_that_no_steps_fill_is_that_of_the_finest(scene, target):
+def test_unreachably_large_size_gives_the_finest_steps(scene, target):
     data, report = to_target(scene, Config("m"), target)
     assert data == encode_scene(scene, Config("m", coarseness=2.0**FINEST))[0]
     assert report.rate.at_end
@@ -215,7 +215,7 @@ def test_an_empty_scene_has_no_target():
         to_target(random_scene(0, 1), Config("m"), RateTarget(bits=60))
 
 
-def test_what_is_dropped_is_reported(scene):
+def test_dropped_gaussians_are_reported(scene):
     broken = replace(scene, opacity=scene.opacity.copy(), rot=scene.rot.copy())
     broken.opacity[0, 5] = np.nan
     broken.rot[:, 7] = 0
@@ -245,7 +245,7 @@ def test_losses_are_met_from_below(seen, wanted):
 
 
 @pytest.mark.thorough
-def test_a_size_by_views_is_met(seen):
+def test_a_size_is_met_with_cameras(seen):
     scene, plan = seen
     data, report = to_rate(scene, Config("m"), RateTarget(bits=60), plan)
     assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
@@ -253,7 +253,7 @@ def test_a_size_by_views_is_met(seen):
 
 
 @pytest.mark.thorough
-def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
+def test_unreachably_large_loss_gives_the_coarsest_steps(seen):
     scene, plan = seen
     _, report = to_rate(scene, Config("m"), RateTarget(psnr_drop=60), plan)
     assert report.rate.coarseness == 2.0**COARSEST
@@ -261,14 +261,14 @@ def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
     assert report.rate.at_end
 
 
-def test_a_loss_out_of_reach_is_refused(seen):
+def test_an_unreachable_loss_is_refused(seen):
     scene, plan = seen
     with pytest.raises(InvalidInput, match=r"target 1e-09 dB: unreachable, expected .* dB"):
         to_rate(scene, Config("m"), RateTarget(psnr_drop=1e-9), plan)
 
 
 @pytest.mark.thorough
-def test_photographs_tell_what_is_lost(seen, tmp_path):
+def test_losses_are_measured_against_photographs(seen, tmp_path):
     scene, plan = seen
     rng = np.random.default_rng(201)
     drawn = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
@@ -300,7 +300,7 @@ def crowded() -> tuple[Scene, Plan]:
 
 
 @pytest.mark.thorough
-def test_pruning_makes_room_for_the_others(crowded):
+def test_pruning_leaves_more_bits_for_the_rest(crowded):
     scene, plan = crowded
     measured = choose_views(scene, plan).held_out
     errors = []
@@ -329,7 +329,7 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
 
 
 @pytest.mark.thorough
-def test_pruning_reaches_what_steps_do_not(crowded):
+def test_pruning_reaches_targets_beyond_steps(crowded):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="unreachable"):
         to_rate(scene, Config("m"), RateTarget(bits=14), plan)
@@ -348,13 +348,13 @@ def test_pruning_reaches_what_steps_do_not(crowded):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("target", [RateTarget(psnr_drop=1e-9), RateTarget(size=99)])
-def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
+def test_targets_beyond_pruning_are_refused(crowded, target):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="unreachable"):
         to_rate(scene, Config("m"), replace(target, allow_prune=True), plan)
 
 
-def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
+def test_nothing_is_pruned_if_the_size_would_not_be_used(seen):
     scene, plan = seen
     plan = replace(plan, views=12)
     target = RateTarget(bits=265, allow_prune=True)
@@ -373,7 +373,7 @@ def test_pruning_without_a_target_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "asked", [{"allow_prune": True}, {"max_psnr_drop": 0.5}], ids=["pruning", "quality"]
 )
-def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
+def test_views_of_a_target_have_the_requested_number_and_width(asked):
     def found(**values: Any) -> Plan | None:
         typed = SimpleNamespace(name="COMMANDLINE")
         ctx = SimpleNamespace(
@@ -390,7 +390,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
     assert found() is None
 
 
-def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):
+def test_bits_per_gaussian_count_pruned_gaussians(crowded):
     scene, plan = crowded
     half = scene.take(np.arange(0, scene.count, 2))
     data, _ = to_rate(half, Config("m"), RateTarget(bits=30), plan, scene)
@@ -415,7 +415,7 @@ def test_command_line_meets_a_size(scene, tmp_path):
     assert out.read_bytes() == first
 
 
-def test_command_line_says_that_steps_are_the_finest(scene, tmp_path):
+def test_command_line_reports_the_finest_steps(scene, tmp_path):
     source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
     write_ply(source, scene)
     result = CliRunner().invoke(app, ["encode", str(source), str(out), "--target-size", "5MB"])
@@ -426,7 +426,7 @@ def test_command_line_says_that_steps_are_the_finest(scene, tmp_path):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("suffix", [".egs", ".splat", ".ply"])
-def test_ratio_counts_from_the_floats_of_what_comes_compressed(scene, tmp_path, suffix):
+def test_ratio_is_relative_to_the_floats_of_a_compressed_source(scene, tmp_path, suffix):
     source, out = tmp_path / f"scene{suffix}", tmp_path / "out.egs"
     write_scene(source, scene, Config("s"))
     limit = source.stat().st_size if suffix == ".ply" else read_scene(source).float_bytes
@@ -443,7 +443,7 @@ def test_ratio_counts_from_the_floats_of_what_comes_compressed(scene, tmp_path, 
         (["--target-bpg", "0.5"], "0.5", " bits per Gaussian"),
     ],
 )
-def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options, wanted, unit):
+def test_command_line_refuses_unreachable_targets(scene, tmp_path, options, wanted, unit):
     source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
     write_ply(source, scene)
     result = CliRunner().invoke(app, ["encode", str(source), str(out), *options])
@@ -472,12 +472,12 @@ def test_python_gets_a_report_with_a_target(scene):
 
 
 @pytest.mark.parametrize("target", [{}, {"rate": 3}, {"ratio": 3, "bits": 5}, {"size": 0}])
-def test_python_refuses_what_is_no_target(scene, target):
+def test_python_refuses_invalid_targets(scene, target):
     with pytest.raises(InvalidInput, match="target"):
         gs_codec.encode(to_cloud(scene), rate=target)
 
 
-def test_a_target_in_whole_views_and_a_loss_of_crops_are_told_apart(capsys):
+def test_a_target_in_whole_views_and_a_loss_of_crops_are_reported_separately(capsys):
     """The loss in crops of the smallest Gaussians may exceed that in whole views."""
     _, report = encode_scene(generate(100, 0, 1), Config())
     rendered = RenderedLoss(44.1, 0.17, 0.38, 64, "likely")

@@ -122,13 +122,13 @@ def heading_anchors(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_no_merge_is_left_unfinished(name):
+def test_no_conflict_markers_are_left(name):
     text = (ROOT / name).read_text(encoding="utf-8")
     assert not re.search("^(<{7} |={7}$|>{7} )", text, re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_links_lead_to_files_and_headings(name):
+def test_links_are_valid(name):
     path = ROOT / name
     for link in re.findall(r"\]\(([^)\s]+)\)", SHOWN.sub("", path.read_text())):
         if link.startswith(("http://", "https://")):
@@ -149,7 +149,7 @@ def test_make_targets_exist(name):
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 @pytest.mark.parametrize(("target", "wanted"), [("test", False), ("test-all", True)])
-def test_what_few_tests_need_is_installed_where_that_is_asked(tmp_path, target, wanted):
+def test_packages_of_few_tests_are_installed_where_required(tmp_path, target, wanted):
     command = ["make", "--dry-run", "--no-print-directory", f"VENV={tmp_path}", target]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     lines = done.stdout.splitlines()

@@ -13,7 +13,7 @@ def state(tmp_path, monkeypatch):
     return tmp_path / "state" / "gs-viewer" / "recent.json"
 
 
-def test_the_newest_is_first_once_and_files_that_are_gone_are_left_out(tmp_path):
+def test_the_newest_is_first_once_and_deleted_files_are_skipped(tmp_path):
     assert recent_files() == []
     paths = [tmp_path / f"{k}.ply" for k in range(MOST + 3)]
     for path in paths:
@@ -34,7 +34,7 @@ def test_a_damaged_list_is_empty_and_is_replaced(state, tmp_path, text):
     assert recent_files() == [tmp_path]
 
 
-def test_a_list_that_cannot_be_written_is_no_error(state, tmp_path):
+def test_an_unwritable_list_is_ignored(state, tmp_path):
     state.parent.mkdir(parents=True)
     state.mkdir()
     remember(tmp_path)

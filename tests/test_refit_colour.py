@@ -141,7 +141,7 @@ def test_colours_at_black_have_no_gradient():
 
 
 @pytest.mark.parametrize("every", [2, 3])
-def test_part_of_the_tiles_counts_where_not_all_can_be_kept(monkeypatch, every):
+def test_tiles_are_sampled_if_memory_is_too_small(monkeypatch, every):
     scene, cameras = visible_scene(40, 8), orbit(4)
     targets = [np.random.default_rng(8).uniform(size=(40, 40, 3)) for _ in cameras]
     views, at = references(cameras, targets), coefficients_of(scene)
@@ -161,7 +161,7 @@ def test_part_of_the_tiles_counts_where_not_all_can_be_kept(monkeypatch, every):
     assert sum(traced.nbytes for traced in operator.kept.values()) < taken
 
 
-def test_more_fragments_than_first_room_for():
+def test_buffers_grow_with_many_fragments():
     """Many faint Gaussians over whole tiles: their weights outgrow the initial buffers."""
     scene = visible_scene(400, 7, sh_degree=0)
     scene = replace(
@@ -180,7 +180,7 @@ def test_more_fragments_than_first_room_for():
 
 
 @pytest.mark.parametrize("seed", [8, 9])
-def test_objective_only_falls(seed):
+def test_objective_decreases_monotonically(seed):
     scene, cameras = visible_scene(60, seed), orbit(6, seed)
     targets = images(perturbed(scene, seed), cameras)
     _, report = refit_colour(scene, references(cameras, targets), 10, keep_zeros=False)
@@ -248,7 +248,7 @@ def test_penalty_keeps_coefficients_small():
 
 
 @pytest.mark.parametrize("seed", [22, 23])
-def test_refit_wins_back_what_compaction_cost(seed):
+def test_refit_recovers_the_loss_of_compaction(seed):
     scene, cameras = visible_scene(80, seed), orbit(12, seed)
     targets = images(scene, cameras)
     compacted, before = compact_sh(scene, cameras, 1e-4)
@@ -259,7 +259,7 @@ def test_refit_wins_back_what_compaction_cost(seed):
 
 
 @pytest.mark.parametrize("keep_zeros", [True, False])
-def test_zeros_stay_where_asked(keep_zeros):
+def test_zeros_are_kept_on_request(keep_zeros):
     scene, cameras = visible_scene(40, 14), orbit(6)
     coefficients = coefficients_of(scene)
     small = np.abs(coefficients) <= 0.05
@@ -308,7 +308,7 @@ def test_edges(name):
         np.testing.assert_array_equal(getattr(refitted, group), getattr(scene, group))
 
 
-def test_values_that_are_not_finite_stay():
+def test_nonfinite_values_are_unchanged():
     scene, cameras = visible_scene(30, 18), orbit(3)
     f_rest = scene.f_rest.copy()
     f_rest[3, 2], f_rest[20, 4] = np.nan, np.inf

@@ -273,7 +273,7 @@ def test_edges_match_the_reference(name, antialiased):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", {**distance_edges(), **shape_edges(), **value_edges()})
-def test_edges_amid_a_crowd_match_the_reference(name):
+def test_edge_cases_among_many_gaussians_match_the_reference(name):
     edge, _, camera = EDGES[name]
     others = crowd(camera, 60, 0, seed=14)
     if edge.sh_degree:
@@ -285,7 +285,7 @@ def test_edges_amid_a_crowd_match_the_reference(name):
 @pytest.mark.parametrize(
     "scale", [[300, 300, 300], [80, -80, 0], [60, 60, -1e30], [20, -1e30, -1e30]], ids=str
 )
-def test_sizes_beyond_doubles_leave_the_image_finite(scale):
+def test_sizes_beyond_float64_keep_the_image_finite(scale):
     camera = straight()
     others = crowd(camera, 60, 0, seed=15)
     planes = {group: getattr(others, group).copy() for group in GROUPS}
@@ -300,7 +300,7 @@ def test_sizes_beyond_doubles_leave_the_image_finite(scale):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf], ids=str)
 @pytest.mark.parametrize("group", GROUPS)
-def test_gaussians_that_are_not_finite_are_left_out(group, value):
+def test_nonfinite_gaussians_are_not_drawn(group, value):
     camera = straight()
     scene = crowd(camera, 60, 1, seed=16)
     before = render(scene, camera, TEAL, accumulate=True)
@@ -339,7 +339,7 @@ def test_antialiased_images_match_the_reference(seed, pixels):
     assert_same_sums(result, expected)
 
 
-def test_antialiasing_thins_small_splats_and_leaves_large_ones():
+def test_antialiasing_fades_only_small_splats():
     camera = straight(33, 17)
 
     def both(log_scale):
@@ -419,7 +419,7 @@ def test_threads_do_not_change_a_bit(seed):
 
 
 @pytest.mark.thorough
-def test_scene_and_camera_are_only_read():
+def test_scene_and_camera_are_not_modified():
     camera = turned(28)
     scene = crowd(camera, 100, 2, seed=28)
     copies = {group: getattr(scene, group).copy() for group in GROUPS}

@@ -55,7 +55,7 @@ def made() -> tuple[Scene, np.ndarray]:
 
 
 @pytest.mark.parametrize("spread", [0.1, 0.5, 3.0])
-def test_views_see_less_than_of_the_nearest_levels(made, spread):
+def test_views_lose_less_than_with_nearest_levels(made, spread):
     scene, steps = made
     seen = cameras(12, spread)
     rounded = round_sh(scene, seen, np.ones((12, 200), np.float32), steps, ERROR)
@@ -70,7 +70,7 @@ def test_views_see_less_than_of_the_nearest_levels(made, spread):
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_values_are_on_their_levels_and_zeros_stay_seed91(degree):
+def test_values_are_on_levels_and_zeros_are_kept_seed91(degree):
     scene = random_scene(100, degree, seed=91)
     scene.f_rest[:, ::3] = 0.0
     steps = np.random.default_rng(91).uniform(0.01, 0.3, (3, 100)).astype(np.float32)
@@ -85,7 +85,7 @@ def test_values_are_on_their_levels_and_zeros_stay_seed91(degree):
         np.testing.assert_array_equal(getattr(rounded, name), getattr(scene, name))
 
 
-def test_bits_that_are_worth_less_than_the_error_are_left_out(made):
+def test_bits_worth_less_than_their_error_are_saved(made):
     scene, steps = made
     seen, weights = cameras(12, 3.0), np.ones((12, 200), np.float32)
     magnitudes = [
@@ -96,7 +96,7 @@ def test_bits_that_are_worth_less_than_the_error_are_left_out(made):
     assert magnitudes[-1] < 0.5 * magnitudes[0]
 
 
-def test_gaussians_that_no_camera_sees_stay_as_they_are(made):
+def test_invisible_gaussians_are_unchanged(made):
     scene, steps = made
     weights = np.ones((12, 200), np.float32)
     weights[:, 50:60] = 0.0
@@ -114,7 +114,7 @@ def test_a_scene_without_sh_ac_is_returned():
 
 
 @pytest.mark.parametrize("spread", [0.1, 3.0])
-def test_levels_of_another_format_are_kept_to(made, spread):
+def test_levels_of_another_format_are_used(made, spread):
     scene, steps = made
     seen, grid = cameras(12, spread), ShGrid(steps, 0.5)
     rounded = round_rgb(scene, seen, np.ones((12, 200), np.float32), grid)

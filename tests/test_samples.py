@@ -40,13 +40,13 @@ def _same(a: Scene, b: Scene) -> bool:
     return all(np.array_equal(getattr(a, group), getattr(b, group)) for group in GROUPS)
 
 
-def test_seed_decides_every_attribute(scene: Scene) -> None:
+def test_seed_determines_every_attribute(scene: Scene) -> None:
     assert _same(scene, generate(20_000, 3, seed=5))
     other = generate(20_000, 3, seed=6)
     assert not any(np.array_equal(getattr(scene, g), getattr(other, g)) for g in GROUPS)
 
 
-def test_sh_degree_leaves_the_other_attributes_alone(scene: Scene) -> None:
+def test_sh_degree_does_not_change_other_attributes(scene: Scene) -> None:
     plain = generate(20_000, 0, seed=5)
     for group in set(GROUPS) - {"f_rest"}:
         np.testing.assert_array_equal(getattr(plain, group), getattr(scene, group), group)
@@ -201,7 +201,7 @@ def test_orbit_cameras_refuses_bad_arguments(bad: dict) -> None:
 
 
 @pytest.mark.thorough
-def test_the_loop_of_a_trainer_makes_up_for_coding(tmp_path, capsys) -> None:
+def test_training_compensates_for_coding(tmp_path, capsys) -> None:
     pytest.importorskip("torch")
     from samples import trainer
 

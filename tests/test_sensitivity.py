@@ -172,7 +172,7 @@ def test_an_alpha_at_its_limit_does_not_change():
     assert found[10, 0] == pytest.approx(64 * 0.99**2)
 
 
-def test_a_gaussian_of_the_background_s_colour_may_have_any_opacity():
+def test_opacity_is_free_for_the_backgrounds_colour():
     places = [(0, 0, 0.2 * i) for i in range(9)]
     scene = splats(places, f_dc=1.0, opacity=4.0, log_scale=1.0)
     found = summed(scene, CAMERAS, (0.5 + SH_C0,) * 3)
@@ -185,7 +185,7 @@ def test_a_gaussian_of_the_background_s_colour_may_have_any_opacity():
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_noise_on_all_gaussians_adds_what_is_predicted(name):
+def test_noise_on_all_gaussians_adds_the_predicted_error(name):
     scene = cloud(7, 120)
     unit = rows_of(summed(scene, CAMERAS, TEAL))
     reference = images(moved(scene, np.zeros(unit.shape)), CAMERAS, False)
@@ -238,13 +238,13 @@ def test_weights_of_views_are_those_of_drawing(opaque):
     assert sensitivity(plain, references(CAMERAS))[1].shape == (3, 50)
 
 
-def test_it_is_as_the_scene_says():
+def test_antialiasing_follows_the_scene():
     scene = cloud(10, 50, size=-3.5)
     found = summed(compensated(scene), CAMERAS)
     assert not np.allclose(found.rot, summed(scene, CAMERAS).rot)
 
 
-def test_what_is_not_seen_has_none():
+def test_invisible_gaussians_have_no_sensitivity():
     places = [(0, 0, -50), (0, 90, 0), (0, 0, 0), (0, 0, 0)]
     scene = splats(places, opacity=[[1, 1, -9, 1]], log_scale=[[-1.0], [-1.5], [-2.0]])
     found = rows_of(summed(scene, CAMERAS, TEAL))
@@ -254,7 +254,7 @@ def test_what_is_not_seen_has_none():
 
 @pytest.mark.parametrize("group", [group for group in GROUPS if group != "f_rest"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf], ids=str)
-def test_what_is_not_finite_has_none_and_spoils_nothing(group, value):
+def test_nonfinite_gaussians_have_no_sensitivity_and_no_effect(group, value):
     scene = cloud(11, 20)
     plane = getattr(scene, group).copy()
     plane[-1, 5] = value
@@ -266,7 +266,7 @@ def test_what_is_not_finite_has_none_and_spoils_nothing(group, value):
     assert expected.any()
 
 
-def test_what_is_beyond_doubles_counts_as_none():
+def test_values_beyond_float64_have_no_sensitivity():
     scene = cloud(13, 4)
     scene.log_scale[0, 2] = 230.0
     found = rows_of(summed(scene, CAMERAS, TEAL))
@@ -287,5 +287,5 @@ def test_edge_scenes(name, antialiased):
         assert np.isfinite(plane).all()
 
 
-def test_without_cameras_there_is_none():
+def test_without_cameras_sensitivity_is_zero():
     assert not rows_of(summed(cloud(12, 5), [])).any()

@@ -54,7 +54,7 @@ def answer(page: Page, path: str, method: str = "GET", host: str | None = None) 
     return response.status, response.read()
 
 
-def test_it_answers_who_knows_the_address(page):
+def test_requests_with_the_address_are_answered(page):
     root = urlsplit(page.url).path
     assert urlsplit(page.url).hostname == "127.0.0.1"
     assert len(root) > 20
@@ -89,7 +89,7 @@ def test_ranges_are_answered(page, asked, status, body, told):
 
 
 @pytest.mark.parametrize("path", ["/", "/index.html", "/a%20b.egs", "/x/", "/../a%20b.egs"])
-def test_without_it_there_is_nothing(page, path):
+def test_requests_without_the_address_fail(page, path):
     assert answer(page, path)[0] == 404
 
 
@@ -100,7 +100,7 @@ def test_nothing_else_is_served(page):
     assert answer(page, root, "POST")[0] == 501
 
 
-def test_pages_of_other_hosts_cannot_ask(page):
+def test_requests_from_other_hosts_are_refused(page):
     root = urlsplit(page.url).path
     for host in ("example.org", f"example.org:{page.server_port}", ""):
         assert answer(page, root, host=host)[0] == 404
@@ -113,7 +113,7 @@ def test_addresses_differ():
     assert len({urlsplit(page.url).path for page in pages}) == 2
 
 
-def test_silent_connections_are_few_and_end(page, monkeypatch):
+def test_silent_connections_are_limited_and_time_out(page, monkeypatch):
     monkeypatch.setattr(served._Handler, "timeout", 0.2)
     before = threading.active_count()
     silent = [
@@ -128,7 +128,7 @@ def test_silent_connections_are_few_and_end(page, monkeypatch):
     assert answer(page, urlsplit(page.url).path) == (200, b"page")
 
 
-def test_the_address_is_no_argument_of_the_browser(page, monkeypatch, tmp_path, capsys):
+def test_the_address_is_not_in_the_browsers_arguments(page, monkeypatch, tmp_path, capsys):
     told: list[tuple[str, int, str]] = []
 
     def opening(address: str) -> None:
@@ -164,14 +164,14 @@ def test_a_browser_shows_it(scene):
     assert asked == [page.url, f"{page.url}a.egs"]
 
 
-def test_the_page_turns_about_the_axis_asked_for(scene):
+def test_the_page_orbits_about_the_requested_axis(scene):
     page = serve([scene], "auto", None, None, None, "-x")
     page.server_close()
     [text] = [data for path, data in page.contents.items() if path.endswith("/")]
     assert b'"up": "-x"' in text
 
 
-def test_it_serves_until_it_is_interrupted(scene):
+def test_the_server_runs_until_interrupted(scene):
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     process = subprocess.Popen(
         [sys.executable, "-u", "-c", "from viewer.main import main; main()", scene, "--web"],
@@ -220,7 +220,7 @@ def test_refusals_are_one_line(scene, tmp_path, monkeypatch, capsys, arguments, 
     assert error.count("\n") == 1
 
 
-def test_a_taken_port_is_one_line(scene, monkeypatch, capsys):
+def test_a_port_in_use_is_one_line(scene, monkeypatch, capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

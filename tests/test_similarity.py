@@ -56,7 +56,7 @@ def test_views_of_a_moved_scene_from_moved_cameras_are_the_same(mirrored):
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 @pytest.mark.parametrize("signs", list(product((1, -1), repeat=3)))
-def test_axes_that_swap_and_change_signs_keep_bits(order, signs):
+def test_swapped_and_negated_axes_keep_bits(order, signs):
     scene = random_scene(20, 1, seed=7)
     scene.positions[:, 0] = np.array([0x7FA00001, 0xFFC00002, 0x7F800000], np.uint32).view("<f4")
     turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -89,7 +89,7 @@ def test_edge_scenes_are_moved(name):
         np.testing.assert_allclose(getattr(back, group), values, atol=1e-6 * largest)
 
 
-def test_what_does_not_move_stays():
+def test_the_identity_changes_nothing():
     scene = random_scene(5)
     assert move_scene(scene, np.eye(4)) is scene
 
@@ -115,6 +115,6 @@ def test_quaternions_of_any_norm_are_rotations():
         np.eye(3),
     ],
 )
-def test_what_stretches_or_shears_is_refused(matrix):
+def test_stretching_and_shearing_are_refused(matrix):
     with pytest.raises(InvalidInput, match="stretches or shears, expected one that turns"):
         move_scene(random_scene(3), matrix)

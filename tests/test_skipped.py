@@ -52,7 +52,7 @@ def band_rows(*bands):
         (2, "SH band 3: absent (degree 2)"),
     ],
 )
-def test_absent_bands_and_normals_are_told(profile, degree, line):
+def test_absent_bands_and_normals_are_reported(profile, degree, line):
     scene = random_scene(300, degree, seed=201)
     normals = "normals: all zero, not stored"
     assert skipped(scene, profile)[:1] == [line]
@@ -61,7 +61,7 @@ def test_absent_bands_and_normals_are_told(profile, degree, line):
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
-def test_nothing_is_told_of_a_scene_that_needs_everything(profile):
+def test_nothing_is_reported_if_everything_is_coded(profile):
     assert skipped(BASE, profile) == []
     assert skipped(random_scene(0, 3), profile) == []
 
@@ -82,7 +82,7 @@ def test_nothing_is_told_of_a_scene_that_needs_everything(profile):
         ("f_rest", band_rows(2), "sh2: constant"),
     ],
 )
-def test_constant_channels_are_told(profile, group, rows, line):
+def test_constant_channels_are_reported(profile, group, rows, line):
     lines = skipped(with_rows(group, list(rows), 0.25), profile)
     assert [text for text in lines if "constant" in text] == [line]
 
@@ -93,14 +93,14 @@ def test_constant_channels_are_told(profile, group, rows, line):
     ("bands", "named"),
     [((3,), "SH band 3"), ((1, 3), "SH bands 1, 3"), ((1, 2, 3), "SH bands 1, 2, 3")],
 )
-def test_zero_bands_are_told(profile, bands, named):
+def test_zero_bands_are_reported(profile, bands, named):
     end = " after rounding" if profile in LATTICES else ""
     lines = skipped(with_rows("f_rest", band_rows(*bands)), profile)
     assert [text for text in lines if "SH" in text] == [f"{named}: all zero{end}"]
 
 
 @pytest.mark.parametrize("profile", LATTICES)
-def test_symbols_that_are_all_zero_are_told_of_lattices(profile):
+def test_all_zero_symbols_of_lattices_are_reported(profile):
     equal = np.full_like(BASE.log_scale, -5.0)
     turned = np.zeros_like(BASE.rot)
     turned[0] = 2.0
@@ -117,14 +117,14 @@ def test_symbols_that_are_all_zero_are_told_of_lattices(profile):
     ]
 
 
-def test_classes_are_told_where_there_is_one():
+def test_a_single_class_is_reported():
     varied = made_up_guide(seed=202)
     assert not any(line.endswith("one for all") for line in skipped(BASE, "m", varied))
     even = skipped(BASE, "m", made_up_guide(seed=203, spread=0.0))
     assert "colour classes: one for all" in even
 
 
-def test_one_table_for_all_contexts_is_told():
+def test_one_table_for_all_contexts_is_reported():
     scene, end = random_scene(60, 0, seed=204), ": one table for all contexts"
     info = inspect_bytes(encode_by(scene, Config("m"), made_up_guide(seed=204)))
     told = next(line for line in info.skipped if line.endswith(end)).removesuffix(end).split(", ")
@@ -148,7 +148,7 @@ def test_command_line_prints_what_is_skipped(profile, tmp_path):
     assert "skipped" not in CliRunner().invoke(app, ["inspect", str(path)]).stdout
 
 
-def test_tables_in_place_of_models_are_told():
+def test_tables_in_place_of_models_are_reported():
     two = edge_scenes()["two opacities"]
     line = "opacity: a table in place of a mixture model"
     assert line in skipped(two, "paper-m", models="best")

@@ -61,7 +61,7 @@ def test_slabs_of_a_part_are_the_part(profile, tmp_path):
 
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 @pytest.mark.parametrize("name", ["identical", "one place", "five of degree 0"])
-def test_scenes_of_which_little_is_coded(profile, name):
+def test_scenes_with_few_coded_values(profile, name):
     scene = edge_scenes()[name]
     data, _ = encode_scene(scene, Config(profile))
     whole, _ = decode_part(data, Part())
@@ -72,7 +72,7 @@ def test_scenes_of_which_little_is_coded(profile, name):
         assert joined.tobytes() == getattr(whole, group).tobytes()
 
 
-def test_progress_goes_on_from_slab_to_slab():
+def test_progress_continues_from_slab_to_slab():
     data, _ = encode_scene(random_scene(5000, 1, seed=61), Config("m", block_size=BLOCK))
     seen: list[tuple[str, int, int]] = []
     list(choose_part(data, Part()).slabs(2 * BLOCK, lambda *state: seen.append(state)))
@@ -90,7 +90,7 @@ def encoded(request, tmp_path):
     return path
 
 
-def test_verify_says_what_a_sound_file_holds(encoded, run_codec):
+def test_verify_describes_a_valid_file(encoded, run_codec):
     before = encoded.read_bytes()
     status, out, err = run_codec("verify", str(encoded))
     assert (status, err) == (0, "")
@@ -129,7 +129,7 @@ def test_verify_decodes(encoded):
         slabs.verify_file(encoded)
 
 
-def test_verify_checks_sections_that_are_passed_over(tmp_path):
+def test_verify_checks_skipped_sections(tmp_path):
     data, _ = encode_scene(random_scene(10), Config())
     file = read_file(data)
     sections = [Section(SectionId(i), b, content) for (i, b), content in file.sections.items()]
@@ -159,7 +159,7 @@ SEEN = Camera("seen", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0.0, 
 @pytest.mark.parametrize(
     "part", [Part(), Part(level=1), Part(view=SEEN)], ids=["whole", "level", "view"]
 )
-def test_sections_of_a_file_are_checked_and_not_held(part, in_levels):
+def test_sections_of_a_file_are_checked_but_not_kept(part, in_levels):
     with slabs.opened_slabs(in_levels, part) as opened:  # sections that are parsed once
         list(opened.scenes())
     tracemalloc.start()
@@ -195,7 +195,7 @@ def _write_over_unseen(path):
     ids=["written", "unseen", "truncated"],
 )
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
-def test_what_changes_between_two_slabs_is_one_error(profile, change, text, tmp_path):
+def test_a_file_changed_between_slabs_is_one_error(profile, change, text, tmp_path):
     path = tmp_path / "scene.egs"
     path.write_bytes(
         encode_scene(random_scene(5500, 3, seed=62), Config(profile, block_size=BLOCK))[0]

@@ -112,7 +112,7 @@ def test_files_are_as_specified(count, degree, tmp_path):
         assert meta["shN"]["bands"] == degree
 
 
-def test_a_scene_without_gaussians_is_legal():
+def test_a_scene_without_gaussians_is_valid():
     meta, images = unpacked(pack_sog(random_scene(0, 1))[0])
     assert meta["count"] == 0
     assert meta["shN"]["count"] == 1
@@ -120,7 +120,7 @@ def test_a_scene_without_gaussians_is_legal():
     assert images["means_l.webp"].shape == (4, 4, 4)
 
 
-def test_what_all_gaussians_share_takes_one_value(tmp_path):
+def test_constant_attributes_take_one_value(tmp_path):
     scene = random_scene(1, 2).take(np.zeros(500, np.int64))
     data, _ = pack_sog(scene)
     meta, _ = unpacked(data)
@@ -179,7 +179,7 @@ def test_steps_make_a_file_smaller_and_bound_its_errors(tmp_path):
     assert sizes[0] > 1.1 * sizes[1] > 1.2 * sizes[2]
 
 
-def test_sh_that_are_zero_stay_zero(tmp_path):
+def test_zero_sh_stay_zero(tmp_path):
     scene = random_scene(5000, 2)
     f_rest = scene.f_rest.copy()
     f_rest[:, ::3] = 0
@@ -257,7 +257,7 @@ def test_absurd_sh_are_clipped_and_counted(tmp_path):
 # Tables
 
 
-def test_cells_are_split_while_that_pays():
+def test_cells_are_split_while_it_pays_off():
     """Two distant clusters get two cells; their noise, below a step, is not split."""
     rng = np.random.default_rng(1)
     vectors = np.repeat([[0.0, 0.0], [10.0, 4.0]], 500, axis=0) + rng.normal(0, 0.1, (1000, 2))
@@ -278,7 +278,7 @@ def test_the_nearest_row_is_that_of_the_least_cost():
     np.testing.assert_allclose(chosen, costs.min(1), rtol=1e-5)
 
 
-def test_a_table_has_the_values_that_are_few():
+def test_a_table_contains_few_distinct_values_exactly():
     values = np.repeat(np.array([-3.0, 0.5, 7.25], np.float32), 40)
     assert make_table(values, np.full(120, 0.01)).tolist() == [-3.0, 0.5, 7.25]
     assert make_table(values[:0], values[:0]).tolist() == [0.0]
@@ -335,7 +335,7 @@ def test_colours_are_chosen_for_differences_to_green():
 # Files
 
 
-def test_the_files_of_a_scene_may_lie_apart(tmp_path):
+def test_the_files_of_a_scene_may_be_in_a_folder(tmp_path):
     scene = random_scene(300, 2)
     write_ply(tmp_path / "scene.ply", scene)
     (tmp_path / "apart").mkdir()

@@ -36,7 +36,7 @@ def test_errors_are_within_bounds(profile, pytestconfig):
         assert error_over_bound(scene, decode_scene(data), data, config)[0] <= 1.0, name
 
 
-def test_the_measure_sees_what_is_wrong():
+def test_the_measure_detects_errors():
     """A scene that is not the encoded one exceeds the bounds in each profile."""
     scene = random_scene(200, 1, seed=80)
     for profile in PROFILE_CHOICES:
@@ -53,7 +53,7 @@ def test_the_measure_sees_what_is_wrong():
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("case", CASES)
-def test_what_is_said_of_them_is_numbers(case):
+def test_reports_contain_only_numbers(case):
     """JSON has neither NaN nor infinity."""
     for profile in ("m", "paper-m"):
         data, report = encode_scene(CASES[case], Config(profile))
@@ -64,7 +64,7 @@ def test_what_is_said_of_them_is_numbers(case):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
-def test_log_scales_may_be_as_far_apart_as_they_go(profile, seed):
+def test_log_scales_may_have_the_maximum_difference(profile, seed):
     """Each is at most 400, so their difference is up to 800."""
     rng = np.random.default_rng(seed)
     scene = random_scene(500, 0, seed=seed)
@@ -78,7 +78,7 @@ def test_log_scales_may_be_as_far_apart_as_they_go(profile, seed):
 
 @pytest.mark.parametrize("depths", [{"sh1": 1}, {"sh-dc": 1, "sh1": 12}, {"rotation": 8}])
 @pytest.mark.parametrize("case", ["an outlier in each channel", "quaternions of norm 1e-20"])
-def test_depths_of_ugly_channels_give_files_that_decode(case, depths):
+def test_depths_of_extreme_channels_give_valid_files(case, depths):
     config = Config("m", depths=depths)
     data, _ = encode_scene(CASES[case], config)
     decoded = decode_scene(data)
@@ -87,7 +87,7 @@ def test_depths_of_ugly_channels_give_files_that_decode(case, depths):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("case", CASES)
-def test_views_of_ugly_scenes_give_files_that_decode(case):
+def test_views_of_extreme_scenes_give_valid_files(case):
     data = encode_by(CASES[case], Config("m"), made_up_guide(seed=81))
     decoded = decode_scene(data)
     assert decoded.count == CASES[case].count
@@ -129,7 +129,7 @@ def test_mixtures_have_mass_and_no_nan(name):
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", histograms())
-def test_tables_code_what_occurs(name):
+def test_tables_cover_all_occurring_symbols(name):
     histogram = histograms()[name]
     for precision in (p for p in (12, 14, 15) if 1 << p >= 2 * histogram.size):
         models = [fit_mixture(histogram, k + 1, precision) for k in range(MAX_COMPONENTS)]

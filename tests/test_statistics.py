@@ -178,7 +178,7 @@ def test_ranked_values_are_those_of_a_sort(dtype, number):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("span", [(0.0, 40.0), (-3.0, 7.0), (0.1, 0.1001)])
-def test_bins_hold_their_lower_edges(dtype, span):
+def test_bins_include_their_lower_edges(dtype, span):
     rng = np.random.default_rng(5)
     values = np.concatenate([np.linspace(*span, 41), rng.uniform(span[0] - 1, span[1] + 1, 500)])
     counts, edges = histogram(values := values.astype(dtype), *span, 40)
@@ -285,7 +285,7 @@ def test_statistics_are_json(name):
         assert plain["bounds"] is None
 
 
-def test_what_comments_state():
+def test_statements_in_comments():
     scene = random_scene(5)
     assert (statistics_of(scene).coordinates, statistics_of(scene).antialiased) == (None, False)
     assert statistics_of(antialiased(scene)).antialiased
@@ -293,7 +293,7 @@ def test_what_comments_state():
     assert statistics_of(stated).coordinates == "RUB"
 
 
-def test_statistics_change_nothing_and_depend_on_values_alone():
+def test_statistics_depend_only_on_values_and_change_nothing():
     scene, same = broken_scene(), broken_scene()
     planes = {group: np.asfortranarray(getattr(scene, group)) for group in GROUPS}
     found = [
@@ -366,7 +366,7 @@ def test_inspect_fits_into_a_hundred_columns(folder):
         assert max(map(len, lines)) <= 100
 
 
-def test_inspect_tells_the_shares_of_a_scene_that_is_read(folder):
+def test_inspect_reports_the_shares_of_a_scene(folder):
     write_ply("bad.ply", broken_scene())
     out = folder.run("inspect", "bad.ply").out
     line = next(line for line in out.splitlines() if line.startswith("of the Gaussians: "))
@@ -377,7 +377,7 @@ def test_inspect_tells_the_shares_of_a_scene_that_is_read(folder):
     assert "of the Gaussians" not in folder.run("inspect", "none.ply").out
 
 
-def test_a_small_share_is_not_shown_as_none(folder):
+def test_a_small_share_is_not_shown_as_zero(folder):
     scene = random_scene(30_000, 0, seed=9)
     scene.opacity[:] = 1.0
     scene.opacity[0, 0] = -20.0
@@ -385,7 +385,7 @@ def test_a_small_share_is_not_shown_as_none(folder):
     assert "<0.01 % transparent" in folder.run("inspect", "many.ply").out
 
 
-def test_inspect_reads_blocks_for_statistics_alone(folder):
+def test_inspect_reads_blocks_only_for_statistics(folder):
     data = bytearray((folder.path / "scene.egs").read_bytes())
     data[-100] ^= 1
     (folder.path / "damaged.egs").write_bytes(data)
@@ -393,7 +393,7 @@ def test_inspect_reads_blocks_for_statistics_alone(folder):
     assert "checksum" in folder.refuse("inspect", "damaged.egs", "--histogram")
 
 
-def test_inspect_refuses_what_has_no_effect(folder):
+def test_inspect_refuses_options_without_effect(folder):
     assert "--max-bytes" in folder.refuse("inspect", "scene.egs", "--max-bytes", "1000000")
     assert folder.run("inspect", "scene.egs", "--histogram", "--max-bytes", "1000000").status == 0
     for file in ("scene.egs", "scene.ply"):

@@ -66,7 +66,7 @@ def test_bytes_of_edge_scenes_are_the_same_on_disk(profile, name):
 
 @pytest.mark.usefixtures("everything_on_disk")
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
-def test_what_is_dropped_or_replaced_is_the_same_on_disk(profile):
+def test_dropped_and_replaced_values_are_the_same_on_disk(profile):
     scene = random_scene(2000, 1, seed=62)
     scene.opacity[0, 5:50] = np.nan
     scene.rot[:, 100:110] = 0
@@ -80,7 +80,7 @@ def test_what_is_dropped_or_replaced_is_the_same_on_disk(profile):
 
 @pytest.mark.usefixtures("everything_on_disk")
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
-def test_files_are_the_same_while_pages_are_given_back_all_the_time(profile, tmp_path, monkeypatch):
+def test_files_are_the_same_with_constant_page_release(profile, tmp_path, monkeypatch):
     monkeypatch.setattr(memory_limit, "_check", lambda least, what: None)
     monkeypatch.setattr(memory_limit, "_FIXED", -(10**9))
     ply, whole, within = tmp_path / "scene.ply", tmp_path / "whole.egs", tmp_path / "within.egs"
@@ -124,7 +124,7 @@ def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_pat
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
-def test_decoding_holds_some_slabs(profile, tmp_path, monkeypatch):
+def test_decoding_keeps_only_some_slabs(profile, tmp_path, monkeypatch):
     monkeypatch.setattr(slabs, "_SLAB", 1)
     count = 40_000
     data, _ = encode_scene(random_scene(count, 3, seed=64), Config(profile, block_size=BLOCK))
@@ -138,7 +138,7 @@ def test_decoding_holds_some_slabs(profile, tmp_path, monkeypatch):
         tracemalloc.stop()
 
 
-def test_files_have_no_name_and_go_with_their_arrays(tmp_path, monkeypatch):
+def test_files_have_no_name_and_end_with_their_arrays(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     disk = Disk()
     array = disk.empty((3, 1 << 19), np.float32)
@@ -159,7 +159,7 @@ def test_files_have_no_name_and_go_with_their_arrays(tmp_path, monkeypatch):
     assert watched[1]() is None
 
 
-def test_what_is_given_back_is_still_there(tmp_path, monkeypatch):
+def test_released_pages_keep_their_content(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     disk = Disk()
     array = disk.empty((2, 1 << 18), np.float64)
@@ -220,7 +220,7 @@ def files(tmp_path) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("command", ["encode", "encode -p paper-m", "decode", "verify"])
-def test_too_little_memory_is_refused_with_what_is_enough(command, files, run_codec):
+def test_too_little_memory_is_refused_with_the_minimum(command, files, run_codec):
     source, coded = files
     command, *options = command.split()
     words = {
@@ -240,7 +240,7 @@ def test_too_little_memory_is_refused_with_what_is_enough(command, files, run_co
     assert not err.startswith("Traceback")
 
 
-def test_a_size_that_is_none_is_refused(files, run_codec):
+def test_an_invalid_size_is_refused(files, run_codec):
     for size in ("4 apples", "", "-1GB", "GB"):
         status, out, err = run_codec("verify", str(files[1]), f"--max-memory={size}")
         assert (status, out) == (2, "")
@@ -252,7 +252,7 @@ def test_views_and_targets_need_the_whole_scene(files):
         encode_file(*files, rate=RateTarget(ratio=5), max_memory=10**10, overwrite=True)
 
 
-def test_what_is_read_as_a_whole_is_refused_within_a_limit(files):
+def test_formats_read_as_a_whole_are_refused_within_a_limit(files):
     text = files[0].with_name("text.ply")
     header, _, body = files[0].read_bytes().partition(b"end_header\n")
     rows = np.frombuffer(body, "<f4").reshape(500, -1)
@@ -266,7 +266,7 @@ def test_what_is_read_as_a_whole_is_refused_within_a_limit(files):
             encode_file(source, files[1].with_name("again.egs"), max_memory=10**10)
 
 
-def test_extra_properties_inflate_to_what_they_are(everything_on_disk, tmp_path):
+def test_extra_properties_inflate_to_their_stated_size(everything_on_disk, tmp_path):
     scene = rich_scene(700, 0)
     with using(Disk()):
         data, _ = encode_scene(scene, Config("lossless", extra="keep", keep_order=True))

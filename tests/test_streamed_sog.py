@@ -84,7 +84,7 @@ def counts_of(leaf: dict[str, Any]) -> list[int]:
     return [run["count"] for run in leaf["lods"].values()]
 
 
-def test_the_tree_is_as_viewers_expect(folder, scene):
+def test_the_tree_has_the_layout_viewers_expect(folder, scene):
     meta = json.loads((folder / STREAMED).read_text())
     assert (meta["version"], meta["asset"]) == (1, {"generator": "gs_codec"})
     leaves = leaves_of(meta["tree"])
@@ -161,7 +161,7 @@ def test_leaves_are_of_equal_size(count, tmp_path):
     assert max(sizes) <= LEAF
 
 
-def test_equal_gaussians_are_no_matter(tmp_path):
+def test_equal_gaussians_are_accepted(tmp_path):
     scene = random_scene(1, 1).take(np.zeros(900, np.int64))
     meta = streamed(tmp_path, scene)
     assert meta["counts"][0] == 900
@@ -229,7 +229,7 @@ def test_an_environment_is_part_of_the_scene(copy, scene):
     assert read_scene(copy / STREAMED).count == scene.count + meta["counts"][2]
 
 
-def test_what_is_not_whole_has_no_meta(tmp_path):
+def test_incomplete_output_has_no_meta(tmp_path):
     write_ply(tmp_path / "scene.ply", random_scene(300, 1))
     (tmp_path / "0_0").write_text("in the way")
     with pytest.raises(InvalidInput, match="0_0"):
@@ -274,7 +274,7 @@ REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_it_does_not_go_with_is_refused(case, tmp_path):
+def test_incompatible_options_are_refused(case, tmp_path):
     write_ply(tmp_path / "scene.ply", random_scene(30, 1))
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / STREAMED).write_text("{}")
@@ -315,7 +315,7 @@ def zipped(folder: Path, path: Path, inside: str = "", order: int = 1, slash: st
 @pytest.mark.parametrize(
     ("inside", "slash"), [("", "/"), ("mouse/", "/"), ("./", "/"), ("a/b/", "\\")]
 )
-def test_a_zip_is_read_as_its_folder_is(inside, slash, order, folder, tmp_path):
+def test_a_zip_is_read_like_its_folder(inside, slash, order, folder, tmp_path):
     path = zipped(folder, tmp_path / "scene.zip", inside, order, slash)
     assert_same_floats(read_scene(path), read_scene(folder / STREAMED))
     told = overview_of(path)

@@ -107,7 +107,7 @@ def of(lines: list[dict], kind: str, scene: str | None = None) -> list[dict]:
 
 
 @pytest.mark.thorough
-def test_every_kind_of_line_is_there_and_says_its_scene(suite):
+def test_all_kinds_of_lines_exist_and_name_their_scene(suite):
     lines, _, _ = suite
     common = {"scene", "memory", "beside", "point", "geometry"}
     for scene, others in (("shot", set()), ("plain", {"scaling", "device"})):
@@ -116,7 +116,7 @@ def test_every_kind_of_line_is_there_and_says_its_scene(suite):
 
 
 @pytest.mark.thorough
-def test_the_run_can_be_told_from_its_first_line(suite):
+def test_the_first_line_identifies_the_run(suite):
     lines, _, out = suite
     machine = lines[0]
     assert (machine["repeats"], machine["skipped"]) == (1, [])
@@ -126,7 +126,7 @@ def test_the_run_can_be_told_from_its_first_line(suite):
 
 
 @pytest.mark.thorough
-def test_a_scene_says_what_views_it_is_measured_in(suite):
+def test_a_scene_states_its_measuring_views(suite):
     [shot], [plain] = (of(suite[0], "scene", name) for name in ("shot", "plain"))
     assert (shot["gaussians"], shot["sh_degree"], shot["photographs"]) == (300, 1, True)
     assert (shot["cameras"], shot["measured_views"], shot["encoded_by_views"]) == (
@@ -139,7 +139,7 @@ def test_a_scene_says_what_views_it_is_measured_in(suite):
 
 
 @pytest.mark.thorough
-def test_codecs_stand_beside_each_other(suite):
+def test_codecs_are_measured_side_by_side(suite):
     guided = [f"{profile}, camera-guided" for profile in ("l", "m", "s")]
     pruned = ["m, 39 % pruned", "m, 58.8 % pruned"]
     expected = [*PROFILE_CHOICES, *guided, "m, estimated cameras", *pruned]
@@ -182,7 +182,7 @@ def test_pruned_scenes_are_smaller_than_all_of_them(suite):
 
 
 @pytest.mark.thorough
-def test_profiles_that_were_measured_are_points_as_they_are(suite):
+def test_measured_profiles_become_points_unchanged(suite):
     for scene in ("shot", "plain"):
         measured = {line["codec"]: line for line in of(suite[0], "beside", scene)}
         found = of(suite[0], "point", scene)
@@ -217,7 +217,7 @@ def test_curves_reach_each_other_or_end(suite):
 
 
 @pytest.mark.thorough
-def test_what_a_device_would_do_is_absent_without_one(suite):
+def test_device_measurements_are_absent_without_a_device(suite):
     found = of(suite[0], "device")
     if any("absent" not in line for line in found):
         pytest.skip("a device is here")
@@ -243,7 +243,7 @@ def test_costs_grow_over_the_largest_scene_tiled(suite):
 
 
 @pytest.mark.thorough
-def test_positions_are_measured_beside_open3ds_octree(suite):
+def test_positions_are_compared_with_open3ds_octree(suite):
     for scene, count in (("shot", 300), ("plain", 400)):
         ours, theirs = of(suite[0], "geometry", scene)
         assert (ours["coder"], theirs["coder"]) == ("count tree", "Open3D's Octree")
@@ -259,7 +259,7 @@ def test_positions_are_measured_beside_open3ds_octree(suite):
 
 
 @pytest.mark.thorough
-def test_progress_and_absent_codecs_are_told(suite):
+def test_progress_and_absent_codecs_are_reported(suite):
     _, said, out = suite
     assert re.search(r"^ *\d+:\d\d shot: codecs compared$", said, re.MULTILINE)
     assert re.search(r"^ *\d+:\d\d plain: scenes of growing size$", said, re.MULTILINE)
@@ -287,7 +287,7 @@ def test_the_report_is_written(suite):
         assert (out / f"{picture}.png").stat().st_size > 1000
 
 
-def test_groups_left_out_are_not_measured(tmp_path, monkeypatch):
+def test_skipped_groups_are_not_measured(tmp_path, monkeypatch):
     stand_in(monkeypatch)
     path = make_scene(tmp_path / "scene", 100, 6)
     told: list[str] = []
@@ -307,7 +307,7 @@ def test_help_names_every_group():
         assert group in alone.stdout
 
 
-def test_marked_cameras_are_held_out_as_they_say(tmp_path):
+def test_marked_cameras_are_held_out(tmp_path):
     path = make_scene(tmp_path / "scene", 50, 6)
     cameras = orbit_cameras(6)
     for number, camera in enumerate(cameras):
@@ -318,7 +318,7 @@ def test_marked_cameras_are_held_out_as_they_say(tmp_path):
     assert scene_line(measured)["encoded_by_views"] == 4
 
 
-def test_one_camera_is_measured_in_and_encoded_by(tmp_path):
+def test_one_camera_measures_and_guides(tmp_path):
     line = scene_line(open_with_cameras(make_scene(tmp_path / "scene", 50, 1), WIDTH))
     assert (line["measured_views"], line["encoded_by_views"]) == (1, 1)
 
@@ -344,7 +344,7 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
         (["a/scene.ply", "--out", "taken", "--overwrite"], "taken/suite.jsonl: a directory"),
     ],
 )
-def test_what_cannot_be_done_is_refused_before_the_work(tmp_path, monkeypatch, arguments, message):
+def test_invalid_requests_are_refused_before_the_work(tmp_path, monkeypatch, arguments, message):
     for name in "ab":
         (tmp_path / name).mkdir()
         write_ply(tmp_path / name / "scene.ply", random_scene(20, 0, seed=1))
@@ -359,14 +359,14 @@ def test_what_cannot_be_done_is_refused_before_the_work(tmp_path, monkeypatch, a
     assert not (tmp_path / "out" / "suite.jsonl").exists()
 
 
-def test_without_matplotlib_nothing_is_begun(tmp_path, monkeypatch):
+def test_without_matplotlib_nothing_is_started(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     result = CliRunner().invoke(app, ["bench", "suite", "x.ply", "--out", str(tmp_path / "out")])
     assert isinstance(result.exception, MissingTool)
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_leaves_what_was_measured(tmp_path, monkeypatch, capsys):
+def test_ctrl_c_keeps_finished_measurements(tmp_path, monkeypatch, capsys):
     stand_in(monkeypatch)
     path, out = make_scene(tmp_path / "scene", 60), tmp_path / "out"
 

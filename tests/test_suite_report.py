@@ -114,14 +114,14 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_section_is_there_in_order(written: Path) -> None:
+def test_all_sections_exist_in_order(written: Path) -> None:
     page = (written / "report.md").read_text()
     titles = re.findall(r"^##? (.*)$", page, re.MULTILINE)
     scenes = ["bonsai (1,000, 3)", "sample (1,000, 3)"]
     assert titles == ["Benchmarks of gs_codec", *scenes, "Positions", "Scaling", "Circumstances"]
 
 
-def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
+def test_pictures_are_next_to_the_page_and_shown(written: Path) -> None:
     pictures = ["rate", "time", "frontier"]
     pictures = [f"{name}-{scene}" for scene in ("bonsai", "sample") for name in pictures]
     files = [f"{name}.png" for name in [*pictures, "scaling"]]
@@ -156,13 +156,13 @@ def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
         "SOG: no &lt;node>",
     ],
 )
-def test_page_says(written: Path, text: str) -> None:
+def test_content_of_the_page(written: Path, text: str) -> None:
     assert text in (written / "report.md").read_text()
 
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", KINDS)
-def test_lines_of_one_kind_will_do(kind: str, tmp_path: Path) -> None:
+def test_lines_of_one_kind_are_enough(kind: str, tmp_path: Path) -> None:
     others = [line for line in lines_of_all() if line.get("scene") != "sample"]
     write_report([line for line in others if line["kind"] == kind], tmp_path)
     assert (tmp_path / "report.md").read_text().startswith("# Benchmarks")
@@ -172,7 +172,7 @@ def test_lines_of_one_kind_will_do(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "start"), [("beside", "\n"), ("scene", "| codec"), ("point", "| codec")]
 )
-def test_lines_without_one_kind_will_do(kind: str, start: str, tmp_path: Path) -> None:
+def test_lines_without_one_kind_are_enough(kind: str, start: str, tmp_path: Path) -> None:
     write_report([line for line in lines_of("bonsai", True) if line["kind"] != kind], tmp_path)
     assert (tmp_path / "headline.md").read_text().startswith(start)
 
@@ -192,7 +192,7 @@ def test_lines_survive_json(tmp_path: Path) -> None:
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", ["<b>&\"'", "../../up | `x` [a](b)", "$x_{$\n\t\x00", "森" * 60])
-def test_names_are_but_text(name: str, tmp_path: Path) -> None:
+def test_names_are_escaped(name: str, tmp_path: Path) -> None:
     lines = [beside(name, False, codec) for codec in CODECS[:2]]
     machine = {"kind": "machine", "command": f"gs-codec bench suite {name}"}
     write_report([machine, *lines, lines_of(name, photographs=False)[0]], tmp_path / "out")
@@ -224,7 +224,7 @@ def test_equal_views_have_no_psnr(tmp_path: Path) -> None:
     assert "| exact | 1.53x, equal |" in (tmp_path / "headline.md").read_text()
 
 
-def test_a_clock_too_coarse_is_no_error(tmp_path: Path) -> None:
+def test_a_coarse_clock_is_not_an_error(tmp_path: Path) -> None:
     lines = [beside("bonsai", True, codec) for codec in CODECS[:3]]
     lines[0]["decode_seconds"] |= {"min": 0.0}
     lines[1]["decode_seconds"] = {"median": 0.0, "min": 0.0, "max": 0.0}
@@ -268,7 +268,7 @@ def test_without_matplotlib_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_is_no_folder(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     target = tmp_path / "file"
     target.write_text("mine")
     with pytest.raises(InvalidInput):

@@ -42,7 +42,7 @@ def assert_printable(*texts: str) -> None:
         assert HOSTILE[:4] not in text
 
 
-def test_what_steers_a_terminal_is_escaped():
+def test_terminal_controls_are_escaped():
     assert printable("né 中 'x' \\") == "né 中 'x' \\"
     assert printable("\x1b[2J\x07\u202e\udc80\n") == r"\x1b[2J\x07\u202e\udc80\n"
     assert printable(printable(HOSTILE)) == printable(HOSTILE)
@@ -190,7 +190,7 @@ def test_the_viewer_prints_names_escaped(folder, capsys):
     assert_printable(err)
 
 
-def test_commands_print_by_one_module():
+def test_commands_print_through_one_module():
     root = Path(gs_codec.__file__).parents[1]
     for path in [*(root / "gs_codec/cli").glob("*.py"), *(root / "viewer").rglob("*.py")]:
         if path.name == "output.py":

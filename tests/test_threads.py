@@ -20,7 +20,7 @@ def test_results_are_in_order_and_counted(threads, count):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_items_are_made_when_they_are_worked_on(threads):
+def test_items_are_made_on_demand(threads):
     begun: list[int] = []
     done: list[int] = []
 
@@ -50,7 +50,7 @@ def test_an_error_ends_the_work(threads):
     assert threading.active_count() < 50
 
 
-def test_one_setting_is_for_all_that_is_called():
+def test_one_setting_applies_to_all_calls():
     with using_threads(3):
         assert available_threads() == 3
         with using_threads(None):
@@ -60,7 +60,7 @@ def test_one_setting_is_for_all_that_is_called():
         assert available_threads() == 3
 
 
-def test_what_an_item_calls_stays_in_its_thread():
+def test_nested_calls_stay_in_their_thread():
     def work(_: int) -> list[int]:
         return [threading.get_ident(), *run_all(lambda _: threading.get_ident(), range(4))]
 

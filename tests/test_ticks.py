@@ -61,6 +61,6 @@ def test_marks_of_counts_are_whole_and_begin_at_1(most):
         (-2, -1.8, True, [0.01, 0.011, 0.012, 0.013, 0.014, 0.015]),
     ],
 )
-def test_ticks_of_axes_are_round_and_within(low, high, log, ticks):
+def test_ticks_of_axes_are_round_and_in_range(low, high, log, ticks):
     found = axis_ticks(low, high, 8, log)
     np.testing.assert_allclose(10**found if log else found, ticks, atol=1e-12)

@@ -56,7 +56,7 @@ def both(scene, **options):
 
 @needs_torchac
 @pytest.mark.parametrize("name", EDGES)
-def test_edge_scenes_are_those_of_rans(name):
+def test_edge_scenes_decode_like_rans(name):
     data, _ = both(EDGES[name])
     assert reference_decode(data)["count"] == EDGES[name].count
 
@@ -66,7 +66,7 @@ def test_edge_scenes_are_those_of_rans(name):
     ("profile", "models"),
     [("paper-l", "parametric"), ("paper-m", "table"), ("paper-s", "best")],
 )
-def test_blocks_are_those_of_rans_and_of_the_reference_decoder(profile, models):
+def test_blocks_decode_like_rans_and_the_reference_decoder(profile, models):
     scene = random_scene(1100, 3, seed=70)
     data, _ = both(scene, profile=profile, models=models)
     values, decoded = reference_decode(data)["values"], decode_scene(data)
@@ -81,7 +81,7 @@ def test_blocks_are_those_of_rans_and_of_the_reference_decoder(profile, models):
 
 @needs_torchac
 @pytest.mark.parametrize("bits", [1, 12])
-def test_depths_are_those_of_rans(bits):
+def test_depths_decode_like_rans(bits):
     """With 12 bits, a block takes two runs."""
     data, _ = both(random_scene(1100, 1, seed=71), depths=dict.fromkeys(DEPTH_GROUPS, bits))
     assert reference_decode(data)["count"] == 1100
@@ -109,7 +109,7 @@ def test_threads_and_repetition_change_nothing():
 
 
 @needs_torchac
-def test_a_part_is_that_of_rans():
+def test_parts_decode_like_rans():
     scene = random_scene(3000, 2, seed=74)
     low, high = np.quantile(scene.positions, [0.1, 0.4], axis=1)
     part = Part((*low, *high), sh_degree=1)
@@ -120,7 +120,7 @@ def test_a_part_is_that_of_rans():
 
 
 @needs_torchac
-def test_inspect_tells_the_coder(tmp_path):
+def test_inspect_names_the_coder(tmp_path):
     path = tmp_path / "scene.egs"
     path.write_bytes(encode_scene(random_scene(300, 1, seed=75), config())[0])
     told = inspect_bytes(path.read_bytes()).coder
@@ -132,7 +132,7 @@ def test_inspect_tells_the_coder(tmp_path):
     assert json.loads(listed.stdout)["coder"] == told
 
 
-def test_inspect_tells_the_other_coders():
+def test_inspect_names_the_other_coders():
     scene = random_scene(50, 1, seed=76)
     for profile in PROFILE_CHOICES:
         coder = inspect_bytes(encode_scene(scene, Config(profile))[0]).coder
@@ -140,7 +140,7 @@ def test_inspect_tells_the_other_coders():
 
 
 @needs_torchac
-def test_a_reader_that_does_not_know_it_refuses_it():
+def test_readers_without_the_feature_refuse_it():
     file = read_file(encode_scene(random_scene(50, 0, seed=77), config())[0])
     entries = file.header_size - 4 - 20 * len(file.table)
     table = bytes(file.data[entries : file.header_size - 4])
@@ -220,7 +220,7 @@ LIES = {
 
 @needs_torchac
 @pytest.mark.parametrize("lie", LIES)
-def test_streams_that_lie_are_refused(lie):
+def test_inconsistent_streams_are_refused(lie):
     section, change, kind, message = LIES[lie]
     data = encode_scene(random_scene(900, 1, seed=80), config())[0]
     data = with_section(data, section, change)
@@ -272,14 +272,14 @@ def unloaded():
 
 
 @needs_torchac
-def test_what_torchac_prints_is_not_seen(unloaded, capfd):
+def test_output_of_torchac_is_hidden(unloaded, capfd):
     torchac_coder.require_torchac()
     print("after")
     assert capfd.readouterr() == ("after\n", "")
 
 
 @needs_torchac
-def test_what_was_killed_as_it_compiled_is_not_waited_for(unloaded, monkeypatch):
+def test_a_killed_compilation_does_not_block(unloaded, monkeypatch):
     from torch.utils.file_baton import FileBaton
 
     def take_and_die(self: FileBaton) -> bool:

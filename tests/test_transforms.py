@@ -217,7 +217,7 @@ def test_images_are_found_in_the_folder_that_their_names_begin_with(tmp_path):
             find_image(tmp_path / folder, "test/r_0")
 
 
-def test_images_outside_are_not_found_by_what_is_left_of_a_name(tmp_path):
+def test_images_outside_the_folder_are_not_found(tmp_path):
     folder = tmp_path / "images"
     write_image(folder / "a.jpg")
     secret = write_image(tmp_path / "secret.png")
@@ -253,14 +253,14 @@ def test_folder_of_blenders_files_has_both_splits(tmp_path):
     assert [camera.name for camera in read_cameras(tmp_path)] == ["test/r_0"]
 
 
-def test_name_in_both_files_is_that_of_two_cameras(tmp_path):
+def test_name_in_both_files_gives_two_cameras(tmp_path):
     for word in ("train", "test"):
         write_transforms(tmp_path / f"transforms_{word}.json", frame("a"), **SHARED)
     found = [(camera.name, camera.split) for camera in read_cameras(tmp_path)]
     assert found == [("a", "train"), ("a", "test")]
 
 
-def test_a_model_and_cameras_json_go_before_transforms(tmp_path):
+def test_a_model_and_cameras_json_precede_transforms(tmp_path):
     def first() -> str:
         return read_cameras(tmp_path)[0].name
 
@@ -450,7 +450,7 @@ def test_bad_file_is_refused_in_one_line(name, tmp_path):
     assert_refused(path, message)
 
 
-def test_damage_is_refused_or_gives_valid_cameras_seed5(tmp_path):
+def test_damaged_files_are_refused_or_give_valid_cameras_seed5(tmp_path):
     rng = np.random.default_rng(5)
     path = tmp_path / "t.json"
     frames = [frame("a"), frame("b", k1=0.01), frame("c", camera_angle_x=1.0)]

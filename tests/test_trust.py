@@ -32,7 +32,7 @@ def test_views_that_agree_are_trusted(scene):
     assert blind_share(scene, weights, around(VIEWS)) == 0.003
 
 
-def test_views_are_trusted_less_the_less_regions_tell_of_one_another(scene):
+def test_views_are_trusted_less_if_regions_predict_each_other_less(scene):
     """A Gaussian is visible from one side; all other views of it are random."""
     expected = expected_of(scene).colour
     shares = []
@@ -51,7 +51,7 @@ def test_a_single_view_is_not_trusted(scene):
     assert blind_share(scene, weights, around(1)) == 0.95
 
 
-def test_a_blend_keeps_the_level_of_what_is_measured(scene):
+def test_a_blend_keeps_the_measured_level(scene):
     rng = np.random.default_rng(4)
     expected = expected_of(scene)
     found = Sensitivity(*(np.exp(rng.normal(0, 1, np.shape(e))) * e for e in expected))

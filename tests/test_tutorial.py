@@ -110,7 +110,7 @@ def _is_near(wanted: str, found: str) -> bool:
     not (shutil.which("git") and shutil.which("make") and (ROOT / ".git").exists()),
     reason="needs git, make, and a clone",
 )
-def test_every_command_runs_and_prints_what_is_shown(tmp_path):
+def test_commands_print_the_shown_output(tmp_path):
     folder = clone(tmp_path / "clone")
     done = type_all(folder, without_network(tmp_path / "packages"))
     assert len(done) >= 15

@@ -51,7 +51,7 @@ def test_help_alone_lists_commands(folder):
         ("bench run", "Missing argument: expected SCENE...", "bench run [OPTIONS] SCENE..."),
     ],
 )
-def test_usage_stands_under_what_is_missing(folder, typed, error, usage):
+def test_usage_follows_the_missing_argument(folder, typed, error, usage):
     name = " ".join(word for word in typed.split() if word != "a.ply")
     expected = f"gs-codec: error: {error}\nusage: gs-codec {usage} (more: gs-codec help {name})\n"
     assert folder.run(*typed.split()) == (2, "", expected)
@@ -73,7 +73,7 @@ def test_globs_that_the_shell_expanded(folder, typed, wanted):
 
 
 @pytest.mark.parametrize(("typed", "kept"), [("40", 600), ("40%", 600), ("0.4%", 6)])
-def test_shares_are_typed_with_and_without_percent(folder, typed, kept):
+def test_shares_accept_a_percent_sign(folder, typed, kept):
     told = strict_json(folder.run("convert", "scene.ply", "a.ply", "--keep", typed, "--json").out)
     assert told["gaussians"] == kept
 
@@ -85,7 +85,7 @@ def test_percentages_of_pruning(folder, typed):
     assert strict_json(out)["gaussians"] == 1050
 
 
-def test_shares_that_may_be_fractions_are_refused(folder):
+def test_ambiguous_fractions_are_refused(folder):
     error = folder.refuse("convert", "scene.ply", "a.ply", "--keep", "0.4")
     assert "--keep 0.4: expected percent, for example 40% or 0.4%" in error
     assert "--threads 2%: expected an integer" in folder.refuse(
@@ -130,7 +130,7 @@ def test_quiet_leaves_results_warnings_and_errors(folder, caplog):
     )
 
 
-def test_verbose_tells_stages_and_memory(folder, caplog):
+def test_verbose_prints_stages_and_memory(folder, caplog):
     status, out, err = folder.run("encode", "scene.ply", "a.egs", "-p", "paper-m", "-v")
     assert (status, bool(out)) == (0, True)
     assert re.fullmatch(r"read: \d+\.\d{3} s", caplog.messages[0])
@@ -138,7 +138,7 @@ def test_verbose_tells_stages_and_memory(folder, caplog):
     assert "of memory" not in folder.run("verify", "a.egs").err
 
 
-def test_a_batch_keeps_suffixes_that_tell_scenes_apart(folder):
+def test_a_batch_keeps_suffixes_that_distinguish_scenes(folder):
     Path("in").mkdir()
     shutil.copy("scene.ply", "in/a.ply")
     shutil.copy("scene.ply", "in/b.ply")

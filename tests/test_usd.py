@@ -58,7 +58,7 @@ def written(path: Path, data: bytes) -> Path:
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("suffix", USD.written)
 @pytest.mark.parametrize(("count", "degree"), [(0, 3), (1, 0), (200, 1), (200, 2), (200, 3)])
-def test_what_is_written_is_read(count, degree, suffix, tmp_path):
+def test_written_usd_round_trips(count, degree, suffix, tmp_path):
     scene = random_scene(count, degree, seed=degree)
     path = written(tmp_path / f"a{suffix}", pack_usd(scene, suffix)[0])
     assert path.read_bytes() == pack_usd(scene, suffix)[0]
@@ -68,7 +68,7 @@ def test_what_is_written_is_read(count, degree, suffix, tmp_path):
 
 
 @pytest.mark.parametrize("degree", range(4))
-def test_attributes_are_as_the_schema_says(degree, tmp_path):
+def test_attributes_follow_the_schema(degree, tmp_path):
     from pxr import Usd, UsdGeom, UsdVol
 
     scene = random_scene(7, degree, seed=1)
@@ -120,7 +120,7 @@ def test_files_of_a_usdz_are_stored_at_multiples_of_64_bytes():
     assert data.index(b"PXR-USDC") % 64 == 0
 
 
-def test_what_usd_cannot_hold_is_said_or_refused():
+def test_losses_of_usd_are_reported_or_refused():
     scene = random_scene(4, 0)
     lost = pack_usd(replace(scene, comments=(ANTIALIASED, "one")), ".usd")[1]
     assert lost[1:] == ("left out: antialias flag; comments (1)",)
@@ -132,7 +132,7 @@ def test_what_usd_cannot_hold_is_said_or_refused():
         pack_usd(scene, ".usd")
 
 
-def test_an_openusd_without_gaussians_is_said(monkeypatch):
+def test_an_openusd_without_gaussians_is_reported(monkeypatch):
     monkeypatch.delattr("pxr.UsdVol.ParticleField3DGaussianSplat")
     with pytest.raises(MissingTool, match=r"without Gaussians\); pip install 'gs-codec\[usd\]'"):
         pack_usd(random_scene(2, 0), ".usd")
@@ -177,7 +177,7 @@ def test_formats_are_recognised_by_content(suffix, tmp_path):
 
 
 @pytest.mark.thorough
-def test_halves_are_read_where_there_are_no_floats(tmp_path):
+def test_halves_are_read_if_there_are_no_floats(tmp_path):
     halves = SPLATS.replace("point3f[] positions", "point3h[] positionsh")
     halves = halves.replace("quatf[] orientations", "quath[] orientationsh")
     halves = halves.replace("float3[] scales", "half3[] scalesh")
@@ -193,7 +193,7 @@ def test_halves_are_read_where_there_are_no_floats(tmp_path):
     np.testing.assert_array_equal(read(tmp_path, HEAD + both).positions[:, 0], [7, 7, 7])
 
 
-def test_what_a_stage_leaves_out_is_as_the_schema_says(tmp_path):
+def test_missing_attributes_have_the_schemas_defaults(tmp_path):
     alone = """def ParticleField3DGaussianSplat "A"
 {
     point3f[] positions.timeSamples = {3: [(1, 2, 3)], 4: [(7, 8, 9)]}
@@ -209,12 +209,12 @@ def test_what_a_stage_leaves_out_is_as_the_schema_says(tmp_path):
 
 
 @pytest.mark.thorough
-def test_longer_attributes_are_cut_off(tmp_path):
+def test_longer_attributes_are_truncated(tmp_path):
     longer = SPLATS.replace("[0.5, 0.25]", "[0.5, 0.25, 0.125]")
     assert_same_bits(read(tmp_path, HEAD + longer), read(tmp_path, HEAD + SPLATS))
 
 
-def test_degree_4_is_left_out(tmp_path, caplog):
+def test_degree_4_is_dropped(tmp_path, caplog):
     def splats(degree: int, kept: int) -> str:
         rows = [(k, k / 2, -k) for g in range(2) for k in range(100 * g, 100 * g + kept)]
         return f"""def ParticleField3DGaussianSplat "A"
@@ -244,7 +244,7 @@ def Xform "Above"
 """
 
 
-def test_prims_are_where_the_stage_puts_them(tmp_path):
+def test_prims_are_transformed_to_the_stage(tmp_path):
     plain = read(tmp_path, HEAD + SPLATS)
     scaled = SPLATS.replace(
         "{\n",
@@ -399,7 +399,7 @@ def test_damaged_files_are_refused_in_one_line(suffix, seed, tmp_path):
         assert seed % 2
 
 
-def test_the_memory_that_a_small_file_may_take_is_little(tmp_path, monkeypatch):
+def test_a_small_file_takes_little_memory(tmp_path, monkeypatch):
     """A length of 7 GB in a file of 1 kB used to be allocated before it was rejected."""
     allowed = []
 

@@ -72,7 +72,7 @@ def as_checkpoint(scene, path):
     ("name", "write"),
     [("a.ply", as_ply), ("a.egs", as_lossless), ("a.pt", as_checkpoint), ("a.ckpt", as_checkpoint)],
 )
-def test_infinite_ends_become_finite_wherever_files_are_read(name, write, tmp_path, caplog):
+def test_infinite_values_become_finite_in_all_readers(name, write, tmp_path, caplog):
     scene = with_ends()
     write(scene, tmp_path / name)
     assert_finite_ends(read_scene(tmp_path / name), scene)
@@ -133,7 +133,7 @@ def test_clouds_and_tensors_are_read_by_the_same_rule(tmp_path, caplog):
 
 
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
-def test_none_is_dropped(profile, tmp_path):
+def test_no_gaussian_with_infinite_values_is_dropped(profile, tmp_path):
     write_ply(tmp_path / "a.ply", with_ends())
     config = Config(profile, nonfinite="drop")
     report = encode_file(tmp_path / "a.ply", tmp_path / "a.egs", config)
@@ -144,7 +144,7 @@ def test_none_is_dropped(profile, tmp_path):
 
 
 @pytest.mark.parametrize("nonfinite", ["error", "drop"])
-def test_lossless_keeps_every_bit_of_them(nonfinite, tmp_path):
+def test_lossless_keeps_infinite_values(nonfinite, tmp_path):
     scene = with_ends()
     config = Config("lossless", keep_order=True, nonfinite=nonfinite)
     write_ply(tmp_path / "a.ply", scene)
@@ -155,7 +155,7 @@ def test_lossless_keeps_every_bit_of_them(nonfinite, tmp_path):
     assert_same_floats(scene, decode_scene((tmp_path / "a.egs").read_bytes()))
 
 
-def test_they_look_the_same(tmp_path):
+def test_finite_values_render_the_same(tmp_path):
     scene = with_ends()
     near = replace(
         scene,
@@ -230,7 +230,7 @@ NAMES = (
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_a_writer_takes_its_reader_reads(name, tmp_path):
+def test_every_written_scene_can_be_read(name, tmp_path):
     if name == "a.usda":
         pytest.importorskip("pxr")
     for case, scene in extreme_scenes().items():

@@ -101,7 +101,7 @@ def viewer(*arguments, **environment) -> subprocess.CompletedProcess:
 # Scenes and reports
 
 
-def test_a_scene_tells_what_it_is(files):
+def test_a_scene_has_facts_about_itself(files):
     scene, coded = open_scene(files / "a.ply"), open_scene(files / "b.egs")
     assert (scene.count, scene.sh_degree, scene.info) == (900, 1, None)
     assert scene.file_bytes == (files / "a.ply").stat().st_size
@@ -112,7 +112,7 @@ def test_a_scene_tells_what_it_is(files):
     assert ((scene.opacities > 0) & (scene.opacities < 1)).all()
 
 
-def test_boxes_hold_most_of_their_blocks(tmp_path):
+def test_boxes_contain_most_of_their_blocks(tmp_path):
     scene = random_scene(3000, 0, seed=301)
     scene.positions[:, ::100] *= 50
     (tmp_path / "c.egs").write_bytes(encode_scene(scene, Config("m", block_size=1024))[0])
@@ -124,7 +124,7 @@ def test_boxes_hold_most_of_their_blocks(tmp_path):
         assert (high - low < np.ptp(block, axis=0)).all()
 
 
-def test_scenes_of_another_system_are_turned_and_say_so(files, tmp_path):
+def test_scenes_of_another_system_are_converted_and_say_so(files, tmp_path):
     scene = read_ply(files / "a.ply")
     other = turn_axes(scene, "RUB")
     write_ply(tmp_path / "said.ply", other)
@@ -150,7 +150,7 @@ def test_scenes_of_another_system_are_turned_and_say_so(files, tmp_path):
     assert again.title == "unsaid.ply"
 
 
-def test_reports_are_of_their_scene(files):
+def test_reports_of_other_scenes_are_refused(files):
     scene = open_scene(files / "a.ply")
     pruned = read_pruned(files / "report", scene)
     assert pruned.counts == {"geometry": 300, "importance": 300}
@@ -182,13 +182,13 @@ def test_heat_goes_from_dark_to_bright():
 
 
 @pytest.mark.parametrize(("count", "most"), [(10, 3), (10, 10), (7, 100), (0, 5), (5, 0)])
-def test_thinned_are_no_more_than_wanted(count, most):
+def test_thinning_respects_the_maximum(count, most):
     left = np.arange(count)[thinned(count, most)]
     assert len(left) <= max(most, 1)
     assert len(left) == count or len(left) > most / 2 or not most
 
 
-def test_errors_are_those_of_the_nearest(files):
+def test_errors_are_to_the_nearest_centre(files):
     scene = open_scene(files / "a.ply")
     changed = scene.cloud.clone()
     f_dc = changed.point["f_dc"].numpy().copy()
@@ -218,7 +218,7 @@ def test_two_scenes_share_one_range_of_sizes(files):
 
 
 @pytest.mark.parametrize("colouring", COLOURINGS)
-def test_centres_of_nothing(colouring):
+def test_centres_of_an_empty_scene(colouring):
     empty = Opened("empty", to_cloud(random_scene(3, 0, seed=1).take(np.arange(0))))
     assert centres(empty, colouring, [empty]).positions.shape == (0, 3)
     assert overview(empty.positions, empty.opacities).position.shape == (3,)
@@ -294,7 +294,7 @@ def test_without_cameras_the_first_viewpoint_is_the_first_estimated_camera(seen,
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("few_cameras")
-def test_a_view_chosen_from_the_scene_is_asked_for_by_its_number(seen, files):
+def test_estimated_views_are_selected_by_number(seen, files):
     scene, _ = seen
     request = Request(files / "a.ply", cameras="auto", view=3)
     views = find_views(request, scene)
@@ -308,7 +308,7 @@ def test_a_view_chosen_from_the_scene_is_asked_for_by_its_number(seen, files):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("up", UPS)
-def test_viewpoints_are_upright_by_the_axis_asked_for(seen, up):
+def test_viewpoints_are_upright_for_the_requested_axis(seen, up):
     scene, views = seen
     asked = find_views(Request(up=up), scene)
     for viewpoint in (*find_viewpoints(scene, views, up), *find_viewpoints(scene, asked, up)):
@@ -327,7 +327,7 @@ def test_viewpoints_are_upright_by_the_axis_asked_for(seen, up):
 
 @pytest.mark.parametrize("up", [None, "z"])
 @pytest.mark.parametrize("name", ["empty", "invisible", "nowhere"])
-def test_what_shows_nothing_has_an_overview_all_the_same(name, up):
+def test_empty_scenes_have_an_overview(name, up):
     scene = random_scene(50, 0, seed=304)
     scene.opacity[:] = -20
     if name == "nowhere":
@@ -343,7 +343,7 @@ def test_what_shows_nothing_has_an_overview_all_the_same(name, up):
     assert first_view(Request(up=up), views) == 0
 
 
-def test_cameras_of_a_file_say_what_is_up(files):
+def test_cameras_of_a_file_determine_the_up_axis(files):
     up = np.array([0.36, -0.48, 0.8])
     looks = np.random.default_rng(303).normal(size=(20, 3))
     cameras = [replace(look_at(np.zeros(3), look, up), frame=(60, 40)) for look in looks]
@@ -375,7 +375,7 @@ def test_the_overview_of_given_cameras_is_from_the_one_that_shows_most(files):
 
 
 @pytest.mark.usefixtures("few_cameras")
-def test_it_is_said_if_the_scene_does_not_show_which_way_is_up(caplog, tmp_path, capsys):
+def test_an_uncertain_up_axis_is_reported(caplog, tmp_path, capsys):
     # Without SH-AC, the up axis cannot be estimated.
     write_ply(tmp_path / "a.ply", random_scene(3000, 0, seed=8))
     path, size = str(tmp_path / "a.ply"), ["--width", "64", "--height", "64"]
@@ -440,7 +440,7 @@ def test_points_half_outside_are_cut():
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_every_layer_is_seen(files, layer):
+def test_every_layer_is_visible(files, layer):
     a, b = open_scene(files / "a.ply"), open_scene(files / "blocks.egs")
     shown = Shown((layer,), scenes=(a, b), pruned=read_pruned(files / "report", a))
     changed = {}
@@ -469,7 +469,7 @@ def test_a_wipe_leaves_some_of_both(wipe):
     assert 0 < start < stop < 40
 
 
-def test_what_is_measured_is_the_frame_of_the_camera(files):
+def test_measurements_use_the_cameras_frame(files):
     camera = gs_codec.render(files / "a.ply", [STRAIGHT.camera(60, 40)]).cameras[0]
     camera = replace(camera, cx=25.0, cy=22.0)
     scenes = [open_scene(files / name) for name in ("a.ply", "b.egs")]
@@ -503,7 +503,7 @@ def test_the_frame_is_outlined_and_measured_whatever_the_layout(files, monkeypat
 
 
 @pytest.mark.thorough
-def test_pictures_are_of_the_size_asked_for(files):
+def test_pictures_have_the_requested_size(files):
     for mode in ("side", "wipe", "flip"):
         request = Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120))
         assert draw_request(request)[0].size == (300, 120)
@@ -527,7 +527,7 @@ def finish(worker: Worker, calls: list) -> None:
         call()
 
 
-def test_only_the_newest_job_of_a_kind_is_told():
+def test_only_the_newest_job_of_a_kind_reports():
     calls, told = [], []
     worker = Worker(calls.append)
     started, go_on = threading.Event(), threading.Event()
@@ -567,7 +567,7 @@ def test_another_thread_does_not_wait_for_the_first_and_ends_with_it():
     assert told == [1]
 
 
-def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():
+def test_jobs_report_progress_and_end_when_stale():
     calls, told, went_on = [], [], []
     worker = Worker(calls.append)
     shown, go_on = threading.Event(), threading.Event()
@@ -592,7 +592,7 @@ def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():
     worker.end()
 
 
-def test_reading_tells_how_far_it_is(files):
+def test_reading_reports_progress(files):
     steps = []
     request = Request(files / "a.ply", files / "b.egs")
     request.scenes(lambda stage, done, total: steps.append(done / total))
@@ -627,7 +627,7 @@ def test_layers_of_a_list():
         ({"octree": OctreeChoice(4, "size")}, "octree-colour 'size': expected occupancy, bits"),
     ],
 )
-def test_wrong_wishes_are_refused(wrong, said):
+def test_invalid_options_are_refused(wrong, said):
     with pytest.raises(gs_codec.GsCodecError, match=said):
         Request(**({"a": Path("a.ply")} | wrong)).check()
 
@@ -646,7 +646,7 @@ def test_screenshots_need_no_display(files, tmp_path):
     assert os.listdir(tmp_path) == ["out.png"]
 
 
-def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, run_viewer):
+def test_a_missing_photograph_is_reported_and_the_rest_drawn(files, tmp_path, run_viewer):
     poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(2)]
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
     (tmp_path / "images").mkdir()
@@ -669,7 +669,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, run
     assert reds[1] > reds[0] + 1000
 
 
-def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch, run_viewer):
+def test_photographs_are_never_executed(files, tmp_path, monkeypatch, run_viewer):
     """PostScript with the name of a picture: Pillow would pass it to Ghostscript."""
     for name in ("bin", "images"):
         (tmp_path / name).mkdir()
@@ -727,7 +727,7 @@ def test_errors_are_one_line(arguments, said, run_viewer, monkeypatch):
         ("none.ply", "", "none.ply: No such file"),
     ],
 )
-def test_without_a_display_it_says_so(files, name, display, said):
+def test_a_missing_display_is_reported(files, name, display, said):
     result = viewer(files / name, DISPLAY=display)
     assert result.returncode == 2
     assert said in result.stderr

@@ -44,14 +44,14 @@ def exact(gaussians, background=(0.0, 0.0, 0.0)) -> np.ndarray:
     return render(gaussians, as_camera(POSE.camera(*SIZE)), background, device="cpu").colour
 
 
-def test_a_draft_is_the_exact_picture_but_for_rounding(scene, gaussians):
+def test_a_draft_equals_the_exact_picture_up_to_rounding(scene, gaussians):
     draft = Drawer(scene).draft(POSE, *SIZE)
     assert draft.dtype == np.float32
     assert np.ptp(draft) > 0.5
     assert psnr(draft, exact(gaussians)) > 90
 
 
-def test_a_draft_of_a_real_scene_is_the_exact_picture_but_for_rounding():
+def test_a_draft_of_a_real_scene_equals_the_exact_picture_up_to_rounding():
     path = SHARED / "bonsai" / "point_cloud.ply"
     if not path.exists():
         pytest.skip("needs the shared scenes")
@@ -76,7 +76,7 @@ def test_a_coarser_draft_is_of_fewer_larger_gaussians(scene, gaussians):
     assert psnr(Drawer(scene).draft(POSE, *SIZE, every=4), expected) > 90
 
 
-def test_a_scene_is_drawn_with_the_opacities_that_its_file_asks_for(gaussians, tmp_path):
+def test_opacity_compensation_follows_the_file(gaussians, tmp_path):
     write_ply(tmp_path / "mip.ply", replace(gaussians, comments=(ANTIALIASED,)))
     drawn = splats({}, open_scene(tmp_path / "mip.ply"), POSE, *SIZE)
     np.testing.assert_array_equal(drawn, exact(replace(gaussians, comments=(ANTIALIASED,))))
@@ -112,7 +112,7 @@ def test_a_background_shows_behind_splats_and_without_them(scene, gaussians):
     np.testing.assert_array_equal(np.unique(empty.reshape(-1, 3), axis=0)[0], np.float32(teal))
 
 
-def test_more_degrees_than_there_are_change_nothing(gaussians):
+def test_degrees_above_the_scenes_change_nothing(gaussians):
     flat = Opened("flat", to_cloud(replace(gaussians, f_rest=gaussians.f_rest[:0])))
     assert gaussians_drawn(flat, Look(Appearance(sh_degree=2))) is flat.gaussians
 
@@ -131,7 +131,7 @@ def test_hidden_gaussians_are_not_drawn(scene, gaussians):
     assert psnr(drawn, np.clip(exact(gaussians.take(~mask)), 0, 1)) > 90
 
 
-def test_nothing_is_drawn_where_all_is_hidden(scene):
+def test_nothing_is_drawn_if_everything_is_hidden(scene):
     shown = Shown(("splats", "centres"), drawn={scene: np.zeros(5000, bool)})
     drawn, _ = draw_scene(scene, POSE, *SIZE, shown, {})
     assert not drawn.any()
@@ -167,7 +167,7 @@ def test_the_shader_gets_the_gaussians_that_are_drawn(scene):
     assert degrees == [0, 1, 2, 2]
 
 
-def test_what_is_measured_does_not_depend_on_the_appearance(scene, gaussians):
+def test_measurements_ignore_the_appearance(scene, gaussians):
     coded = replace(gaussians, f_dc=gaussians.f_dc + np.float32(0.05))
     scenes = scene, Opened("b", to_cloud(coded))
     before, views = measure({}, scenes, POSE), {}

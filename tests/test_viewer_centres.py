@@ -88,7 +88,7 @@ def test_magnitudes_are_heat_on_the_scale_chosen(files, colouring, scale):
 
 
 @pytest.mark.parametrize("colouring", SCALED)
-def test_the_default_scale_is_the_one_that_is_said(files, colouring):
+def test_the_default_scale_is_documented(files, colouring):
     scenes = [open_scene(files / name) for name in ("guided.egs", "blocks.egs")]
     default = centres(scenes[0], colouring, scenes)
     asked = centres(scenes[0], colouring, scenes, scale=SCALED[colouring])
@@ -179,7 +179,7 @@ def test_kinds_differ_for_the_colour_blind():
         ("flat.ply", "sh", "of SH degree 0"),
     ],
 )
-def test_what_is_not_known_is_grey_and_the_caption_says_why(files, name, colouring, reason):
+def test_unknown_values_are_grey_and_the_caption_says_why(files, name, colouring, reason):
     scene, other = open_scene(files / name), open_scene(files / "guided.egs")
     scenes = (scene, other)
     points = centres(scene, colouring, scenes)
@@ -230,6 +230,6 @@ def test_screenshots_are_coloured_by_each(files, colouring, monkeypatch):
         ({"colouring": "error"}, "colour error: expected two scenes"),
     ],
 )
-def test_wrong_wishes_are_refused(wrong, said):
+def test_invalid_options_are_refused(wrong, said):
     with pytest.raises(gs_codec.GsCodecError, match=said):
         Request(**({"a": Path("a.ply")} | wrong)).check()

@@ -47,7 +47,7 @@ def scene(file) -> Opened:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 40])
-def test_a_polygon_holds_what_it_surrounds_once(number):
+def test_a_polygon_follows_the_even_odd_rule(number):
     rng = np.random.default_rng(number)
     corners = [tuple(corner) for corner in rng.integers(0, 20, (number, 2)).tolist()]
     points = np.concatenate([rng.uniform(-2, 22, (500, 2)), rng.integers(0, 20, (200, 2))])
@@ -56,7 +56,7 @@ def test_a_polygon_holds_what_it_surrounds_once(number):
     np.testing.assert_array_equal(in_polygon(points, corners), expected)
 
 
-def test_a_region_selects_drawn_centres_before_the_camera(scene):
+def test_a_region_selects_drawn_centres_in_front_of_the_camera(scene):
     size, focal = (640, 400), 0.866 * 400
     middle = np.median(scene.positions, axis=0)
     pose = look_at(scene.positions[0].astype(float) + 0.01, middle.astype(float))
@@ -78,7 +78,7 @@ def test_a_region_selects_drawn_centres_before_the_camera(scene):
     np.testing.assert_array_equal(found, expected & drawn)
 
 
-def test_what_is_no_place_is_in_no_region():
+def test_nan_centres_are_in_no_region():
     gaussians = random_scene(4, 0)
     gaussians.positions[:] = [[0, np.nan, np.inf, 0], [0, 0, 0, -np.inf], [1, 1, 1, 1]]
     pose, box = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0])), [(0, 0), (9, 0), (9, 9), (0, 9)]
@@ -111,7 +111,7 @@ def test_a_range_of_a_quantity(scene, file, name, low, high, value):
     np.testing.assert_array_equal(chosen, (values >= low) & (values <= high))
 
 
-def test_a_range_has_its_ends_and_no_nan():
+def test_a_range_includes_its_ends_and_no_nan():
     gaussians = random_scene(4, 0)
     gaussians.positions[0] = [1, 2, np.nan, 2.0000002]
     assert in_range(Opened("", to_cloud(gaussians)), "x", 1, 2).tolist() == [1, 1, 0, 0]
@@ -122,7 +122,7 @@ def test_unknown_quantities_are_refused(scene):
         in_range(scene, "size", 0, 1)
 
 
-def test_rules_choose_what_statistics_count(file):
+def test_rules_select_the_gaussians_statistics_count(file):
     """With a scene in which every share has some Gaussians."""
     some = read_ply(file, "drop")
     for k, (group, value) in enumerate(
@@ -145,7 +145,7 @@ def test_rules_choose_what_statistics_count(file):
 # Undo and redo
 
 
-def test_any_steps_are_those_of_plain_sets_and_are_undone(scene):
+def test_random_steps_match_plain_sets_and_are_undone(scene):
     """Random steps with undo and redo, against sets of file rows."""
     rng = np.random.default_rng(42)
     edits, everything = Edits(scene), frozenset(range(scene.count))
@@ -208,7 +208,7 @@ def test_undoing_brings_the_old_objects_back(scene):
     assert edits.scene is first
 
 
-def test_what_is_left_refers_to_the_rows_of_the_file(tmp_path):
+def test_remaining_gaussians_refer_to_rows_of_the_file(tmp_path):
     path = tmp_path / "a.egs"
     gs_codec.write(path, to_cloud(random_scene(3000, 1, 43)), gs_codec.Config(block_size=1024))
     whole, edits = open_scene(path), Edits(open_scene(path))
@@ -229,7 +229,7 @@ def test_what_is_left_refers_to_the_rows_of_the_file(tmp_path):
     np.testing.assert_array_equal(by_rule(scene, "pruned by importance", pruned), labels[left] == 2)
 
 
-def test_an_edited_scene_is_edited_on(scene):
+def test_an_edited_scene_can_be_edited_further(scene):
     before, kept = Edits(scene), np.arange(scene.count) % 3 > 0
     before.keep(kept, "crop")
     edits = Edits(before.scene)
@@ -246,7 +246,7 @@ def test_an_edited_scene_is_edited_on(scene):
     assert edits.scene is before.scene
 
 
-def test_what_is_drawn_is_the_same_array_until_it_changes(scene):
+def test_the_drawn_mask_is_the_same_array_until_it_changes(scene):
     edits = Edits(scene)
     edits.select(np.arange(scene.count) < 100)
     edits.hide()
@@ -258,7 +258,7 @@ def test_what_is_drawn_is_the_same_array_until_it_changes(scene):
     assert (len(edits.drawn), (~edits.drawn).sum()) == (600, 100)
 
 
-def test_nothing_but_a_number_of_steps_is_kept(scene, monkeypatch):
+def test_the_number_of_undo_steps_is_limited(scene, monkeypatch):
     monkeypatch.setattr(editing, "_STEPS", 3)
     edits = Edits(scene)
     for k in range(5):
@@ -277,7 +277,7 @@ def test_steps_that_change_nothing_are_none(scene):
     assert (edits.undone_next, edits.scene) == ("", scene)
 
 
-def test_a_scene_is_never_deleted_whole(scene):
+def test_a_scene_is_never_deleted_completely(scene):
     edits = Edits(scene)
     edits.select_all()
     with pytest.raises(gs_codec.GsCodecError, match="delete: no Gaussian would be left"):
@@ -322,7 +322,7 @@ ACTIONS = (
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("suffix", [".ply", ".egs", ".spz", ".csv"])
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
-def test_what_is_saved_is_what_convert_writes(file, scene, action, suffix, tmp_path):
+def test_saved_scenes_equal_converts(file, scene, action, suffix, tmp_path):
     done = convert_file(file, tmp_path / f"b{suffix}", actions=[action])
     assert 0 < done.count < scene.count
     data = saved_edits(scene, kept_by(action, scene), tmp_path / f"a{suffix}")
@@ -330,7 +330,7 @@ def test_what_is_saved_is_what_convert_writes(file, scene, action, suffix, tmp_p
 
 
 @pytest.mark.parametrize("source", ["said.ply", "fixed.spz", "coded.egs"])
-def test_scenes_of_other_systems_are_saved_as_convert_does(file, source, tmp_path):
+def test_scenes_of_other_systems_are_saved_like_convert(file, source, tmp_path):
     source = tmp_path / source
     if source.name == "said.ply":
         write_ply(source, turn_axes(read_ply(file, "keep"), "RUB"))
@@ -343,7 +343,7 @@ def test_scenes_of_other_systems_are_saved_as_convert_does(file, source, tmp_pat
     assert data == (tmp_path / "b.ply").read_bytes()
 
 
-def test_a_scene_that_was_turned_is_saved_turned(file, tmp_path):
+def test_a_converted_scene_is_saved_converted(file, tmp_path):
     convert_file(file, tmp_path / "b.ply", coordinates="RUB:RDF", actions=ACTIONS[:1])
     scene = turned(open_scene(file))
     data = saved_edits(scene, kept_by(ACTIONS[0], scene), tmp_path / "a.ply")
@@ -354,7 +354,7 @@ def test_a_scene_that_was_turned_is_saved_turned(file, tmp_path):
     assert data == (tmp_path / "d.ply").read_bytes()
 
 
-def test_edits_stay_when_a_scene_is_turned(scene):
+def test_edits_are_kept_when_a_scene_is_converted(scene):
     edits = Edits(scene)
     edits.select(np.arange(scene.count) < 100)
     edits.delete()
@@ -376,7 +376,7 @@ def test_a_cloud_is_saved_too(file, tmp_path):
     assert_same_floats(read_ply(tmp_path / "a.ply", "drop"), from_cloud(cloud, "drop").take(kept))
 
 
-def test_saving_tells_what_is_written_and_lost(scene, tmp_path):
+def test_saving_reports_output_and_losses(scene, tmp_path):
     edits = Edits(scene)
     edits.keep(np.arange(scene.count) < 50, "test")
     assert edits.unsaved
@@ -399,7 +399,7 @@ def test_a_file_that_has_changed_is_not_saved(file, tmp_path):
     assert not (tmp_path / "b.ply").exists()
 
 
-def test_what_cannot_be_written_is_told(scene, file, tmp_path):
+def test_unwritable_outputs_are_reported(scene, file, tmp_path):
     with pytest.raises(gs_codec.GsCodecError, match="input and output are the same file"):
         save_scene(scene, file)
     with pytest.raises(gs_codec.GsCodecError, match=r"suffix '\.xyz', expected"):

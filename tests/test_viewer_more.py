@@ -38,7 +38,7 @@ def test_layers_are_switched_by_clicks_in_both_panes(found, layer):
 
 
 @pytest.mark.parametrize(("layer", "owner"), [("pruned", 0), ("boxes", 1), ("error", 1)])
-def test_what_is_of_one_scene_alone_shows_there(found, layer, owner):
+def test_layers_of_one_scene_show_only_there(found, layer, owner):
     *halves, apart = found["layers"][layer]
     assert halves[1 - owner] < halves[owner] / 10
     assert halves[owner] > 100
@@ -82,26 +82,26 @@ def test_the_octree_says_whose_bits_are_unknown(found):
     assert found["octree"]["after"] == 0
 
 
-def test_a_third_scene_replaces_neither_unasked(found):
+def test_a_third_scene_asks_which_to_replace(found):
     assert found["asked"] == [["a.ply", "b.egs"], ["a.ply", "b.egs"]]
 
 
 @pytest.mark.parametrize("case", ["side 1 ctrl", "side 3 ", "wipe 1 ", "wipe 1 ctrl"])
-def test_drags_of_all_kinds_end_where_one_event_would_and_back_at_their_start(found, case):
+def test_drags_of_all_kinds_do_not_depend_on_events_and_are_reversible(found, case):
     check_drags(found["drags"][case])
 
 
-def test_scrolling_up_comes_nearer(found):
+def test_scrolling_up_moves_nearer(found):
     first, nearer, again, farther = found["wheel"]
     assert nearer < again < farther
     assert again == pytest.approx(first)
 
 
-def test_what_is_near_is_drawn_after_a_layout(found):
+def test_near_parts_are_drawn_after_a_layout(found):
     assert max(found["near"]) < 0.05
 
 
-def test_a_broken_file_is_told_and_the_window_lives(found):
+def test_a_damaged_file_is_reported_and_the_window_stays_open(found):
     title, text = found["message"]
     assert title == "Not possible"
     assert "report.json" in text
@@ -131,7 +131,7 @@ def rows_in(folder: Path, name: str, pose: list, *corners: tuple[int, int]) -> s
 BOX = (60, 40), (150, 40), (150, 160), (60, 160)
 
 
-def test_regions_select_what_is_in_them(edited, folder):
+def test_regions_select_their_gaussians(edited, folder):
     pose = edited["pose"]
     box = rows_in(folder, "a.ply", pose, *BOX)
     assert len(box) > 20
@@ -155,7 +155,7 @@ def test_a_region_and_the_selection_are_seen(edited):
     assert edited["label"] == f"{len(edited['box'])} of 3,000 selected"
 
 
-def test_edits_are_seen_undone_and_done_again(edited):
+def test_edits_are_visible_undone_and_redone(edited):
     left = 3000 - len(edited["removed"])
     assert edited["counts"] == 3 * [3000, left]
     assert [changed > 1000 for changed in edited["changed"]] == [True, False, True, False, True]
@@ -178,19 +178,19 @@ def test_edits_are_seen_undone_and_done_again(edited):
         ("cluster.ply", Action("keep-largest-cluster")),
     ],
 )
-def test_scenes_are_saved_as_convert_does(edited, folder, name, action, tmp_path):
+def test_scenes_are_saved_like_convert(edited, folder, name, action, tmp_path):
     done = gs_codec.convert_file(folder / "a.ply", tmp_path / name, actions=[action])
     assert 100 < done.count < 3000
     assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
-def test_saving_tells_and_asks(edited):
+def test_saving_reports_and_asks(edited):
     assert edited["said"].startswith("filtered.egs saved: 2,174")
     assert edited["unsaved"] == [False, True]
     assert edited["asked"]
 
 
-def test_edits_that_are_not_saved_are_asked_about(edited):
+def test_unsaved_edits_are_asked_about(edited):
     assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
     assert edited["kept"]
     assert edited["asks"]
@@ -215,13 +215,13 @@ def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
     assert chosen["drawn"] > 10
 
 
-def test_centres_show_before_it_is_known_where_to_look_from(chosen):
+def test_centres_are_shown_before_the_first_view_is_known(chosen):
     waits, drawn = chosen["preview"]
     assert waits
     assert drawn > 1
 
 
-def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(chosen):
+def test_estimated_views_are_visited_and_home_is_the_first_picture(chosen):
     assert chosen["where"][2] == "auto_01, 2 of 24 (--view 1)"
     assert np.abs(np.array(chosen["n"]) - chosen["at_first"]).max() > 0.05
     np.testing.assert_allclose(chosen["Home"], chosen["at_first"], atol=1e-5)
@@ -231,13 +231,13 @@ def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(c
     np.testing.assert_allclose(model[:3, 2], np.array(chosen["at_first"])[0, :3, 2], atol=1e-5)
 
 
-def test_the_panel_says_if_the_scene_does_not_show_which_way_is_up(chosen):
+def test_the_panel_reports_an_uncertain_up_axis(chosen):
     unsure, afterwards = chosen["unsure"]
     assert unsure.replace("\n", " ") == ("The up axis is uncertain: press U to choose another.")
     assert afterwards == ""
 
 
-def test_another_scene_in_its_place_begins_with_its_own_overview(chosen):
+def test_a_replaced_scene_starts_at_its_own_overview(chosen):
     number, where, up = chosen["other"]
     assert (number, up) == (0, "cameras")
     assert where.startswith("overview; ")
@@ -248,7 +248,7 @@ def keyed(display, folder) -> dict:
     return drive("drive_keys.py", display, folder)
 
 
-def test_the_window_lives_through_many_sizes_and_keys(keyed):
+def test_the_window_survives_many_sizes_and_keys(keyed):
     assert (keyed["resized"], keyed["pressed"]) == (20, 136)
 
 
@@ -300,7 +300,7 @@ def test_a_click_picks_the_gaussian_that_the_pixel_shows(picked, click):
     assert found["weight"] > 0.01
 
 
-def test_what_is_picked_is_told_and_marked_in_both_panes_until_escape(picked):
+def test_a_pick_is_described_and_marked_in_both_panes_until_escape(picked):
     assert picked["tab"] == "Pick"
     assert picked["text"].startswith("Gaussian of B\nrow, from 0")
     for heading in ("In this view, 200x150", "Error against A's", "Bits: ", "Step sizes (block "):
@@ -346,18 +346,18 @@ def test_keys_fly_along_the_axes_of_the_camera_while_held(used, key, axis, way):
     assert used["flights"]["stops"]
 
 
-def test_while_looking_around_the_camera_stays_where_it_is(used):
+def test_looking_around_does_not_move_the_camera(used):
     before, flying, after = used["looks"]
     assert flying
     np.testing.assert_allclose(after["position"], before["position"])
     assert np.abs(np.subtract(after["rotation"], before["rotation"])).max() > 0.05
 
 
-def test_a_double_click_brings_what_is_there_to_the_middle(used):
+def test_a_double_click_moves_its_point_to_the_middle(used):
     np.testing.assert_allclose(used["focuses"]["was"], used["focuses"]["at"], atol=1e-6)
 
 
-def test_all_of_the_scene_is_framed_and_the_panel_says_that_one_has_moved(used):
+def test_the_whole_scene_is_framed_and_the_panel_reports_the_move(used):
     assert used["focuses"]["framed"] > 0.9
     assert used["focuses"]["where"] == "moved away from view0, 1 of 2 (--view 0) (R returns)"
 
@@ -369,7 +369,7 @@ def test_the_slider_sets_the_field_of_view(used):
     assert where.startswith("moved away from view0")
 
 
-def test_the_chart_of_views_is_that_of_compare_and_leads_to_them(used, folder):
+def test_the_chart_of_views_agrees_with_compare_and_selects_views(used, folder):
     charts = used["charts"]
     scenes = folder / "a.ply", folder / "b.egs"
     views = gs_codec.compare(*scenes, str(folder / "cameras.json"), split="all").views
@@ -406,7 +406,7 @@ def plugged(display, folder) -> dict:
     return drive("drive_plugin.py", display, folder)
 
 
-def test_the_plugin_names_what_it_shows_and_detaches(plugged):
+def test_the_plugin_names_its_geometries_and_detaches(plugged):
     cameras, error = "cameras.json: cameras", "b.egs: error against a.ply"
     assert plugged["named"] == [
         ["a.ply: centres"],
@@ -440,7 +440,7 @@ def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
     assert plugged["ended"]  # nothing is left open
 
 
-def test_the_plugin_tells_what_is_not_possible(plugged, folder):
+def test_the_plugin_reports_failures(plugged, folder):
     suffixes = ".png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp"
     assert plugged["refused"] == {
         "compare": "no scene is open",
@@ -455,7 +455,7 @@ def rated(display, folder) -> dict:
     return drive("drive_rate.py", display, folder)
 
 
-def test_an_encoding_becomes_b_with_the_numbers_of_the_commands(rated, folder):
+def test_a_trial_becomes_b_with_the_numbers_of_the_commands(rated, folder):
     assert rated["empty"] == {"names": ["a.ply"], "lines": [], "told": ""}
     encoded, first = folder / "saved.egs", rated["m"]
     assert first["names"] == ["a.ply", "#1 m"]
@@ -491,7 +491,7 @@ def test_a_target_is_met_that_the_slider_chose(rated):
     assert f"  {rated['quality']}" in shown["told"].splitlines()
 
 
-def test_panes_are_drawn_while_it_encodes_and_cancel_leaves_what_was_there(rated):
+def test_panes_are_drawn_during_encoding_and_cancel_keeps_the_scenes(rated):
     assert rated["doing"].startswith("encoding: ")
     assert rated["meanwhile"] == [2, True]
     for what in ("names", "lines"):
@@ -499,13 +499,13 @@ def test_panes_are_drawn_while_it_encodes_and_cancel_leaves_what_was_there(rated
     assert rated["files"] == ["1.egs", "2.egs"]
 
 
-def test_an_unreachable_target_tells_what_is_in_reach(rated):
+def test_an_unreachable_target_reports_the_reachable_range(rated):
     title, text = rated["refused"]
     assert title == "Not possible"
     assert re.search(r"target 1,000 bytes: unreachable, expected [\d,]+ to [\d,]+ bytes$", text)
 
 
-def test_any_two_tries_are_compared_from_where_one_is(rated):
+def test_any_two_trials_are_compared_from_the_current_pose(rated):
     both, bits = rated["both"], f"{rated['bits']:.4g}"
     assert both["names"] == ["#1 m", f"#2 s {bits} bits"]
     assert [line[0] for line in both["lines"]] == [" ", "B", "A"]
@@ -514,6 +514,6 @@ def test_any_two_tries_are_compared_from_where_one_is(rated):
     assert rated["back"]["names"] == rated["sized"]["names"]
 
 
-def test_files_of_tries_go_with_the_window(rated):
+def test_files_of_trials_are_removed_with_the_window(rated):
     assert rated["closes"]
     assert rated["left"] == [True, False]

@@ -67,7 +67,7 @@ def test_a_file_that_has_changed_is_refused(files, tmp_path):
         _ = scene.bits
 
 
-def test_where_bits_are_unknown_it_says_why(files):
+def test_unknown_bits_are_explained(files):
     ply, ordered = open_scene(files / "a.ply"), open_scene(files / "ordered.egs")
     assert ply.bits is ordered.bits is None
     assert ply.bits_unknown == "not an .egs file"
@@ -188,7 +188,7 @@ def test_two_scenes_are_both_cubes_or_both_points():
 
 
 @pytest.mark.parametrize("colouring", ["occupancy", "bits"])
-def test_odd_scenes_have_cells_too(colouring):
+def test_edge_scenes_have_cells_too(colouring):
     empty = opened(random_scene(3, 0).take(np.arange(0)))
     single = opened(random_scene(1, 0))
     wrong = random_scene(9, 0)
@@ -301,7 +301,7 @@ def finish(submit: Mock) -> None:
     done(job(lambda: False))
 
 
-def test_while_a_slider_moves_cells_are_shown_and_the_last_in_the_end(slid):
+def test_cells_follow_a_moving_slider_and_end_at_its_last_value(slid):
     layer, submit, pane = slid
     for depth in (3, 4, 5, 6):
         layer.show(OctreeChoice(depth))
@@ -318,7 +318,7 @@ def test_while_a_slider_moves_cells_are_shown_and_the_last_in_the_end(slid):
     assert submit.call_count == 2  # nothing changes
 
 
-def test_cells_that_come_after_the_layer_is_off_are_not_shown(slid):
+def test_cells_ready_after_the_layer_is_off_are_not_shown(slid):
     layer, submit, pane = slid
     layer.show(OctreeChoice(3))
     layer.show(None)
@@ -333,7 +333,7 @@ def test_cells_that_come_after_the_layer_is_off_are_not_shown(slid):
     assert layer.legend is None
 
 
-def test_a_failed_drawing_is_told_and_does_not_stop_the_next(slid):
+def test_a_failed_drawing_is_reported_and_does_not_stop_the_next(slid):
     layer, submit, pane = slid
     layer.show(OctreeChoice(3))
     submit.call_args.args[3](MemoryError("too many"))

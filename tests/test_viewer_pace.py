@@ -37,7 +37,7 @@ def drafts(pace: Pace, seconds: float, count: int = 20) -> list[Step]:
     return found
 
 
-def test_nothing_is_drawn_of_what_rests(pace):
+def test_nothing_is_drawn_at_rest(pace):
     assert pace.next(100.0) is None
     assert Pace().next(0.0) is None
     assert Pace().resting
@@ -58,7 +58,7 @@ def test_a_draft_is_finished_during_a_move_and_the_next_one_follows(pace):
     assert not pace.resting
 
 
-def test_the_full_picture_follows_when_nothing_moved_for_a_while(pace):
+def test_the_full_picture_follows_after_a_pause(pace):
     pace.move(10.0)
     assert not draw(pace, 10.0, 0.05).full
     assert pace.next(10.0 + 0.9 * REST) is None
@@ -67,7 +67,7 @@ def test_the_full_picture_follows_when_nothing_moved_for_a_while(pace):
     assert pace.next(20.0) is None
 
 
-def test_the_full_picture_follows_at_once_when_it_is_let_go(pace):
+def test_the_full_picture_follows_at_once_after_release(pace):
     pace.move(10.0)
     draft = pace.next(10.0)
     pace.move(10.01)

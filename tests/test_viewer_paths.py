@@ -74,7 +74,7 @@ def test_whole_paths_and_addresses_of_files_are_pasted(folder, text):
         ("pipe.ply", SCENES, "not a file"),
     ],
 )
-def test_what_cannot_be_opened_is_told_in_a_line(folder, name, kind, said):
+def test_unreadable_paths_are_reported_in_a_line(folder, name, kind, said):
     (folder / "empty.ply").touch()
     os.mkfifo(folder / "pipe.ply")
     with pytest.raises(gs_codec.InvalidInput) as caught:
@@ -82,7 +82,7 @@ def test_what_cannot_be_opened_is_told_in_a_line(folder, name, kind, said):
     assert str(caught.value) == f"{folder / name}: {said}"
 
 
-def test_a_file_without_permission_is_told(folder, monkeypatch):
+def test_a_file_without_permission_is_reported(folder, monkeypatch):
     def denied(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -124,7 +124,7 @@ def test_a_name_gets_a_suffix_if_it_has_none(folder, name, kind, suffix, written
         ("Sub.png", "a directory, expected a file name"),
     ],
 )
-def test_what_cannot_be_written_is_told(folder, name, said):
+def test_unwritable_paths_are_reported(folder, name, said):
     (folder / "Sub.png").mkdir()
     with pytest.raises(gs_codec.InvalidInput, match=said):
         to_write(folder / name, PICTURES, ".png")
@@ -140,10 +140,10 @@ def test_what_cannot_be_written_is_told(folder, name, said):
         ("", ".png", "", "scene.png"),
     ],
 )
-def test_names_are_suggested_that_no_file_has(folder, scene, suffix, mark, name):
+def test_suggested_names_are_unused(folder, scene, suffix, mark, name):
     assert suggested(folder, Path(scene), suffix, mark) == name
 
 
-def test_another_format_changes_the_suffix_alone():
+def test_another_format_changes_only_the_suffix():
     assert SAVED_SCENES.named("a.b.compressed.ply", ".egs") == "a.b.egs"
     assert SAVED_SCENES.named("a.b", ".egs") == "a.b.egs"

@@ -85,7 +85,7 @@ def test_no_other_gaussian_has_a_larger_weight(a):
     assert hit == Hit(0, int(rows[np.argmax(weights)]), float(weights.max()))
 
 
-def test_where_nothing_is_nothing_is_picked(a):
+def test_empty_pixels_pick_nothing(a):
     away = replace(POSE, position=np.array([0.0, 0.0, 50.0]))
     assert Picker([a]).pick(0, away, SIZE, (24.5, 16.5)) is None
     assert Picker([a]).pick(0, away, SIZE, (24.5, 16.5), ("centres",)) is None
@@ -115,7 +115,7 @@ def test_points_on_top_are_picked_where_they_are_drawn(a):
 
 
 @pytest.mark.parametrize("layers", [("splats",), ("centres",)])
-def test_what_is_hidden_is_not_picked(a, layers):
+def test_hidden_gaussians_are_not_picked(a, layers):
     picker, at = Picker([a]), (24.5, 16.5)
     row = picker.pick(0, POSE, SIZE, at, layers).row
     others = picker.pick(0, POSE, SIZE, at, layers, Look(drawn=np.arange(COUNT) != row))
@@ -126,7 +126,7 @@ def test_what_is_hidden_is_not_picked(a, layers):
 # What is known
 
 
-def test_it_has_the_attributes_of_its_row(a, files):
+def test_a_pick_has_the_attributes_of_its_row(a, files):
     found = Picker([a]).describe(Hit(0, 77), POSE)
     with open_file(files / "a.ply") as file:
         scene = file.scene("drop", None).take(np.array([77]))
@@ -146,7 +146,7 @@ def test_it_has_the_attributes_of_its_row(a, files):
     assert found.coded is found.difference is None
 
 
-def test_it_adds_to_the_frame_what_a_rendering_of_it_sums(a):
+def test_contributions_equal_the_renderers_sums(a):
     pose = replace(POSE, frame=(60, 40))
     camera = pose.camera(60, 40)
     sums = gs_codec.render(a.cloud, [camera], accumulate=True).draw(camera).accumulations
@@ -193,7 +193,7 @@ BY = {
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", BY)
-def test_gaussians_are_matched_as_compare_matches_them(a, files, name):
+def test_gaussians_are_matched_like_by_compare(a, files, name):
     other = open_scene(files / name)
     match = Match(a, other)
     assert match.matched_by == BY[name]
@@ -221,7 +221,7 @@ def test_gaussians_are_matched_as_compare_matches_them(a, files, name):
         assert back.colour == pytest.approx(found[row].colour)
 
 
-def test_the_error_is_that_of_its_attributes(a):
+def test_differences_are_those_of_the_attributes(a):
     scene = a.gaussians
     other = replace(
         scene,
@@ -250,14 +250,14 @@ def test_unrelated_scenes_are_matched_by_their_centres(a):
     assert Match(a, empty).difference(0, 4) is None
 
 
-def test_a_scene_that_was_turned_by_hand_is_not_matched_by_its_order(a, files):
+def test_a_manually_converted_scene_is_not_matched_by_its_order(a, files):
     """The order refers to stored positions."""
     by_hand = turned(open_scene(files / "m.egs"))
     assert Match(a, by_hand).matched_by == NEAREST
     assert Match(a, turned(by_hand)).difference(0, 4) is not None
 
 
-def test_opacity_compensation_is_as_in_the_picture(files, tmp_path):
+def test_opacity_compensation_is_that_of_the_picture(files, tmp_path):
     with open_file(files / "a.ply") as file:
         scene = file.scene("drop", None)
     write_ply(tmp_path / "mip.ply", replace(scene, comments=(ANTIALIASED,)))
@@ -272,7 +272,7 @@ def test_opacity_compensation_is_as_in_the_picture(files, tmp_path):
 # Text and mark
 
 
-def test_the_text_has_all_of_it(a, files):
+def test_the_text_is_complete(a, files):
     b = open_scene(files / "m.egs")
     picker = Picker([a, b], Pruned(("geometry",), np.ones(COUNT, np.uint8)))
     hit = picker.pick(0, POSE, SIZE, (24.5, 16.5))
@@ -314,7 +314,7 @@ def test_a_mark_goes_around_its_gaussian_and_is_seen_on_any_background(a):
     assert marker(a, row, behind, *SIZE) == []
 
 
-def test_what_is_not_drawn_is_marked_by_a_circle(a):
+def test_invisible_gaussians_are_marked_by_a_circle(a):
     faint = a.gaussians
     faint = replace(faint, opacity=np.full_like(faint.opacity, -20))
     scene = Opened("faint", to_cloud(faint))

@@ -82,7 +82,7 @@ def files(trials: Trials, *done: Trial) -> bool:
     ],
     ids=str,
 )
-def test_a_try_is_the_file_of_the_command(trials, folder, tmp_path, settings, options):
+def test_a_trial_equals_the_file_of_the_command(trials, folder, tmp_path, settings, options):
     options = [str(folder / "cameras.json") if each == "C" else each for each in options]
     told = command("encode", folder / "a.ply", tmp_path / "b.egs", *options)
     tried, opened = trials.encode(settings)
@@ -92,7 +92,7 @@ def test_a_try_is_the_file_of_the_command(trials, folder, tmp_path, settings, op
     assert files(trials, tried)
 
 
-def test_its_numbers_are_those_of_the_commands(trials, folder, tmp_path):
+def test_numbers_equal_those_of_the_commands(trials, folder, tmp_path):
     tried, opened = trials.encode(EncodingSettings("s"))
     trials.save(tried, tmp_path / "b.egs")
     inspected = command("inspect", tmp_path / "b.egs")
@@ -129,7 +129,7 @@ def test_without_cameras_views_are_estimated_once(folder, tmp_path, monkeypatch)
     assert told.count("cameras") > 2
 
 
-def test_a_cloud_is_encoded_as_its_file_is(trials, folder, tmp_path):
+def test_a_cloud_is_encoded_like_its_file(trials, folder, tmp_path):
     cloud = gs_codec.read(folder / "a.ply")
     of_cloud = Trials(Opened("cloud", cloud), tmp_path, trials.cameras)
     for settings in (
@@ -143,7 +143,7 @@ def test_a_cloud_is_encoded_as_its_file_is(trials, folder, tmp_path):
 
 
 @pytest.mark.parametrize("change", ["edited", "turned"])
-def test_a_scene_that_is_not_as_its_file_is_encoded_as_it_is(folder, tmp_path, change):
+def test_an_edited_scene_is_encoded_as_edited(folder, tmp_path, change):
     edits = Edits(open_scene(folder / "a.ply"))
     if change == "edited":
         edits.keep(np.arange(1500) % 3 > 0, "test")
@@ -153,7 +153,7 @@ def test_a_scene_that_is_not_as_its_file_is_encoded_as_it_is(folder, tmp_path, c
     np.testing.assert_array_equal(*places)
 
 
-def test_they_are_kept_in_order_and_opened_again(trials):
+def test_trials_are_kept_in_order_and_can_be_opened_again(trials):
     for settings in (EncodingSettings("s"), EncodingSettings("m", "bits", 150.0)):
         trials.add(trials.encode(settings)[0])
     assert [tried.name for tried in trials.all] == ["#1 s", "#2 m 150 bits"]
@@ -191,7 +191,7 @@ def stopped_at(number: int) -> Callable[[str, int, int], None]:
     ],
     ids=str,
 )
-def test_it_stops_at_any_step_and_leaves_nothing(trials, settings):
+def test_encoding_stops_at_any_step_and_leaves_nothing(trials, settings):
     steps: list[str] = []
     trials.encode(settings, lambda stage, *_: steps.append(stage))[0].path.unlink()
     assert len(steps) >= 3
@@ -201,7 +201,7 @@ def test_it_stops_at_any_step_and_leaves_nothing(trials, settings):
         assert files(trials)
 
 
-def test_every_trial_of_a_search_tells_its_progress(trials):
+def test_every_trial_of_a_search_reports_progress(trials):
     steps: list[tuple[str, int, int]] = []
     tried, _ = trials.encode(
         EncodingSettings("m", "size", 40_000.0), lambda *step: steps.append(step)
@@ -216,7 +216,7 @@ def test_measuring_stops(trials):
         trials.measure(tried, opened, stopped_at(0))
 
 
-def test_an_unreachable_target_tells_the_range(trials):
+def test_an_unreachable_target_reports_the_range(trials):
     with pytest.raises(
         gs_codec.InvalidInput,
         match=r"target 50 bytes: unreachable, expected [\d,]+ to [\d,]+ bytes",
@@ -225,7 +225,7 @@ def test_an_unreachable_target_tells_the_range(trials):
     assert files(trials)
 
 
-def test_a_file_that_changed_is_refused(tmp_path):
+def test_a_changed_file_is_refused(tmp_path):
     write_ply(tmp_path / "a.ply", random_scene(300, 0))
     trials = Trials(open_scene(tmp_path / "a.ply"), tmp_path)
     write_ply(tmp_path / "a.ply", random_scene(200, 0))
@@ -234,7 +234,7 @@ def test_a_file_that_changed_is_refused(tmp_path):
     assert files(trials)
 
 
-def test_gaussians_that_are_not_finite_are_left_out_but_by_lossless(tmp_path):
+def test_only_lossless_keeps_nonfinite_gaussians(tmp_path):
     scene = random_scene(300, 0)
     scene.positions[0, 7] = np.nan
     trials = Trials(Opened("cloud", to_cloud(scene)), tmp_path)
@@ -253,7 +253,7 @@ def test_only_egs_is_saved(trials, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_other_cameras_measure_anew(trials):
+def test_other_cameras_discard_measurements(trials):
     tried, opened = trials.encode(EncodingSettings("s"))
     for cameras in (trials.cameras, trials.cameras[:2]):
         trials.add(replace(tried, quality=trials.measure(tried, opened)))

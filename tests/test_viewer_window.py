@@ -29,7 +29,7 @@ def found(display, folder) -> dict:
     return drive("drive_viewer.py", display, folder)
 
 
-def test_it_draws_both_scenes(found):
+def test_the_window_draws_both_scenes(found):
     assert found["drawn"] > 10
     assert "dB, SSIM" in found["quality"]
 
@@ -40,7 +40,7 @@ def test_the_quality_is_of_the_frame_whatever_the_layout(found, folder):
     assert found["quality"] == found["wiped_quality"] == quality_text(expected)
 
 
-def test_panes_are_named_and_the_panel_says_where_one_is(found):
+def test_panes_are_named_and_the_panel_shows_the_viewpoint(found):
     assert found["captions"] == [" A: a.ply", " B: b.egs"]
     assert found["flipped"] == [" A: a.ply", " B: b.egs, error against A"]
     assert found["where"] == [
@@ -56,12 +56,12 @@ def test_the_frame_is_outlined_in_every_pane_whatever_the_layout(found):
     assert min(found["outlined"]) > 0.95
 
 
-def test_the_line_of_a_wipe_is_seen_and_dragged(found):
+def test_the_wipe_line_is_visible_and_can_be_dragged(found):
     assert found["line"] > 200
     assert found["dragged"] == pytest.approx(0.5 + 60 / found["wide"], abs=0.02)
 
 
-def test_both_cameras_follow_one(found):
+def test_both_cameras_move_together(found):
     before, after = (np.array(found[key]) for key in ("at_first", "after_drag"))
     np.testing.assert_allclose(before[0], before[1], atol=1e-5)
     assert np.abs(after[0] - before[0]).max() > 0.05
@@ -69,7 +69,7 @@ def test_both_cameras_follow_one(found):
     assert found["drag_changed"] > 1000
 
 
-def test_a_drag_ends_where_it_would_in_one_event_and_back_at_its_start(found):
+def test_a_drag_does_not_depend_on_events_and_is_reversible(found):
     check_drags(found["drags"])
 
 
@@ -94,7 +94,7 @@ def test_pictures_are_saved(found, folder):
 
 
 @pytest.mark.thorough
-def test_without_a_driver_it_says_so(display, folder):
+def test_a_missing_driver_is_reported(display, folder):
     code = "import sys; sys.argv[0] = 'gs-viewer'; from viewer.main import main; main()"
     result = subprocess.run(
         [sys.executable, "-c", code, folder / "a.ply"],
@@ -134,7 +134,7 @@ def ends(path: Path, shown: str) -> bool:
         ("pipe.ply", "not a file"),
     ],
 )
-def test_a_dialog_says_what_is_wrong_with_a_path(files, folder, name, said):
+def test_a_dialog_reports_errors_of_a_path(files, folder, name, said):
     wrong = f"{folder / name}: {said}"
     typed, title, listed, *told = files[name]
     assert (typed, title) == (name, "Open a scene")
@@ -142,13 +142,13 @@ def test_a_dialog_says_what_is_wrong_with_a_path(files, folder, name, said):
     assert "".join("".join(told).split()) == f"{wrong}Open".replace(" ", "")  # lines are wrapped
 
 
-def test_a_folder_that_is_typed_is_listed(files, folder):
+def test_a_typed_folder_is_listed(files, folder):
     title, listed, button = files["folder"][1:]
     assert (title, button) == ("Open a scene", "Open")
     assert ends(folder / "folder", listed)
 
 
-def test_a_damaged_file_is_told_after_the_dialog(files, folder):
+def test_a_damaged_file_is_reported_after_the_dialog(files, folder):
     title, text = files["message"]
     assert title == "Not possible"
     assert text.startswith(f"{folder / 'damaged.ply'}: element 'vertex'")
@@ -166,7 +166,7 @@ def test_names_that_are_not_unicode_are_shown_escaped(files):
     assert "udcff.ply" in files["odd"][1]
 
 
-def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files, folder):
+def test_a_name_is_suggested_and_a_file_is_replaced_only_at_the_second_enter(files, folder):
     name, title, listed, button = files["suggested"]
     assert (name, title, button) == ("a.png", "Save a picture", "Save")
     assert ends(folder, listed)
@@ -184,7 +184,7 @@ def test_a_name_is_suggested_and_a_file_replaced_at_the_second_enter_alone(files
     assert told.endswith(f"nodirectory'{folder / 'none'}'")
 
 
-def test_an_empty_window_says_what_to_do_and_one_that_compiles_for_how_long(files):
+def test_notices_of_empty_and_compiling_windows(files):
     empty, compiles = files["notices"]
     assert empty == "Press O to open a scene, H for a list of keys."
     assert compiles.startswith("Compiling, once only: ")
@@ -206,9 +206,9 @@ def test_exact_splats_are_those_of_render_whatever_draws_the_window(switched):
     assert exact == "splats: our rasteriser, on the CPU"
 
 
-def test_panes_are_drawn_anew_after_the_window_is_resized(files):
+def test_panes_are_redrawn_after_a_resize(files):
     assert files["resized"] < 0.05  # the outline of the frame
 
 
-def test_nothing_is_left_of_a_dialog_in_an_empty_window(files):
+def test_a_dialog_leaves_no_trace_in_an_empty_window(files):
     assert files["ghosts"] == 0

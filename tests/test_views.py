@@ -113,7 +113,7 @@ def test_a_scene_is_identical_to_itself(pair):
     assert result.mean.between.ssim == pytest.approx(1.0)
 
 
-def test_scenes_of_other_numbers_of_gaussians_are_compared(pair):
+def test_scenes_with_different_numbers_of_gaussians_are_compared(pair):
     result = compare_views(pair[0], pair[0].take(np.arange(200)), [camera()])
     assert result.counts == (300, 200)
     assert result.mean.between.psnr < 60
@@ -181,7 +181,7 @@ def test_metadata_switches_compensation_on(pair):
         (("not antialiased 1",), False),
     ],
 )
-def test_comments_that_tell_how_a_scene_was_trained(comments, expected):
+def test_comments_on_the_training_of_a_scene(comments, expected):
     assert replace(random_scene(1), comments=comments).antialiased is expected
 
 
@@ -252,7 +252,7 @@ NAMES_OUTSIDE = ("../secret", "../secret.png", "sub/../../secret.jpg", "..\\secr
 
 
 @pytest.mark.parametrize("name", [*NAMES_OUTSIDE, "{}", "{}.png"])
-def test_names_that_lead_out_of_the_folder_of_images_are_refused(name, tmp_path):
+def test_names_outside_the_image_folder_are_refused(name, tmp_path):
     folder = tmp_path / "images"
     (folder / "sub").mkdir(parents=True)
     Image.new("RGB", (40, 30)).save(tmp_path / "secret.png")
@@ -413,7 +413,7 @@ def test_compare_against_ground_truth_as_json(folder):
     assert report["worst"] == lowest
 
 
-def test_cameras_of_a_stranger_read_no_other_file(folder, tmp_path):
+def test_untrusted_cameras_read_no_other_file(folder, tmp_path):
     write_png(tmp_path / "secret.png", np.full((30, 40, 3), 0.5))
     (entry, *_) = json.loads((folder / "cameras.json").read_text())
     entry["img_name"] = str(tmp_path / "secret.png")
@@ -429,7 +429,7 @@ def test_cameras_of_a_stranger_read_no_other_file(folder, tmp_path):
         assert "expected a name inside the folder" in str(result.exception)
 
 
-def test_json_knows_no_infinity(folder):
+def test_json_has_no_infinity(folder):
     result = run("compare", folder / "a.ply", folder / "a.ply", "--cameras", folder, "--json")
     report = json.loads(result.stdout, parse_constant=pytest.fail)
     assert report["mean"]["between"]["psnr"] is None
@@ -449,7 +449,7 @@ def test_render_writes_an_image_for_each_camera(folder, tmp_path):
     assert image[0, 0].tolist() == [1, 1, 1]
 
 
-def test_scenes_of_two_coordinate_systems_are_seen_in_one(folder, pair, tmp_path):
+def test_scenes_of_two_coordinate_systems_are_compared_in_one(folder, pair, tmp_path):
     write_ply(tmp_path / "rub.ply", turn_axes(pair[0], "RUB"))
     options = ["--cameras", folder, "--json"]
     result = run("compare", folder / "a.ply", tmp_path / "rub.ply", *options)
@@ -503,7 +503,7 @@ def test_refusals_are_one_line(folder, monkeypatch, name):
 # The API
 
 
-def test_views_are_drawn_when_asked_for(pair):
+def test_views_are_rendered_on_demand(pair):
     scene = pair[0]
     entry = {
         "img_name": "front",

@@ -37,7 +37,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess:
 
 
 @pytest.mark.thorough
-def test_what_is_missing_is_compiled_once(tmp_path):
+def test_missing_kernels_are_compiled_once(tmp_path):
     modules = "gs_codec.coding.quantise", "gs_codec.codecs.adaptive.section"
     few = [tuple(entry) for entry in read_list() if entry.module in modules]
     assert len({module for module, *_ in few}) == 2
@@ -54,7 +54,7 @@ def test_what_is_missing_is_compiled_once(tmp_path):
     }  # fmt: skip
 
 
-def test_a_folder_that_keeps_nothing_is_an_error(tmp_path):
+def test_an_unusable_cache_folder_is_an_error(tmp_path):
     (tmp_path / "file").touch()
     done = run("-m", "gs_codec", "warm", NUMBA_CACHE_DIR=str(tmp_path / "file"))
     assert (done.returncode, done.stdout) == (2, "")

@@ -119,7 +119,7 @@ def test_the_example_of_the_readme(tmp_path):
     assert result.stdout.split() == ["20", str(COUNT)]
 
 
-def test_blocks_are_told_as_they_are_complete():
+def test_blocks_are_reported_as_they_complete():
     data = blocks()
     (found,) = run({"bytes": data, "as": "stream", "chunk": 100})
     expected = [[k, d, k * BLOCK, BLOCK] for k in range(5) for d in range(4)]
@@ -163,7 +163,7 @@ def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
     assert none["count"] == 0
 
 
-def test_what_is_not_possible_is_told():
+def test_impossible_requests_are_reported():
     data = blocks()
     future, features = bytearray(data), bytearray(data)
     future[8], features[24] = 3, 8
@@ -211,7 +211,7 @@ WHOLE = [[-1e9] * 3, [1e9] * 3]
         ("halting", "SourceError", "lost at byte 1: no data for 20 seconds"),
     ],
 )
-def test_servers_that_answer_wrongly_to_ranges(answer, error, text):
+def test_servers_with_wrong_answers_to_ranges(answer, error, text):
     (found,) = run({"bytes": blocks(), "as": "url", "answer": answer, "box": WHOLE})
     assert found.get("error") == error, found
     assert text in found["message"]
@@ -219,7 +219,7 @@ def test_servers_that_answer_wrongly_to_ranges(answer, error, text):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("workers", [0, 2])
-def test_a_signal_ends_what_waits(workers):
+def test_a_signal_ends_pending_work(workers):
     data = blocks()
     stalled = {"chunk": 1000, "stalled": len(data) // 2}
     cases = [{"abort": "before"}, {"abort": "progress"}, {"abort": "block"}]
@@ -232,7 +232,7 @@ def test_a_signal_ends_what_waits(workers):
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("workers", [0, 2])
-def test_errors_end_what_waits(workers):
+def test_errors_end_pending_work(workers):
     """Errors of a damaged block while no more data come, and errors of callbacks."""
     damaged = with_section(blocks(), SectionId.OPACITY, lambda old: old[:-1])
     jobs = [
@@ -247,7 +247,7 @@ def test_errors_end_what_waits(workers):
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_damaged_blocks_are_left_out_if_that_is_asked_for(workers):
+def test_damaged_blocks_are_skipped_on_request(workers):
     """Detected by checksum or while decoding; in the first part, or only in SH-AC."""
     whole = blocks()
     table = read_file(whole).table
@@ -272,7 +272,7 @@ def test_damaged_blocks_are_left_out_if_that_is_asked_for(workers):
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("kind", ["missing", "refused"])
 @pytest.mark.parametrize("source", [{}, {"as": "stream", "chunk": 2000}])
-def test_workers_that_cannot_be_had(kind, source):
+def test_workers_that_cannot_be_created(kind, source):
     (found,) = run({"bytes": blocks(), "workers": 3, "createWorker": kind, **source})
     assert (found.get("error"), found["alive"]) == ("WorkerError", 0), found
 
@@ -290,12 +290,12 @@ def test_workers_that_cannot_be_had(kind, source):
     ],
     ids=str,
 )
-def test_options_that_mean_nothing_are_refused(options):
+def test_invalid_options_are_refused(options):
     (found,) = run({"bytes": blocks(), **options})
     assert found.get("error") == "RangeError", found
 
 
-def test_sizes_of_headers_that_are_not_possible():
+def test_impossible_header_sizes():
     data = bytearray(blocks())
     for size in (0, 15, 47, 49):
         data[12:16] = size.to_bytes(4, "little")
@@ -330,7 +330,7 @@ def test_tables_of_many_rare_symbols(seed):
         assert found["frequencies"] == expected
 
 
-def test_errors_of_workers_are_as_here():
+def test_errors_are_the_same_in_workers():
     content = {}
     for section in (SectionId.OPACITY, SectionId.LATTICE):
         content[section] = with_section(
@@ -363,7 +363,7 @@ def decoded(data: bytes) -> str | None:
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("right", [False, True], ids=["wrong checksums", "right checksums"])
 @pytest.mark.parametrize("profile", ["m", FAR, "paper-m"])
-def test_damage_is_refused_or_gives_what_python_gives(profile, right):
+def test_damage_is_refused_or_decodes_like_in_python(profile, right):
     rng = np.random.default_rng(71)
     extra = {"label": np.arange(40, dtype="<i4"), "mark": rng.integers(0, 9, 40).astype("<u2")}
     scene = replace(random_scene(40, 2, seed=60), extra=extra)
@@ -415,7 +415,7 @@ EXTRA = {
 }
 
 
-def test_extra_properties_are_checked_as_in_python():
+def test_extra_properties_are_checked_like_in_python():
     data = sample("m")
     files = [with_section(data, SectionId.EXTRA, lambda _, e=e: e) for e, _ in EXTRA.values()]
     whole = run(*({"bytes": each, "maxBytes": 1 << 20} for each in files))
@@ -431,7 +431,7 @@ def test_extra_properties_are_checked_as_in_python():
     assert (few.get("error"), enough.get("error")) == ("TooLargeError", None)
 
 
-def test_flipped_bits_of_extra_properties_are_told_as_in_python():
+def test_flipped_bits_of_extra_properties_are_detected_like_in_python():
     data = sample("m")
     at = data.index(b"label") - 3
     files = [with_checksums(flipped(data, bit)) for bit in range(8 * at, 8 * len(data), 5)]

@@ -172,7 +172,7 @@ def first_block() -> int:
 
 
 @pytest.mark.thorough
-def test_it_is_sharp_wherever_one_goes_and_nothing_else_is_fetched(site, tmp_path):
+def test_views_are_sharp_everywhere_and_nothing_else_is_fetched(site, tmp_path):
     assert (site.folder / "site" / "city.egs").read_bytes() == city()
     job = Job("", [], panel=True)
     for k in range(3):
@@ -230,7 +230,7 @@ def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
 
 
 @pytest.mark.thorough
-def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
+def test_stalled_blocks_are_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
     """Requests for blocks of the scene itself stall; those of past views are cancelled."""
     begins, far = first_block(), choose_part(city(), Part(view=site.cameras[0])).blocks
     table = read_file(city()).table
@@ -254,7 +254,7 @@ def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
 
 
 @pytest.mark.thorough
-def test_what_a_connection_lost_is_asked_for_again(site, tmp_path):
+def test_lost_blocks_are_requested_again(site, tmp_path):
     """At first all blocks of the scene itself fail, but not for ever."""
     begins = first_block()
     with serving(site.folder / "site", fails=lambda begin, _: begin >= begins) as (url, asked):
@@ -277,7 +277,7 @@ MAY_RETRY = "!document.getElementById('retry').hidden"
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", ["first", "blocks", "whole"])
-def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_path, which):
+def test_silent_servers_are_retried_and_then_manually(site, tmp_path, which):
     """Stalls are in the first bytes, in blocks of the scene, or in a scene without levels."""
     begins = first_block()
 
@@ -311,7 +311,7 @@ def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_pat
 
 
 @pytest.mark.thorough
-def test_fast_there_and_back_ends_in_the_same_picture(site, tmp_path):
+def test_moving_fast_there_and_back_gives_the_same_picture(site, tmp_path):
     with serving(site.folder / "site") as (url, _):
         job = Job(url, [])
         job.shot(str(tmp_path / "before.png"))
@@ -350,7 +350,7 @@ BUDGET = """((value) => {
 
 
 @pytest.mark.thorough
-def test_what_fits_into_another_budget_is_kept(site, tmp_path):
+def test_blocks_that_fit_another_budget_are_kept(site, tmp_path):
     """Blocks move when there are fewer of them; they are not requested again."""
     job = Job("", [("drawn",), ("key", "n")])
     job.shot(str(tmp_path / "before.png"))
@@ -366,7 +366,7 @@ def test_what_fits_into_another_budget_is_kept(site, tmp_path):
 
 
 @pytest.mark.thorough
-def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
+def test_the_budget_is_respected_and_can_be_changed(site, tmp_path):
     """15 blocks of 511 Gaussians, each in a texture row of 1,024."""
     shown = ("value", "Number(document.getElementById('budget').value)")
     job = Job("", [("drawn",), shown, ("value", f"{BUDGET}(0.0154)")], before=ROWS)
@@ -399,7 +399,7 @@ def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
 
 
 @pytest.mark.thorough
-def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
+def test_damaged_levels_are_reported_and_the_others_drawn(site, tmp_path):
     """All blocks of a level, or of the coarsest; without a header, the whole scene is drawn."""
     data = city()
     file = read_file(data)
@@ -435,7 +435,7 @@ def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
 
 
 @pytest.mark.thorough
-def test_without_ranges_and_in_one_file_it_is_the_same(site, tmp_path):
+def test_without_ranges_and_in_one_file_the_picture_is_the_same(site, tmp_path):
     """A server that ignores ranges; a page that contains the scene; next to one without levels."""
     plain = tmp_path / "plain.egs"
     plain.write_bytes(without_levels(city()))

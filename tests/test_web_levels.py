@@ -111,7 +111,7 @@ def test_every_level_has_the_floats_of_python(profile):
     assert less["fetched"] < found[0]["fetched"]
 
 
-def test_chosen_blocks_are_told_and_no_others_are_fetched():
+def test_chosen_blocks_are_reported_and_no_others_fetched():
     data = many()
     scene = decode_part(data, Part(level=2))[0]
     (found,) = run({"bytes": data, "as": "url", "open": {"chosen": [[2, [9, 2, 3]]]}})
@@ -144,7 +144,7 @@ BAD_LEVELS = [
 
 
 @pytest.mark.thorough
-def test_levels_that_are_none_of_the_file_are_refused():
+def test_levels_of_another_file_are_refused():
     damaged = [in_level(sample(), change) for change in BAD_LEVELS]
     damaged += [in_level(sample(), change, 3) for change in BAD_LEVELS]
     damaged.append(in_level(sample(), errors_changed(0.0), 2))
@@ -159,7 +159,7 @@ def test_levels_that_are_none_of_the_file_are_refused():
 
 
 @pytest.mark.thorough
-def test_sections_of_levels_elsewhere_are_refused():
+def test_misplaced_sections_of_levels_are_refused():
     missing = [with_section(sample(), SectionId.LEVEL, lambda _: None, k) for k in (1, 3)]
     surplus = [with_section(sample(), SectionId.LEVEL, lambda _: b"", k) for k in (0, 4)]
     errors = with_section(sample(), SectionId.ERRORS, lambda _: bytes(4))
@@ -228,7 +228,7 @@ def test_every_truncation_is_refused():
     ],
     ids=str,
 )
-def test_what_goes_wrong_is_told(given, error, text):
+def test_failures_are_reported(given, error, text):
     chosen = {"chosen": [[0, list(range(38))]]}
     job = {"bytes": sample(), "as": "url", "workers": 1} | given
     if "stalled" in job:  # after the levels

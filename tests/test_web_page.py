@@ -198,7 +198,7 @@ def test_a_folder_is_shown_by_any_server(files, tmp_path):
 
 @pytest.mark.thorough
 @in_browser
-def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
+def test_a_stopped_download_keeps_its_data(files, tmp_path):
     site = tmp_path / "site"
     shutil.copy(files.folder / "a.egs", tmp_path / "stalled.egs")
     share([tmp_path / "stalled.egs"], site, files.folder / "cameras.json")
@@ -216,7 +216,7 @@ def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
 
 @pytest.mark.thorough
 @in_browser
-def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
+def test_invalid_files_are_explained_and_the_other_is_shown(files, tmp_path):
     """A damaged file, one of a later version, and one that is not a scene."""
     data = (files.folder / "b.egs").read_bytes()
     place = 3 * len(data) // 4
@@ -252,7 +252,7 @@ def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
 
 
 @in_browser
-def test_a_page_that_ends_within_its_data_says_that_it_is_incomplete(files, tmp_path):
+def test_a_truncated_page_says_that_it_is_incomplete(files, tmp_path):
     whole, cut = tmp_path / "whole.html", tmp_path / "cut.html"
     share([files.folder / "a.egs"], whole, files.folder / "cameras.json")
     cut.write_bytes(whole.read_bytes()[:-60_000])
@@ -285,7 +285,7 @@ def test_a_damaged_block_is_named_and_the_others_are_drawn(files, tmp_path):
 
 @pytest.mark.thorough
 @in_browser
-def test_all_of_a_portrait_view_is_seen_in_a_wide_page(files, tmp_path):
+def test_a_whole_portrait_view_is_visible_in_a_wide_page(files, tmp_path):
     camera = replace(files.cameras[0], width=60, cx=30.0)
     write_cameras(tmp_path / "cameras.json", [camera])
     share([files.folder / "a.egs"], tmp_path / "page.html", tmp_path / "cameras.json")
@@ -306,7 +306,7 @@ SMALL = """[...document.querySelectorAll('#panel, #panel *, #wipe i')]
 
 
 @in_browser
-def test_on_a_phone_the_handle_alone_moves_the_wipe_and_targets_are_large(pages):
+def test_on_a_phone_only_the_handle_moves_the_wipe_and_targets_are_large(pages):
     split = ("value", "Number(document.getElementById('wipe').getAttribute('aria-valuenow'))")
     handle = "document.querySelector('#wipe i').getBoundingClientRect()"
     job = Job(pages["two"].as_uri(), [("drawn",), ("value", f"{handle}.y + 22")], (360, 640))
@@ -325,7 +325,7 @@ def test_on_a_phone_the_handle_alone_moves_the_wipe_and_targets_are_large(pages)
 
 @pytest.mark.thorough
 @in_browser
-def test_in_another_page_the_wheel_is_the_scenes_after_a_click(pages, tmp_path):
+def test_in_an_embedded_page_the_wheel_needs_a_click_first(pages, tmp_path):
     shutil.copy(pages["one"], tmp_path / "one.html")
     (tmp_path / "host.html").write_text(
         '<body style="height: 3000px"><p id="status"></p>'
@@ -356,7 +356,7 @@ def test_without_webgl_2_it_says_so_and_nothing_is_loading(pages):
 
 
 @in_browser
-def test_a_drag_there_and_back_changes_nothing_and_to_the_right_goes_right(files, pages, tmp_path):
+def test_a_drag_there_and_back_changes_nothing_and_directions_are_right(files, pages, tmp_path):
     there, back = [[150, 100], [190, 120]], [[150, 100], [190, 120], [150, 100]]
     moves = {
         "start": [],
@@ -409,7 +409,7 @@ def upright(camera: Camera, up: str) -> Camera:
 
 
 @in_browser
-def test_up_is_that_of_cameras_or_an_axis_and_rolls_the_picture(files, pages, tmp_path):
+def test_up_is_from_cameras_or_an_axis_and_rolls_the_picture(files, pages, tmp_path):
     job = Job(pages["one"].as_uri(), [("key", "n"), ("key", "u")], panel=True)
     camera = files.cameras[1]
     expected = {"key": upright(camera, "-y")}
@@ -434,7 +434,7 @@ def test_up_is_that_of_cameras_or_an_axis_and_rolls_the_picture(files, pages, tm
 
 
 @in_browser
-def test_pages_turn_about_the_axis_asked_for(files, tmp_path):
+def test_pages_orbit_about_the_requested_axis(files, tmp_path):
     """With mouse and touch: half a turn about z, which is up."""
     share([files.folder / "a.egs"], tmp_path / "z.html", files.folder / "cameras.json", up="z")
     first = upright(files.cameras[0], "z")
@@ -461,7 +461,7 @@ def test_pages_turn_about_the_axis_asked_for(files, tmp_path):
         assert decibels(seen(tmp_path / f"{name}.png"), drawn(files.a, view)) > 45, name
 
 
-def test_pages_hold_what_may_be_up(files, tmp_path):
+def test_pages_contain_the_possible_up_axes(files, tmp_path):
     cameras = files.folder / "cameras.json"
     for up in (None, "-x"):
         share([files.folder / "a.egs"], tmp_path / "page.html", cameras, up=up, overwrite=True)
@@ -489,7 +489,7 @@ def test_home_is_the_given_camera_that_shows_most(files, tmp_path):
 
 
 @pytest.mark.usefixtures("few_cameras")
-def test_estimated_cameras_are_upright_by_the_axis_asked_for(files, tmp_path, caplog):
+def test_estimated_cameras_are_upright_for_the_requested_axis(files, tmp_path, caplog):
     # A scene without SH-AC, whose up axis cannot be estimated.
     scene = replace(random_scene(3000, 0, seed=8), comments=[])
     (tmp_path / "a.egs").write_bytes(encode_scene(scene, Config("l"))[0])
@@ -583,7 +583,7 @@ def test_slow_devices_draw_drafts_during_a_move_but_save_and_compare_in_full(
 
 @pytest.mark.thorough
 @in_browser
-def test_what_reaches_into_the_picture_from_outside_is_drawn(files, tmp_path):
+def test_splats_reaching_into_the_picture_are_drawn(files, tmp_path):
     """Most centres are outside the picture or behind the camera."""
     [camera] = [replace(files.cameras[0], position=files.cameras[0].position * 0.3)]
     write_cameras(tmp_path / "cameras.json", [camera])
@@ -598,7 +598,7 @@ def test_what_reaches_into_the_picture_from_outside_is_drawn(files, tmp_path):
 
 
 @in_browser
-def test_nothing_of_elsewhere_runs_and_names_are_text(files, tmp_path):
+def test_no_external_code_runs_and_names_are_text(files, tmp_path):
     name = "a <script>alert(1)<!--&'.egs"
     shutil.copy(files.folder / "a.egs", tmp_path / name)
     share([tmp_path / name], tmp_path / "page.html", files.folder / "cameras.json")
@@ -742,7 +742,7 @@ def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, cap
 
 
 @in_browser
-def test_pages_show_what_their_encoding_lost(files, tmp_path):
+def test_pages_show_the_loss_of_their_encoding(files, tmp_path):
     write_ply(tmp_path / "a.ply", files.a)
     sources = [tmp_path / "a.ply", files.folder / "b.egs"]
     shared = share(sources, tmp_path / "page.html", files.folder / "cameras.json")
@@ -815,7 +815,7 @@ def test_refusals_are_one_line(files, tmp_path, monkeypatch, capsys, arguments, 
 @pytest.mark.skipif(
     not (NODE and (WEB / "node_modules").is_dir()), reason="needs Node, and make web for esbuild"
 )
-def test_the_page_is_what_its_sources_give(tmp_path):
+def test_the_built_page_matches_its_sources(tmp_path):
     subprocess.run([NODE, WEB / "build.mjs", tmp_path / "page.html"], check=True)
     assert (tmp_path / "page.html").read_bytes() == (WEB / "page.html").read_bytes(), "make web"
 
@@ -831,7 +831,7 @@ def test_an_installation_without_the_page_is_reported(files, tmp_path, monkeypat
         share([files.folder / "a.egs"], tmp_path / "page.html")
 
 
-def test_nothing_stays_of_a_page_that_cannot_be_written(files, tmp_path, monkeypatch):
+def test_an_unwritable_page_leaves_nothing(files, tmp_path, monkeypatch):
     def full(*_: object) -> Callable:
         raise GsCodecError("No space left on device")
 

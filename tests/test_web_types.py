@@ -43,7 +43,7 @@ def test_examples_are_checked():
     assert (done.returncode, done.stdout) == (0, "")
 
 
-def test_they_name_what_there_is():
+def test_types_name_existing_exports():
     text = (SOURCE / "index.d.ts").read_text()
     script = FOUND.replace("SOURCE", (SOURCE / "index.js").as_uri())
     script = script.replace("FILE", str(HERE / "golden" / "v1-levels.egs"))

@@ -122,7 +122,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
     assert not any(name.split("/")[0] in ("tests", "samples") for name in names)
 
 
-def test_wheel_says_what_it_is(wheel):
+def test_wheel_has_correct_metadata(wheel):
     archive = zipfile.ZipFile(wheel)
     folder = f"gs_codec-{gs_codec.__version__}.dist-info"
     scripts = archive.read(f"{folder}/entry_points.txt").decode()
@@ -172,7 +172,7 @@ def test_core_is_the_same_code_with_fewer_dependencies(wheel, sources, tmp_path)
     assert "gs-codec-core[docs]" in " ".join(needs[1])
 
 
-def test_open3d_is_asked_for_where_it_has_wheels(wheel):
+def test_open3d_is_required_where_it_has_wheels(wheel):
     """Elsewhere, as for a later Python, pip installs everything else."""
     packaging = pytest.importorskip("packaging.requirements")
     archive = zipfile.ZipFile(wheel)
@@ -270,9 +270,7 @@ def few_kernels(sources) -> Iterator[Path]:
 
 
 @pytest.mark.thorough
-def test_an_installed_copy_that_has_run_gives_way_to_another(
-    wheel, sources, venv, tmp_path, monkeypatch
-):
+def test_a_used_installation_can_be_replaced(wheel, sources, venv, tmp_path, monkeypatch):
     """Unknown files in the package would make pip leave its folder, which hides another copy."""
     (site,) = venv.glob("lib/python*/site-packages")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

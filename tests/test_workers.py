@@ -97,7 +97,7 @@ def test_no_task_is_started_after_stop(tmp_path, kind):
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_task_that_kills_its_process_twice_is_given_up(tmp_path):
+def test_a_task_that_kills_its_process_twice_is_abandoned(tmp_path):
     tasks = [Sum("killed"), Sum("b", 1)]
     with pool(str(tmp_path), Ears()) as workers:
         found = list(workers.run(partial(work, 1), tasks))
@@ -106,7 +106,7 @@ def test_a_task_that_kills_its_process_twice_is_given_up(tmp_path):
     assert "was stopped by SIGKILL, twice" in str(found[1].error)
 
 
-def test_tasks_given_up_end_with_their_processes(tmp_path):
+def test_abandoned_tasks_end_with_their_processes(tmp_path):
     with pool(str(tmp_path), Ears()) as workers:
         with closing(workers.run(partial(work, 1), [Sum("a"), Sum("b")])) as results:
             assert next(results).task.name == "a"

@@ -71,7 +71,7 @@ def every_source(folder: Path) -> dict[str, Path]:
 @pytest.mark.parametrize(
     "source", ["INRIA", "COLMAP", "lens", "transforms", "camera path", "SuperSplat"]
 )
-def test_cameras_of_any_source_come_back_exactly(source, width, tmp_path):
+def test_cameras_of_any_source_round_trip_exactly(source, width, tmp_path):
     cameras = find_cameras(every_source(tmp_path)[source], random_scene(1), width=width)
     write_cameras(tmp_path / "out.json", cameras)
     again = read_cameras(tmp_path / "out.json")
@@ -81,19 +81,19 @@ def test_cameras_of_any_source_come_back_exactly(source, width, tmp_path):
     assert (tmp_path / "out.json").read_bytes() == first
 
 
-def test_auto_cameras_come_back_exactly(tmp_path):
+def test_auto_cameras_round_trip_exactly(tmp_path):
     cameras = auto_cameras(random_scene(400, 0, seed=5), 6)
     write_cameras(tmp_path / "auto.json", cameras)
     assert_same(cameras, read_cameras(tmp_path / "auto.json"))
 
 
-def test_cameras_of_the_trainer_come_back(tmp_path):
+def test_cameras_of_the_trainer_round_trip(tmp_path):
     cameras = read_cameras(shared_scene_path("bonsai/cameras.json"))
     write_cameras(tmp_path / "out.json", cameras)
     assert_same(cameras, read_cameras(tmp_path / "out.json"))
 
 
-def test_rotations_of_any_rounding_come_back_exactly_seed7(tmp_path):
+def test_rotations_of_any_rounding_round_trip_exactly_seed7(tmp_path):
     rng = np.random.default_rng(7)
     cameras = []
     for i in range(200):
@@ -116,7 +116,7 @@ def test_layout_is_the_trainers(tmp_path):
     assert "split" not in (tmp_path / "out.json").read_text()
 
 
-def test_lenses_are_reported_where_they_are_lost(tmp_path, caplog):
+def test_lost_lenses_are_reported(tmp_path, caplog):
     cameras = read_cameras(every_source(tmp_path)["lens"])
     path = tmp_path / "out.json"
     write_cameras(path, cameras)
@@ -143,7 +143,7 @@ def view(name: str) -> Camera:
         (["a\ud800"], "camera 0: control characters in name"),
     ],
 )
-def test_what_could_not_be_read_again_is_not_written(names, message, tmp_path):
+def test_unreadable_cameras_are_not_written(names, message, tmp_path):
     with pytest.raises(InvalidInput, match=message):
         write_cameras(tmp_path / "out.json", [view(name) for name in names])
     assert not list(tmp_path.iterdir())
@@ -157,7 +157,7 @@ def test_file_too_large_to_be_read_is_not_written(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_python_refuses_existing_files_unless_told(tmp_path):
+def test_python_refuses_existing_files_by_default(tmp_path):
     path = tmp_path / "out.json"
     gs_codec.write_cameras(path, [view("a")])
     gs_codec.write_cameras(path, (view(name) for name in "bc"), overwrite=True)
@@ -199,7 +199,7 @@ def test_render_converts_cameras_with_their_split_and_width(folder):
     assert {(camera.width, camera.height, camera.fx) for camera in cameras} == {(200, 150, 50.0)}
 
 
-def test_render_replaces_cameras_with_overwrite_alone(folder):
+def test_render_replaces_cameras_only_with_overwrite(folder):
     Path("out.json").write_text("old")
     command = ("render", "scene.ply", "--cameras", "cameras.json", "--out", "out.json")
     assert "out.json: already exists" in folder.refuse(*command)
@@ -212,7 +212,7 @@ def test_render_replaces_cameras_with_overwrite_alone(folder):
 @pytest.mark.parametrize(
     "option", ["--background white", "--device cpu", "--antialiased", "--plain"]
 )
-def test_render_refuses_what_cameras_do_not_have(option, folder):
+def test_render_refuses_options_without_effect_on_cameras(option, folder):
     command = ("render", "scene.ply", "--cameras", "cameras.json", "--out", "out.json")
     line = folder.refuse(*command, *option.split())
     assert "has no effect with --out out.json, which writes only cameras" in line

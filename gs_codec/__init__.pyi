@@ -36,11 +36,11 @@ from gs_codec.errors import MissingTool as MissingTool
 from gs_codec.errors import ToolFailed as ToolFailed
 from gs_codec.errors import TruncatedStream as TruncatedStream
 from gs_codec.errors import UnsupportedVersion as UnsupportedVersion
-from gs_codec.files.coding import encode_file as encode_file
 from gs_codec.files.conversion import ConvertReport as ConvertReport
 from gs_codec.files.conversion import convert_file as convert_file
-from gs_codec.files.decoding import DecodeReport as DecodeReport
-from gs_codec.files.decoding import decode_file as decode_file
+from gs_codec.files.decode_file import DecodeReport as DecodeReport
+from gs_codec.files.decode_file import decode_file as decode_file
+from gs_codec.files.encode_file import encode_file as encode_file
 from gs_codec.files.preparing import prepare_file as prepare_file
 from gs_codec.metrics.attributes import Comparison as Comparison
 from gs_codec.metrics.attributes import GroupError as GroupError

@@ -13,7 +13,7 @@ from typing import Any
 
 from gs_codec.batch import run, work
 from gs_codec.batch.ledger import Record
-from gs_codec.batch.scenes import Options, Task
+from gs_codec.batch.scene_tasks import Options, Task
 from gs_codec.errors import GsCodecError
 from gs_codec.workers.interface import Listener, Place, Serial
 

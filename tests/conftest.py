@@ -17,8 +17,8 @@ import pytest
 
 from gs_codec.cli import output
 from gs_codec.config import Config
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 
 # Assertions in shared modules report values too.

@@ -11,7 +11,7 @@ from gs_codec.config import Config
 from gs_codec.distributed.encoding import encode_in_tasks
 from gs_codec.distributed.sources import open_sources
 from gs_codec.distributed.tasks import Crew, Numbered
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import Scene
 from gs_codec.workers.interface import Done, Serial, Work, Workers

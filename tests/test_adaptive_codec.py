@@ -34,8 +34,8 @@ from gs_codec.coding.frequency_table import encode_tables
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply

@@ -19,7 +19,7 @@ from gs_codec.analysis.fits import fits_of
 from gs_codec.analysis.information import bin_count, into_bins, mutual_information
 from gs_codec.analysis.maps import maps_of, mean_by_attribute, mean_by_relation
 from gs_codec.analysis.plots import draw_pictures, plot_sensitivity
-from gs_codec.analysis.sensitivity import (
+from gs_codec.analysis.sensitivity_curves import (
     LEVELS,
     SCALES,
     THRESHOLD,

@@ -19,7 +19,7 @@ from scenes import thorough
 
 import gs_codec
 import viewer
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 from samples import api_pages
 from samples.generate import generate, orbit_cameras

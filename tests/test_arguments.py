@@ -16,7 +16,7 @@ import gs_codec
 import gs_codec.edit
 import viewer
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 
 #: Values that no argument named `source`, `path` or `config` accepts.

@@ -20,16 +20,16 @@ from command_line import Folder, assert_one_error_line
 from scenes import random_scene
 
 from gs_codec import __version__
-from gs_codec.batch import local, memory, remote, run, scenes
+from gs_codec.batch import local, needed_memory, remote, run, scene_tasks
 from gs_codec.batch.ledger import Record, parse_record
 from gs_codec.batch.local import Location
 from gs_codec.batch.remote import is_url, storage_of
 from gs_codec.batch.run import Batch, Summary, Watcher, run_batch
-from gs_codec.batch.scenes import Options, Task
+from gs_codec.batch.scene_tasks import Options, Task
 from gs_codec.cli import batch, encode
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
@@ -525,7 +525,7 @@ def test_unexpected_exceptions_are_errors_of_one_scene(folder):
     def surprise(*arguments: Any, **options: Any) -> None:
         raise ZeroDivisionError
 
-    folder.monkeypatch.setattr("gs_codec.files.coding.encode_requested", surprise)
+    folder.monkeypatch.setattr("gs_codec.files.encode_file.encode_requested", surprise)
     assert folder.run("batch", "in/a.ply", "out").status == 1
     text = f"{Path('in/a.ply').absolute()}: ZeroDivisionError"
     assert records()[0]["error"] == {"kind": "ZeroDivisionError", "text": text}
@@ -664,7 +664,7 @@ def test_tasks_start_when_they_fit_into_memory():
 )
 def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected):
     monkeypatch.setattr(run, "available_threads", lambda: 8)
-    monkeypatch.setattr(scenes, "available_threads", lambda: 8)
+    monkeypatch.setattr(scene_tasks, "available_threads", lambda: 8)
     options = Options(Config(threads=threads))
     batch = Batch("in", "out", options, jobs)
     jobs = run._open_workers(batch, count, "", Watcher())._jobs
@@ -686,27 +686,27 @@ def test_scenes_of_a_cluster_share_the_processors_of_a_host(
         local_directory = "."
 
     monkeypatch.setattr(dask.distributed, "get_worker", Worker)
-    monkeypatch.setattr(scenes, "available_threads", lambda: 8)
+    monkeypatch.setattr(scene_tasks, "available_threads", lambda: 8)
     hosts = Counter({platform.node(): on_host, "another": 99})
     place = dask._do(lambda task, place: place, task("a", 1), hosts, "topic")
     assert Options(Config()).with_share(place.jobs).config.threads == expected
 
 
 def test_estimated_memory_grows_with_scene_and_views():
-    small, large = (memory.needed_bytes(size) for size in (0, 10**9))
+    small, large = (needed_memory.needed_bytes(size) for size in (0, 10**9))
     assert 0 < small < 10**9
     assert large - small >= 2.7e9
-    assert memory.needed_bytes(10**9, 1) > large
+    assert needed_memory.needed_bytes(10**9, 1) > large
 
 
 def test_floats_are_estimated_from_the_file_size():
-    expected = memory.expected_floats
+    expected = needed_memory.expected_floats
     assert expected(10**9, "a.ply") == 10**9
     assert expected(10**9, "a.compressed.ply") == 5 * 10**9
     assert expected(10**9, "a.spz") > expected(10**9, "a.compressed.ply")
     assert expected(-1, "a.ply") == 0
-    assert memory.most_floats(10**9, "a.spz") > expected(10**9, "a.spz")
-    assert memory.most_floats(-1, "a.spz") > 0
+    assert needed_memory.most_floats(10**9, "a.spz") > expected(10**9, "a.spz")
+    assert needed_memory.most_floats(-1, "a.spz") > 0
 
 
 def test_paths_in_options_become_absolute(tmp_path, monkeypatch):

@@ -19,10 +19,10 @@ from scenes import random_scene
 
 from gs_codec.batch import run
 from gs_codec.batch.run import Batch, run_batch
-from gs_codec.batch.scenes import Options
+from gs_codec.batch.scene_tasks import Options
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 

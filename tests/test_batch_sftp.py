@@ -16,7 +16,7 @@ import pytest
 from scenes import random_scene
 
 from gs_codec.batch.run import batch_mark
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 
 TESTS = Path(__file__).parent

@@ -12,8 +12,8 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec.bench import host
+from gs_codec.bench.measured_scenes import held_out_views, tile_scene
 from gs_codec.bench.processes import run_in_process
-from gs_codec.bench.sources import held_out_views, tile_scene
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import write_png
 from gs_codec.cli.main import app

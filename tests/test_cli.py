@@ -26,7 +26,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.sections import write_extra
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply

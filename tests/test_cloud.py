@@ -14,7 +14,7 @@ from scenes import assert_same_floats, random_scene
 import gs_codec
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud

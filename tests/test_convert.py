@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import inspect_file, read_scene
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.coordinates import turn_axes

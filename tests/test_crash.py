@@ -19,7 +19,7 @@ from scenes import random_scene
 from gs_codec import __main__ as entry
 from gs_codec.cli import main as cli
 from gs_codec.config import Config
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime import atomic
@@ -292,7 +292,7 @@ main()
 @pytest.mark.parametrize(
     ("program", "module"),
     [
-        *(("gs-codec", name) for name in ("typer", "gs_codec.files.coding", "numba")),
+        *(("gs-codec", name) for name in ("typer", "gs_codec.files.encode_file", "numba")),
         *(("gs-viewer", name) for name in ("typer", "gs_codec.cli.output", "numba")),
     ],
 )

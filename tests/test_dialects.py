@@ -14,8 +14,8 @@ from scenes import made_up_sensitivity, random_scene
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply

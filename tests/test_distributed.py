@@ -27,9 +27,9 @@ from gs_codec.distributed.tasks import Crew, size_within
 from gs_codec.encoding import loss as check
 from gs_codec.encoding import retry as checked
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import inspect_file
 from gs_codec.guidance import calibrate, windows
 from gs_codec.guidance.calibrate import wanted_error

@@ -15,8 +15,8 @@ from processes import PATIENT, finish, wait_for
 from scenes import random_scene
 
 from gs_codec.config import Config
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
 
 COUNT = 60_000

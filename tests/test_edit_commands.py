@@ -23,8 +23,8 @@ from gs_codec.edit.decimation import decimate
 from gs_codec.edit.floaters import remove_floaters
 from gs_codec.edit.join import merge_scenes
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply

@@ -45,8 +45,8 @@ from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
 from gs_codec.egs.index import levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.files.sharing import page_of
 from gs_codec.formats.ply.file import read_ply

@@ -18,9 +18,9 @@ from splats import TEAL, crowd, noise, turned
 from typer.testing import CliRunner
 
 from gs_codec.bench import device
-from gs_codec.bench.sources import MeasuredScene
+from gs_codec.bench.measured_scenes import MeasuredScene
 from gs_codec.bench.suite.results import Results
-from gs_codec.bench.suite.tables import device_table
+from gs_codec.bench.suite.suite_tables import device_table
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.cli.main import app

@@ -18,7 +18,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, AdaptiveProfile, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.writer import write_ply

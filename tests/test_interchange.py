@@ -24,8 +24,8 @@ from gs_codec.codecs.decode import decode_as
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.attribute_steps import AttributeSteps

@@ -41,9 +41,9 @@ from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.egs.index import errors_of, levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply

@@ -20,9 +20,9 @@ from PIL import Image
 from scenes import random_scene
 
 import gs_codec
-from gs_codec.batch import memory, remote, run
+from gs_codec.batch import needed_memory, remote, run
 from gs_codec.batch.remote import storage_of
-from gs_codec.batch.scenes import Options, find_tasks
+from gs_codec.batch.scene_tasks import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene, stated_bytes
@@ -208,11 +208,11 @@ def test_a_batch_is_planned_from_headers(tmp_path):
     (tmp_path / "c.spz").write_bytes(b"no scene")
     storages = storage_of(str(tmp_path)), storage_of("out")
     tasks = find_tasks("in", *storages, Options(Config()), "")
-    assert memory.needed_bytes(floats) - tasks[0].need < 1000
-    assert memory.needed_bytes(floats) - tasks[1].need < 1000
-    assert tasks[2].need < memory.needed_bytes(1000)
+    assert needed_memory.needed_bytes(floats) - tasks[0].need < 1000
+    assert needed_memory.needed_bytes(floats) - tasks[1].need < 1000
+    assert tasks[2].need < needed_memory.needed_bytes(1000)
     limited = find_tasks("in", *storages, Options(Config(), max_bytes=1000), "")
-    assert max(task.need for task in limited) == memory.needed_bytes(1000)
+    assert max(task.need for task in limited) == needed_memory.needed_bytes(1000)
 
 
 def test_a_batch_refuses_scenes_above_its_limit(folder: Folder):
@@ -223,7 +223,7 @@ def test_a_batch_refuses_scenes_above_its_limit(folder: Folder):
 
 def test_a_batch_limits_decompression_of_remote_files(folder: Folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
-    bomb = spz_bomb(4, 0, 2 * memory.most_floats(0, "a.spz"))
+    bomb = spz_bomb(4, 0, 2 * needed_memory.most_floats(0, "a.spz"))
     storage_of("memory://")._fs.pipe_file("/bombs/a.spz", bomb)
     assert folder.run("batch", "memory://bombs/a.spz", "out").status == 1
     report = json.loads(Path("out/report.jsonl").read_text())

@@ -21,8 +21,8 @@ from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.config import Config
 from gs_codec.egs.egs_file import SectionId
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply

@@ -12,8 +12,8 @@ from scenes import random_scene
 from gs_codec.codecs.matching import put_side_by_side
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.ply.writer import write_ply
 

@@ -12,8 +12,8 @@ from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply

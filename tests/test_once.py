@@ -13,9 +13,9 @@ from gs_codec.codecs.entropygs import section as channels
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import verify_file
 from gs_codec.config import Config, RateTarget
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import inspect_file, read_scene
 from gs_codec.formats.ply.writer import write_ply
 

@@ -12,7 +12,7 @@ from typer.main import get_command
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
 from gs_codec.config import Config
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.preparation.steps import Plan, Steps
 
 #: Typed form of each option that a command may ignore.

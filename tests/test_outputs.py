@@ -14,9 +14,9 @@ from command_line import ROOT, assert_one_error_line
 
 import gs_codec
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.preparation.steps import Plan, Steps
 

@@ -18,7 +18,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
@@ -554,7 +554,7 @@ def test_number_of_gaussians(folder):
 def test_refinement_without_a_number(monkeypatch, typed, iterations):
     asked = []
     monkeypatch.setattr(
-        "gs_codec.files.coding.encode_requested", lambda *given, **_: asked.append(given)
+        "gs_codec.files.encode_file.encode_requested", lambda *given, **_: asked.append(given)
     )
     CliRunner().invoke(app, ["encode", *typed])
     source, target, request, *_ = asked[0]

@@ -18,8 +18,8 @@ from gs_codec.bench.peers import find_splat_transform
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
 from gs_codec.errors import MissingTool
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.packed_values import unit_quaternions
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply

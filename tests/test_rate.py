@@ -22,13 +22,13 @@ import gs_codec
 from gs_codec.cli.encode import _print_report
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
-from gs_codec.cli.request import plan_of
 from gs_codec.cli.typed import Typed
+from gs_codec.cli.typed_request import plan_of
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import to_cloud
@@ -147,7 +147,7 @@ def test_search_tries_neighbours_if_the_measurement_is_noisy(monkeypatch):
         return found is not None and 0.97 <= measure(found) <= 1.0
 
     beside = sum(met(seed) for seed in range(60))
-    monkeypatch.setattr("gs_codec.rate.search._BESIDE", ())
+    monkeypatch.setattr("gs_codec.rate.search._SHIFTS", ())
     assert sum(met(seed) for seed in range(60)) < beside
     assert beside >= 50
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from gs_codec.analysis import plots
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Results, bd_rate
-from gs_codec.bench.suite.tables import headline
+from gs_codec.bench.suite.suite_tables import headline
 from gs_codec.cli.main import NAMES, app
 from gs_codec.formats.ply.writer import write_ply
 from samples.generate import generate

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import gs_codec
-from gs_codec.batch.scenes import Options
+from gs_codec.batch.scene_tasks import Options
 from gs_codec.config import Config, RateTarget
 from gs_codec.edit.actions import Action
 from gs_codec.encoding.request import Request

@@ -17,7 +17,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.levels.adding import add_levels

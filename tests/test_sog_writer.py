@@ -15,8 +15,8 @@ from scenes import random_scene, with_threads
 
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.cells import WORTH, split_cells

@@ -22,7 +22,7 @@ from scenes import (
     with_threads,
 )
 
-from gs_codec.batch.memory import needed_bytes
+from gs_codec.batch.needed_memory import needed_bytes
 from gs_codec.cli.output import bars
 from gs_codec.config import Config
 from gs_codec.edit.description import BINS, Statistics, statistics_of

@@ -19,8 +19,8 @@ from gs_codec.codecs.memory_limit import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime import arrays as storage

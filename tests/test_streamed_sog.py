@@ -23,8 +23,8 @@ from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes

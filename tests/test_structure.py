@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -92,6 +92,23 @@ def test_every_module_is_in_the_map_once():
     listed = [name for row in rows() for name in row]
     there = {unit_of(name) for name in modules() if name.startswith("gs_codec.")}
     assert sorted(listed) == sorted(there)
+
+
+#: Names that several modules have, since they are the same part of parallel things, and where.
+PARALLEL = {
+    "encode": "codecs and the choice of one; the command",
+    "decode": "codecs and the choice of one; the command",
+    "section": "codecs",
+    "file": "families of formats: the bytes of a file",
+    "scene": "a scene; families of formats: a scene from and to their files",
+    "writer": "families of formats",
+    "main": "programs",
+}
+
+
+def test_modules_have_names_of_their_own():
+    count = Counter(path.stem for path in modules().values() if not path.stem.startswith("__"))
+    assert {name for name, number in count.items() if number > 1} == set(PARALLEL)
 
 
 def test_imports_go_down_the_map(imports):

@@ -13,15 +13,15 @@ from scenes import estimate_few_cameras, random_scene
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.bench import measure, sources
+from gs_codec.bench import measure, measured_scenes
 from gs_codec.bench import processes as apart
 from gs_codec.bench import processes as scaling
 from gs_codec.bench import side_by_side as beside
+from gs_codec.bench.measured_scenes import open_with_cameras
 from gs_codec.bench.peers import AbsentPeer
-from gs_codec.bench.sources import open_with_cameras
-from gs_codec.bench.suite import run
-from gs_codec.bench.suite.run import GROUPS, Options, run_suite, scene_line
-from gs_codec.bench.suite.tables import escaped
+from gs_codec.bench.suite import measurements
+from gs_codec.bench.suite.measurements import GROUPS, Options, run_suite, scene_line
+from gs_codec.bench.suite.suite_tables import escaped
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import write_png
 from gs_codec.cli import main
@@ -70,13 +70,13 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
 
     for module in (measure, scaling):
         patch.setattr(module, "run_in_process", run_here)
-    patch.setattr(run, "find_peers", peers)
-    patch.setattr(run, "SIZES", (150, 300))
-    patch.setattr(run, "REFINED", (10.0, 5000.0))
+    patch.setattr(measurements, "find_peers", peers)
+    patch.setattr(measurements, "SIZES", (150, 300))
+    patch.setattr(measurements, "REFINED", (10.0, 5000.0))
     patch.setattr(beside, "_ITERATIONS", 5)
     patch.setattr(beside, "_compile", lambda *_: None)
-    patch.setattr(sources, "_MEASURED", 3)
-    patch.setattr(sources, "_ENCODED_BY", 6)
+    patch.setattr(measured_scenes, "_MEASURED", 3)
+    patch.setattr(measured_scenes, "_ENCODED_BY", 6)
     estimate_few_cameras(patch)
 
 
@@ -374,7 +374,7 @@ def test_ctrl_c_keeps_finished_measurements(tmp_path, monkeypatch, capsys):
         yield {"kind": "memory", "scene": "scene"}
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(run.STAGES, "codecs", ("codecs", measure_and_stop))
+    monkeypatch.setitem(measurements.STAGES, "codecs", ("codecs", measure_and_stop))
     arguments = ["gs-codec", "bench", "suite", str(path), "--out", str(out), "--width", "36"]
     monkeypatch.setattr(sys, "argv", arguments)
     with pytest.raises(SystemExit) as stopped:

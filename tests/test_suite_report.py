@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gs_codec.bench.suite.report import write_report
 from gs_codec.bench.suite.results import Results
-from gs_codec.bench.suite.tables import headline
+from gs_codec.bench.suite.suite_report import write_report
+from gs_codec.bench.suite.suite_tables import headline
 from gs_codec.errors import InvalidInput, MissingTool
 
 pytestmark = pytest.mark.slow

@@ -18,9 +18,9 @@ from gs_codec.distributed.sources import open_sources
 from gs_codec.distributed.tasks import Crew
 from gs_codec.edit.apply import Action
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.decoding import decode_file
+from gs_codec.files.decode_file import decode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply

@@ -70,7 +70,7 @@ def site(tmp_path_factory) -> Site:
 
 
 @dataclass
-class FileQuestion:
+class Requested:
     """The requests that a server received."""
 
     ranges: list[tuple[int, int]] = field(default_factory=list)
@@ -93,7 +93,7 @@ class serving:  # noqa: N801
         stalls: Callable[[int, int], bool] = lambda begin, end: False,
         fails: Callable[[int, int], bool] = lambda begin, end: False,
     ) -> None:
-        asked = self.asked = FileQuestion()
+        requested = self.requested = Requested()
 
         class Handler(http.server.SimpleHTTPRequestHandler):
             def __init__(self, *given: Any) -> None:
@@ -106,8 +106,8 @@ class serving:  # noqa: N801
                 found = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
                 if found is None:
                     if self.path == "/mended":
-                        asked.mended = True
-                        asked.over.set()
+                        requested.mended = True
+                        requested.over.set()
                         self.send_response(204)
                         self.end_headers()
                     elif self.path.endswith(".egs"):
@@ -116,17 +116,17 @@ class serving:  # noqa: N801
                         super().do_GET()
                     return
                 begin, end = int(found[1]), int(found[2]) + 1
-                asked.ranges.append((begin, end))
+                requested.ranges.append((begin, end))
                 if stalls(begin, end):
-                    asked.over.wait(300)
-                    if not asked.mended:
+                    requested.over.wait(300)
+                    if not requested.mended:
                         return
-                if fails(begin, end) and asked.ranges.count((begin, end)) == 1:
+                if fails(begin, end) and requested.ranges.count((begin, end)) == 1:
                     self.send_error(503)
                     return
                 data = Path(self.translate_path(self.path)).read_bytes()
                 part = data[begin:end]
-                asked.given += len(part)
+                requested.given += len(part)
                 self.send_response(206)
                 self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{len(data)}")
                 self.send_header("Content-Length", str(len(part)))
@@ -135,24 +135,24 @@ class serving:  # noqa: N801
 
             def send_whole(self) -> None:
                 data = Path(self.translate_path(self.path)).read_bytes()
-                asked.ranges.append((0, len(data)))
+                requested.ranges.append((0, len(data)))
                 self.send_response(200)
                 self.send_header("Content-Length", str(len(data)))
                 self.end_headers()
                 self.wfile.write(data[: len(data) // 2])
-                if asked.ranges.count((0, len(data))) == 1:
-                    asked.over.wait(300)
+                if requested.ranges.count((0, len(data))) == 1:
+                    requested.over.wait(300)
                 else:
                     self.wfile.write(data[len(data) // 2 :])
 
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
 
-    def __enter__(self) -> tuple[str, FileQuestion]:
+    def __enter__(self) -> tuple[str, Requested]:
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
-        return f"http://127.0.0.1:{self.server.server_port}/", self.asked
+        return f"http://127.0.0.1:{self.server.server_port}/", self.requested
 
     def __exit__(self, *_: object) -> None:
-        self.asked.over.set()
+        self.requested.over.set()
         self.server.shutdown()
         self.server.server_close()
 
@@ -180,7 +180,7 @@ def test_views_are_sharp_everywhere_and_nothing_else_is_fetched(site, tmp_path):
         job.steps += [("value", DETAIL), ("key", "n")]
     job.shot(str(tmp_path / "again.png"))
     job.steps.append(("value", MISSING))
-    with serving(site.folder / "site") as (url, asked):
+    with serving(site.folder / "site") as (url, requested):
         job.url = url
         [told] = open_pages(job)
     assert (told.state, told.status, told.errors, told.values[-1]) == ("ready", "", [], "")
@@ -193,8 +193,8 @@ def test_views_are_sharp_everywhere_and_nothing_else_is_fetched(site, tmp_path):
     assert len(told_of) == 3
     assert all(0 < gaussians_of(text) < site.scene.count for text in told_of)
     # Fetched data are cached: nothing is requested twice.
-    assert len(set(asked.ranges)) == len(asked.ranges)
-    assert asked.given < 0.8 * len(city())
+    assert len(set(requested.ranges)) == len(requested.ranges)
+    assert requested.given < 0.8 * len(city())
 
 
 def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
@@ -207,7 +207,7 @@ def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
     def stalls(begin: int, _: int) -> bool:
         return begin >= end and begin not in starts
 
-    with serving(site.folder / "site", stalls) as (url, asked):
+    with serving(site.folder / "site", stalls) as (url, requested):
         job = Job(url, [], panel=True)
         job.steps += [("until", f"{DETAIL}.includes(' drawn') && !{DETAIL}.includes(' 0 ')")]
         job.steps += [("until", f"{MISSING} !== ''"), ("value", "document.body.dataset.state")]
@@ -225,7 +225,7 @@ def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
     assert told.status == "Stopped: the page shows what was loaded."
     assert "ready" not in told.values
     assert "of this view missing" in told.values[-1]
-    assert asked.given < 0.1 * len(city())
+    assert requested.given < 0.1 * len(city())
     assert decibels(seen(tmp_path / "first.png"), drawn(site.scene, site.cameras[0])) > 20
 
 
@@ -257,12 +257,12 @@ def test_stalled_blocks_are_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
 def test_lost_blocks_are_requested_again(site, tmp_path):
     """At first all blocks of the scene itself fail, but not for ever."""
     begins = first_block()
-    with serving(site.folder / "site", fails=lambda begin, _: begin >= begins) as (url, asked):
+    with serving(site.folder / "site", fails=lambda begin, _: begin >= begins) as (url, requested):
         job = Job(url, [("drawn",), ("key", "n")])
         job.shot(str(tmp_path / "near.png"))
         [told] = open_pages(job)
     assert (told.state, told.status) == ("ready", "")
-    assert max(asked.ranges.count(each) for each in asked.ranges) > 1
+    assert max(requested.ranges.count(each) for each in requested.ranges) > 1
     assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
 
 
@@ -357,10 +357,10 @@ def test_blocks_that_fit_another_budget_are_kept(site, tmp_path):
     for k, value in enumerate((0.05, 1)):
         job.steps.append(("value", f"{BUDGET}({value})"))
         job.shot(str(tmp_path / f"{k}.png"))
-    with serving(site.folder / "site") as (job.url, asked):
+    with serving(site.folder / "site") as (job.url, requested):
         [told] = open_pages(job)
     assert (told.state, told.status, told.errors) == ("ready", "", [])
-    assert len(set(asked.ranges)) == len(asked.ranges)
+    assert len(set(requested.ranges)) == len(requested.ranges)
     for k in range(2):
         assert decibels(seen(tmp_path / f"{k}.png"), seen(tmp_path / "before.png")) > 50
 
@@ -417,8 +417,8 @@ def test_damaged_levels_are_reported_and_the_others_drawn(site, tmp_path):
     for name, content in files.items():
         shutil.copytree(site.folder / "site", tmp_path / name)
         (tmp_path / name / "city.egs").write_bytes(content)
-    with serving(tmp_path) as (url, asked):
-        asked.ranges.append((0, len(data)))  # the whole file is sent at once
+    with serving(tmp_path) as (url, requested):
+        requested.ranges.append((0, len(data)))  # the whole file is sent at once
         for name in files:
             jobs.append(Job(f"{url}{name}/index.html", [("drawn",), ("key", "n")]))
             jobs[-1].shot(str(tmp_path / f"{name}.png"))
@@ -431,7 +431,7 @@ def test_damaged_levels_are_reported_and_the_others_drawn(site, tmp_path):
     ours = drawn(site.scene, site.cameras[1])
     for name, least in {"block": 20, "header": 35, "top": 35}.items():
         assert decibels(seen(tmp_path / f"{name}.png"), ours) > least
-    assert max(asked.ranges.count(each) for each in asked.ranges[1:]) <= len(jobs)
+    assert max(requested.ranges.count(each) for each in requested.ranges[1:]) <= len(jobs)
 
 
 @pytest.mark.thorough

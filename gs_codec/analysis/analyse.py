@@ -12,7 +12,7 @@ from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entrop
 from gs_codec.analysis.fits import Fit, fits_of
 from gs_codec.analysis.information import BINS, Bins, bin_count
 from gs_codec.analysis.maps import Map, maps_of, mean_by_attribute, mean_by_relation
-from gs_codec.analysis.sensitivity import ErrorScale, SensitivityCurves, measure_sensitivity
+from gs_codec.analysis.sensitivity_curves import ErrorScale, SensitivityCurves, measure_sensitivity
 from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
@@ -160,7 +160,7 @@ def analyse_scene(
     width : int, optional
         Width of the views, pixels.
     error_scale : {"deviation", "mean"}
-        Scale of the errors of `sensitivity`; see `gs_codec.analysis.sensitivity`.
+        Scale of the errors of `sensitivity`; see `gs_codec.analysis.sensitivity_curves`.
     sample : int
         Maximum Gaussians for maps and fits; entropies, bits and views use all.
     seed : int

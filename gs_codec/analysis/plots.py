@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.analysis.analyse import Analysis
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.maps import Map
-from gs_codec.analysis.sensitivity import SCALES, SensitivityCurves
+from gs_codec.analysis.sensitivity_curves import SCALES, SensitivityCurves
 from gs_codec.pages.figures import new_figure, png_of
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import sh_bands

@@ -12,7 +12,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import LOSSLESS, Config, Extra, RateTarget, as_config, as_rate_target
 from gs_codec.encoding import order
 from gs_codec.encoding.request import Request
-from gs_codec.files.coding import read_source
+from gs_codec.files.encode_file import read_source
 from gs_codec.files.scenes import inspect_file, read_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.files.writing import tell_lost, write_scene

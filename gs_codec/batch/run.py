@@ -20,7 +20,7 @@ from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
 from gs_codec.batch.local import LocalStorage
 from gs_codec.batch.remote import Storage, is_url, storage_of
-from gs_codec.batch.scenes import Options, Task, find_tasks
+from gs_codec.batch.scene_tasks import Options, Task, find_tasks
 from gs_codec.batch.work import record_scene, versions
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.table import format_of

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.local import LocalStorage, file_sha256
-from gs_codec.batch.memory import most_floats
+from gs_codec.batch.needed_memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
-from gs_codec.batch.scenes import Options, Task
+from gs_codec.batch.scene_tasks import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.report import Progress, StageTimes, bits_per_gaussian
 from gs_codec.runtime.atomic import make_folder
@@ -117,8 +117,8 @@ def _write(
     file: Path, output: Path, options: Options, progress: Progress, max_bytes: int | None
 ) -> EncodeReport | ConvertReport:
     """Encode or convert a scene."""
-    from gs_codec.files.coding import encode_requested
     from gs_codec.files.conversion import convert_file
+    from gs_codec.files.encode_file import encode_requested
 
     if options.plain is None:
         request = replace(options, max_bytes=max_bytes)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gs_codec.api.splats import decode_tensors, require_device
-from gs_codec.bench.sources import MeasuredScene, tile_scene
+from gs_codec.bench.measured_scenes import MeasuredScene, tile_scene
 from gs_codec.config import Config
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.bench.sources import MeasuredScene, cameras_of, open_scene
+from gs_codec.bench.measured_scenes import MeasuredScene, cameras_of, open_scene
 from gs_codec.cameras.camera import Camera
 from gs_codec.config import RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.coding import encode_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.pages.tables import Table, number
 from gs_codec.preparation.steps import Plan, Steps

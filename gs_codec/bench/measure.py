@@ -10,10 +10,10 @@ from typing import Any
 
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
+from gs_codec.bench.measured_scenes import MeasuredScene, open_scene
 from gs_codec.bench.peers import find_peers
 from gs_codec.bench.processes import run_in_process
 from gs_codec.bench.side_by_side import measure_alternating, our_codecs
-from gs_codec.bench.sources import MeasuredScene, open_scene
 from gs_codec.config import Config, changed_options
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request

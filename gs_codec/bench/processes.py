@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gs_codec.bench.sources import tile_scene
+from gs_codec.bench.measured_scenes import tile_scene
 from gs_codec.errors import GsCodecError
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import Scene

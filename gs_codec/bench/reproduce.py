@@ -13,7 +13,7 @@ from typing import Any
 
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
-from gs_codec.bench.sources import MeasuredScene, cameras_of, check_names, open_with_cameras
+from gs_codec.bench.measured_scenes import MeasuredScene, cameras_of, check_names, open_with_cameras
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from gs_codec import __version__
+from gs_codec.bench.measured_scenes import MeasuredScene
 from gs_codec.bench.peers import AbsentPeer, Peer
-from gs_codec.bench.sources import MeasuredScene
 from gs_codec.codecs.decode import decode_as
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, PROFILE_CHOICES, Config, RateTarget
 from gs_codec.encoding.order import encode, encode_prepared

@@ -56,7 +56,7 @@ def command(
         raise InvalidInput("missing option '--out' (folder of the report) or '--json'")
     else:
         typed.refuse(["overwrite"], "needs --out")
-    from gs_codec.analysis.report import analyse_file
+    from gs_codec.analysis.analysis_report import analyse_file
 
     with progress_bar() as progress:
         content = analyse_file(

@@ -32,8 +32,8 @@ from gs_codec.cli.output import (
     progress_lines,
     smaller,
 )
-from gs_codec.cli.request import action_plan, config_of, request_of
 from gs_codec.cli.typed import Typed, takes
+from gs_codec.cli.typed_request import action_plan, config_of, request_of
 from gs_codec.encoding.combinations import refuse_coding
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
@@ -98,7 +98,7 @@ def command(
     if resume and typed["overwrite"]:
         raise InvalidInput("--overwrite and --resume cannot be combined")
     from gs_codec.batch.run import Batch, run_batch
-    from gs_codec.batch.scenes import Options
+    from gs_codec.batch.scene_tasks import Options
     from gs_codec.runtime.redaction import redact_process, without_secrets
 
     plain = typed["format"] if f".{typed['format']}" in PLAIN else None

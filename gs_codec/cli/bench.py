@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from gs_codec.cli.actions import InOrder
+from gs_codec.cli.action_options import InOrder
 from gs_codec.cli.command import Shown
 from gs_codec.cli.output import print_status, print_table, print_text, progress_bar
 from gs_codec.cli.typed import Typed, takes
@@ -29,7 +29,7 @@ from gs_codec.runtime.optional import check_installed
 def print_codecs(lines: list[dict[str, Any]]) -> None:
     """Print the table of each scene, as in the suite's report, and absent codecs, on stderr."""
     from gs_codec.bench.suite.results import Results
-    from gs_codec.bench.suite.tables import codec_table
+    from gs_codec.bench.suite.suite_tables import codec_table
 
     results = Results(lines)
     for scene in results.scenes:
@@ -93,8 +93,8 @@ def measure_suite(
     It takes about ten minutes per 100,000 Gaussians, and the same again for refinement.
     suite.jsonl has all lines measured so far.
     """
-    from gs_codec.bench.suite.report import write_report
-    from gs_codec.bench.suite.run import Options, run_suite
+    from gs_codec.bench.suite.measurements import Options, run_suite
+    from gs_codec.bench.suite.suite_report import write_report
 
     options = Options(
         tuple(scenes or ()), repeats, typed["threads"], typed["width"], frozenset(skip or ())

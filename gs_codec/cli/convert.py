@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.actions import say_what_was_done
+from gs_codec.cli.action_options import say_what_was_done
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
@@ -18,9 +18,9 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.request import action_plan, config_of
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.cli.typed import Typed, takes
+from gs_codec.cli.typed_request import action_plan, config_of
 from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.combinations import refuse_coding

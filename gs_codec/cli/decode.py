@@ -20,7 +20,7 @@ from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
     from gs_codec.cameras.camera import Camera
-    from gs_codec.files.decoding import DecodeReport
+    from gs_codec.files.decode_file import DecodeReport
 
 
 @takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
@@ -71,7 +71,7 @@ def command(
         target = source.with_suffix(".ply")
     box = None if bbox is None else _parse_box(bbox)
     from gs_codec.codecs.part import Part
-    from gs_codec.files.decoding import decode_file
+    from gs_codec.files.decode_file import decode_file
 
     if typed["dask"] is not None:
         typed.refuse(["max_bytes", "tmc3"], "has no effect with --dask")

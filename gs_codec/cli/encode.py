@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.actions import say_what_was_done
+from gs_codec.cli.action_options import say_what_was_done
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
@@ -20,9 +20,9 @@ from gs_codec.cli.output import (
     progress_bar,
     smaller,
 )
-from gs_codec.cli.request import request_of
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.cli.typed import Typed, takes
+from gs_codec.cli.typed_request import request_of
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.request import Request
@@ -64,7 +64,7 @@ def command(
         check_no_pipes("--dask", source, target)
         _tell(source, target, config, typed, _encode_divided(source, target, request, typed))
         return
-    from gs_codec.files.coding import encode_requested
+    from gs_codec.files.encode_file import encode_requested
 
     with piped([source], target, f".{config.format}", typed["input_format"]) as ([file], out):
         with progress_bar() as progress:

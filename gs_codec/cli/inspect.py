@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gs_codec.batch.memory import needed_bytes
+from gs_codec.batch.needed_memory import needed_bytes
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import (
     SCENES_PIPED,

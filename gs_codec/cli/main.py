@@ -70,7 +70,7 @@ class _Commands(Shown, TyperGroup):
 
 
 def _load_command(name: str) -> Any:
-    from gs_codec.cli.actions import InOrder
+    from gs_codec.cli.action_options import InOrder
 
     module = import_module(f"gs_codec.cli.{name}")
     if hasattr(module, "app"):

@@ -15,9 +15,9 @@ from gs_codec.cli.output import (
     print_rendered,
     progress_bar,
 )
-from gs_codec.cli.request import config_of, plan_of
 from gs_codec.cli.streams import piped_source
 from gs_codec.cli.typed import Typed, takes
+from gs_codec.cli.typed_request import config_of, plan_of
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import PLAIN, format_name, known_suffix

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from gs_codec.cli.actions import action_parameters, typed_actions
+from gs_codec.cli.action_options import action_parameters, typed_actions
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
 from gs_codec.cli.output import set_loudness
 from gs_codec.config import Config, RateTarget, options_of

@@ -16,7 +16,7 @@ from gs_codec.distributed.folder import Folder, identity_of, work_folder
 from gs_codec.distributed.tasks import Crew, crew_at, size_within
 from gs_codec.egs.index import bounds_of, index_of
 from gs_codec.errors import InvalidInput
-from gs_codec.files.decoding import DecodeReport
+from gs_codec.files.decode_file import DecodeReport
 from gs_codec.files.suffixes import check_target
 from gs_codec.formats.ply.writer import ply_header, vertex_rows
 from gs_codec.report import Progress, StageTimes

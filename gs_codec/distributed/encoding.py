@@ -23,8 +23,8 @@ from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.coding.clean import nothing_left
 from gs_codec.config import Config, as_config
-from gs_codec.distributed.blocks import Chunks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.chunks import quantise, save_quantised
+from gs_codec.distributed.coded_blocks import Chunks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.folder import identity_of, work_folder
 from gs_codec.distributed.levels import code_levels
 from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run

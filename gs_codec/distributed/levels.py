@@ -15,8 +15,14 @@ from gs_codec.codecs.adaptive.lattice import Lattice, grid_codes
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import Config
-from gs_codec.distributed.blocks import Chunks, CodedBlocks, Quantised, code_blocks, write_blocks
 from gs_codec.distributed.chunks import quantise, save_quantised
+from gs_codec.distributed.coded_blocks import (
+    Chunks,
+    CodedBlocks,
+    Quantised,
+    code_blocks,
+    write_blocks,
+)
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.sorting import planes_of, scene_of_rows
 from gs_codec.distributed.sources import Source, Span

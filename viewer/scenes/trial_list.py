@@ -13,7 +13,7 @@ import gs_codec
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
-from gs_codec.files.coding import encode_requested
+from gs_codec.files.encode_file import encode_requested
 from gs_codec.files.writing import write_parts
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.views import compare_views

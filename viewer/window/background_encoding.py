@@ -13,8 +13,8 @@ from weakref import WeakKeyDictionary
 from gs_codec.metrics.attributes import Comparison
 from viewer.scenes.opened import Opened, Progress, Pruned
 from viewer.scenes.trial_list import EncodingSettings, Trial, Trials
-from viewer.window.host import Host
 from viewer.window.loading import Loading
+from viewer.window.shared import Host
 from viewer.window.visits import Visits
 from viewer.window.worker import Cancelled, Stale
 

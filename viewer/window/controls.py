@@ -11,11 +11,11 @@ from viewer.scenes.typed_paths import PICTURES
 from viewer.window.background_encoding import Encoding
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
-from viewer.window.host import Host
 from viewer.window.loading import Loading
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.picking import Picking
 from viewer.window.saved import Saved
+from viewer.window.shared import Host
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 

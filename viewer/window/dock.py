@@ -13,8 +13,8 @@ from viewer.pictures.charts import Chart, ContactSheet, HistogramChart, Message,
 from viewer.scenes.choice import DOCKS
 from viewer.scenes.opened import Opened
 from viewer.window.canvas import Canvas
-from viewer.window.host import Host
 from viewer.window.pane import HIDDEN
+from viewer.window.shared import Host
 from viewer.window.view_survey import Survey
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale

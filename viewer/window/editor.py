@@ -19,9 +19,9 @@ from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
 from viewer.scenes.typed_paths import SAVED_SCENES
 from viewer.window import dialogs
 from viewer.window.dock import Dock
-from viewer.window.host import Host
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
+from viewer.window.shared import Host
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 

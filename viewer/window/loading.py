@@ -15,7 +15,7 @@ from viewer.scenes.view_request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
 from viewer.window import dialogs
 from viewer.window.editor import Editor
-from viewer.window.host import Host
+from viewer.window.shared import Host
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 

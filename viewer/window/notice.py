@@ -7,7 +7,7 @@ import time
 from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
-from viewer.window.host import Host
+from viewer.window.shared import Host
 
 #: Minimum compile time that is shown, seconds.
 _SHORT = 0.5

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from viewer.scenes.picked import Hit, Picked, Picker
 from viewer.scenes.pose import Pose
-from viewer.window.host import Host
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
+from viewer.window.shared import Host
 from viewer.window.worker import Stale
 
 

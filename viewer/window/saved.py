@@ -9,7 +9,7 @@ from gs_codec.runtime.wording import counted
 from viewer.scenes.flight import flythrough, read_poses, write_poses
 from viewer.scenes.pose import Pose
 from viewer.scenes.typed_paths import POSES
-from viewer.window.host import Host
+from viewer.window.shared import Host
 from viewer.window.worker import Stale
 
 #: Duration of a flight between successive poses, seconds.

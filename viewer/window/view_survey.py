@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewer.pictures.drawer import quality, splats
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
-from viewer.window.host import Host
+from viewer.window.shared import Host
 from viewer.window.visits import Visits
 from viewer.window.worker import Result, Stale
 

@@ -12,8 +12,8 @@ from gs_codec.runtime.wording import counted
 from gs_codec.views.photographs import read_photograph
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
 from viewer.window.backdrop import picture_of
-from viewer.window.host import Host
 from viewer.window.pane import HIDDEN
+from viewer.window.shared import Host
 from viewer.window.worker import Stale
 
 #: Text for the panel if the up axis is uncertain.

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from gs_codec.bench.measured_scenes import MeasuredScene
 from gs_codec.bench.side_by_side import GUIDED, camera_free, guided, is_ours, measure_alternating
-from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import curve_of
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
 from gs_codec.runtime.wording import counted

@@ -24,7 +24,7 @@ from gs_codec.egs.egs_file import EgsFile, Section, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
-from gs_codec.formats.ply.header import read_header
+from gs_codec.formats.ply.ply_header import read_header
 from gs_codec.runtime.programs import Limits, find_program, run_on_files
 from gs_codec.runtime.wording import counted
 

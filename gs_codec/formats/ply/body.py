@@ -17,7 +17,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.ply.dialects import layout_names
-from gs_codec.formats.ply.header import Element, PlyHeader, read_header
+from gs_codec.formats.ply.ply_header import Element, PlyHeader, read_header
 from gs_codec.formats.ply.writer import TILE, for_tiles
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.wording import counted

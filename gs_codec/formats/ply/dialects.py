@@ -18,7 +18,7 @@ from gs_codec.coding.clean import flat_scales
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import listed
 from gs_codec.formats.packed_values import spans
-from gs_codec.formats.ply.header import Element
+from gs_codec.formats.ply.ply_header import Element
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene, is_extra_name

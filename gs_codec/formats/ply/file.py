@@ -26,8 +26,8 @@ from gs_codec.formats.ply.dialects import (
     say_dialect,
     with_flat,
 )
-from gs_codec.formats.ply.header import PlyHeader
 from gs_codec.formats.ply.packed import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
+from gs_codec.formats.ply.ply_header import PlyHeader
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.wording import counted

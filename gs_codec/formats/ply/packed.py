@@ -29,7 +29,7 @@ from gs_codec.formats.packed_values import (
     spans,
 )
 from gs_codec.formats.ply.body import Ply
-from gs_codec.formats.ply.header import PlyHeader
+from gs_codec.formats.ply.ply_header import PlyHeader
 from gs_codec.formats.table import COMPRESSED_PLY
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted

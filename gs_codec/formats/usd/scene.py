@@ -59,7 +59,7 @@ _READ = """
 import os, sys
 os.environ |= {"TMPDIR": os.getcwd(), "PXR_WORK_THREAD_LIMIT": "1"}  # others wait busily
 sys.path[0] = sys.argv.pop(1)
-from gs_codec.formats.usd.stage import main
+from gs_codec.formats.usd.read_stage import main
 main()
 """
 
@@ -110,7 +110,7 @@ def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
 
 
 def _read_in_process(view: memoryview, most: int) -> dict[str, NDArray]:
-    """The result of `usd_stage.main`; only sizes if the floats take more than `most` bytes."""
+    """The result of `read_stage.main`; only sizes if the floats take more than `most` bytes."""
     require_usd_core()
     suffix = dict(zip(USD.signatures, (".usda", ".usdc", ".usdz"), strict=True))
     name = "scene" + next((s for begin, s in suffix.items() if view[: len(begin)] == begin), ".usd")

@@ -14,10 +14,10 @@ from gs_codec.bench.device import measure_device
 from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import installed, machine
 from gs_codec.bench.measure import measure_memory
+from gs_codec.bench.measured_scenes import MeasuredScene, cameras_of, check_names, open_with_cameras
 from gs_codec.bench.peers import AbsentPeer, find_peers
 from gs_codec.bench.processes import measure_scaling
 from gs_codec.bench.side_by_side import ESTIMATED, guided, measure_alternating, our_codecs
-from gs_codec.bench.sources import MeasuredScene, cameras_of, check_names, open_with_cameras
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput

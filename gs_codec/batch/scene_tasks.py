@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from gs_codec.batch.local import SUFFIXES, LocalStorage, Location, Stamp, file_sha256
-from gs_codec.batch.memory import expected_floats, needed_bytes
+from gs_codec.batch.needed_memory import expected_floats, needed_bytes
 from gs_codec.batch.remote import Storage
 from gs_codec.config import EGS
 from gs_codec.encoding.combinations import check_actions

@@ -13,7 +13,7 @@ from gs_codec.analysis.analyse import REFERENCE, Analysis, analyse_scene
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.information import BINS
 from gs_codec.analysis.plots import draw_pictures
-from gs_codec.analysis.sensitivity import SCALES, THRESHOLD, Curve, ErrorScale
+from gs_codec.analysis.sensitivity_curves import SCALES, THRESHOLD, Curve, ErrorScale
 from gs_codec.files.scenes import read_scene
 from gs_codec.pages.html import heading, listing, page, paragraph, picture
 from gs_codec.pages.tables import Table, number

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.bench.side_by_side import is_ours
-from gs_codec.bench.suite import plots, tables
+from gs_codec.bench.suite import suite_plots, suite_tables
 from gs_codec.bench.suite.results import Results
 from gs_codec.pages.figures import png_of
 from gs_codec.pages.tables import escaped
@@ -63,14 +63,14 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     for scene in results.scenes:
         parts += _scene_parts(results, scene, draw)
     if results.of("geometry"):
-        parts += ["## Positions", _POSITIONS, tables.geometry_table(results).markdown()]
+        parts += ["## Positions", _POSITIONS, suite_tables.geometry_table(results).markdown()]
     if results.of("scaling"):
-        picture = draw("scaling", "Time and memory by Gaussians", plots.plot_scaling, results)
+        picture = draw("scaling", "Time and memory by Gaussians", suite_plots.plot_scaling, results)
         parts += ["## Scaling", _GROWTH, picture]
     if results.of("device"):
-        parts += ["## On a CUDA device", _DEVICE, tables.device_table(results).markdown()]
+        parts += ["## On a CUDA device", _DEVICE, suite_tables.device_table(results).markdown()]
     parts += _circumstances(results)
-    headline = tables.headline(lines).markdown() + "\n"
+    headline = suite_tables.headline(lines).markdown() + "\n"
     text = "\n\n".join(part for part in parts if part) + "\n"
     write_files(
         folder,
@@ -85,12 +85,15 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
 def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
     """Tables and pictures of a scene."""
     codecs = results.of("beside", scene)
-    parts = [f"## {tables.scene_title(results, scene)}", tables.views(results, scene)]
-    parts += [tables.codec_table(results, scene).markdown(), tables.rates(results, scene)]
-    drawn = [("rate", "bits per Gaussian", plots.plot_rate)]
+    parts = [f"## {suite_tables.scene_title(results, scene)}", suite_tables.views(results, scene)]
+    parts += [
+        suite_tables.codec_table(results, scene).markdown(),
+        suite_tables.rates(results, scene),
+    ]
+    drawn = [("rate", "bits per Gaussian", suite_plots.plot_rate)]
     if codecs:
-        drawn.append(("time", "seconds", plots.plot_time))
-        drawn.append(("frontier", "compression ratio", plots.plot_frontier))
+        drawn.append(("time", "seconds", suite_plots.plot_time))
+        drawn.append(("frontier", "compression ratio", suite_plots.plot_frontier))
     for name, over, plot in drawn:
         parts.append(draw(f"{name}-{scene}", f"Quality against {over}", plot, results, scene))
     return parts

@@ -1,4 +1,4 @@
-"""A request refuses options without effect, whoever builds it."""
+"""Requests reject options without effect, in every interface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gs_codec.preparation.steps import Plan, Steps
 TARGET = RateTarget(ratio=9)
 PRUNING = replace(TARGET, allow_prune=True)
 
-#: Requests, and why they are refused.
+#: Requests, and why they are rejected.
 REFUSED = {
     "memory and views": (
         {"config": Config(), "plan": Plan(), "max_memory": 10**10},

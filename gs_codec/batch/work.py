@@ -34,7 +34,7 @@ _COMPUTING = ("numpy", "numba", "llvmlite", "pcodec")
 
 
 def record_scene(options: Options, task: Task, place: Place) -> Record:
-    """Encode or convert a scene with its share of the processors; the record has its errors, too.
+    """Encode or convert a scene with its share of the processors; errors become part of the record.
 
     Copies of remote files are in a temporary folder.
     """

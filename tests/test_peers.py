@@ -1,4 +1,4 @@
-"""Other codecs: their results, missing ones, and bench lines of both."""
+"""Other codecs: their results, and bench lines of present and missing ones."""
 
 from __future__ import annotations
 

@@ -540,7 +540,7 @@ def test_splat_transform_reads_the_finest_level(folder):
     check(theirs, stored_numbers(folder / STREAMED), "sog", program.exact)
 
 
-#: For each leaf: its box, and the number of Gaussians of each level; and the number drawn.
+#: The box and the number of Gaussians by level of each leaf, and the number drawn.
 SEEN = """[
     resource.octree.nodes.map((node) => [
         ...['getMin', 'getMax'].flatMap((end) => Object.values(node.bounds[end]())),

@@ -68,8 +68,8 @@ class Curve:
     psnr : tuple of float
         Mean PSNR at each of `LEVELS`, dB, relative to views of the unchanged scene; at most 120.
     tolerance : float or None
-        The error at which PSNR falls to `THRESHOLD`; the lowest of `errors` if PSNR is below
-        `THRESHOLD` even there; None if PSNR stays above it.
+        The error at which PSNR falls to `THRESHOLD`; None if PSNR stays above it, the lowest of
+        `errors` if it is always below.
     tolerance_of_range : float or None
         The same error as root mean square relative to the channel's range, from lowest to highest
         value; in either scale.

@@ -198,7 +198,7 @@ def _cost(groups, first, second):
 
 @kernel
 def _merge(groups, begins):
-    """Merge groups ``(G, A)`` into their predecessors; `begins` stays True for those left."""
+    """Merge groups ``(G, A)`` into their predecessors; `begins` becomes False for merged ones."""
     count = len(groups)
     after = np.arange(1, count + 1)
     costs, gains = np.empty(count), np.full(count, -np.inf)

@@ -28,7 +28,7 @@ _QUOTES = "'\" "
 _COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 _DEGREE = "radiance:sphericalHarmonicsDegree"
 
-#: Optional attributes of a stage, and their default values; grey, for SH.
+#: Optional attributes of a stage, and their default values (grey for SH).
 _MISSING = {
     "orientations": (0, 0, 0, 1),
     "scales": (1, 1, 1),

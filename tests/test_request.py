@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from scenes import random_scene
 
 import gs_codec
 from gs_codec.batch.scene_tasks import Options
@@ -12,6 +13,7 @@ from gs_codec.config import Config, RateTarget
 from gs_codec.edit.actions import Action
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
+from gs_codec.files.writing import write_scene
 from gs_codec.preparation.steps import Plan, Steps
 
 TARGET = RateTarget(ratio=9)
@@ -78,6 +80,14 @@ def test_functions_refuse_it_before_they_read(name, tmp_path):
 
 def test_workers_divide_a_scene_with_levels_below_a_limit():
     assert Request(Config(lod=True), max_memory=10**10, dask="local").config.lod
+
+
+def test_after_actions_a_ratio_counts_from_the_floats(tmp_path):
+    first, second = tmp_path / "a.spz", tmp_path / "b.spz"
+    write_scene(first, random_scene(200, 1, seed=5), Config())
+    report = gs_codec.encode_file(first, second, actions=[Action("sh-degree", "0")])
+    assert (report.float_bytes, report.sh_degree) == (200 * 14 * 4, 0)
+    assert report.ratio == report.float_bytes / report.file_bytes
 
 
 def test_a_batch_that_converts_is_free_of_what_coding_refuses():

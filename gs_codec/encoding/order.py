@@ -86,10 +86,10 @@ def encode(
     config, times = request.config, StageTimes()
     with using_threads(config.threads):
         scene, actions = _edit(scene, request, times, progress, translated)
+        ply_bytes = scene.float_bytes if actions else ply_bytes
         if finest:
             parts, report = _encode_finest(scene, config)
         else:
-            ply_bytes = scene.float_bytes if actions else ply_bytes
             parts, report = _encode_edited(scene, request, progress, ply_bytes)
         parts, report = add_levels(parts, report, config, progress)
     return parts, replace(
@@ -283,8 +283,10 @@ def _encode_by(
         if guidance is None:
             return None
     with times.stage("measure"):
-        likely = windows and Check.of(clean, windows.checking)
-        check = likely or Check.by_plan(clean, request.plan)
+        if windows is not None:
+            check = Check.of(clean, windows.checking)
+        else:
+            check = Check.by_plan(clean, request.plan)
     code = partial(_code, clean, guidance, times, progress)
     attempt = measuring(code, config, check, times)
     origin = None if views is None else views.origin

@@ -1,4 +1,5 @@
-// Builds the page: page.html or the file named, all in one file, in which `gs-codec share` puts scenes.
+// Builds the page: page.html or a named file, all in one file, into which `gs-codec share` puts
+// scenes.
 import { createHash } from 'node:crypto';
 import { readFile, writeFile } from 'node:fs/promises';
 import { dirname, resolve } from 'node:path';
@@ -8,7 +9,7 @@ import { build } from 'esbuild';
 
 const here = dirname(fileURLToPath(import.meta.url));
 
-/** `text:FILE` is a bundled script as text, of which the page makes workers. */
+/** `text:FILE` is a bundled script as text, from which the page makes workers. */
 const texts = {
   name: 'text',
   setup(builder) {
@@ -42,7 +43,7 @@ const hash = (text) => `'sha256-${createHash('sha256').update(text).digest('base
 
 const script = await bundled(page('main.js'), 'esm');
 const style = await bundled(page('page.css'));
-// Nothing is taken from anywhere but the page's own folder, and nothing runs but what is built here.
+// The page loads nothing from outside its own folder, and runs only the built scripts.
 const policy = [
   "default-src 'none'",
   `script-src ${hash(script)}`,

@@ -1,4 +1,4 @@
-// .egs scenes in apps of PlayCanvas, as its own formats are.
+// Load .egs scenes in PlayCanvas apps, like its own formats.
 import { GSplatData, GSplatResource } from 'playcanvas';
 
 import { decode } from '../src/index.js';

@@ -1,4 +1,4 @@
-// Types of the decoder; index.js and README.md say what each thing means.
+// Types of the decoder; see index.js and README.md for their meaning.
 
 export type Source =
   ArrayBuffer | ArrayBufferView | Blob | Response | ReadableStream<Uint8Array> | string | URL;
@@ -6,7 +6,7 @@ export type Source =
 export type Point = [x: number, y: number, z: number];
 export type Degree = 0 | 1 | 2 | 3;
 
-/** Options of workers, which `decode` and `open` share. */
+/** Worker options shared by `decode` and `open`. */
 export interface Workers {
   workers?: number;
   createWorker?: () => Worker;
@@ -31,7 +31,7 @@ export interface DecodeOptions extends Workers {
 
 export function decode(source: Source, options?: DecodeOptions): Promise<Scene>;
 
-/** What a file says of its scene. */
+/** Facts about the scene of a file. */
 export interface Facts {
   readonly degree: number;
   readonly profile: string;

@@ -345,7 +345,7 @@ BAD = {
     "a number": (zipped(**{"data.pkl": pickle.dumps(3, 2)}), "without 'means'"),
     "no tensors": (zipped(**{"data.pkl": write_pickle({"means": 1})}), "without 'means'"),
     "a pickle of text": (zipped(**{"data.pkl": b"hello"}), "pickle: "),
-    "an opcode": (zipped(**{"data.pkl": b"\x80\x02}(S'a'\nu."}), "opcode STRING, which no"),
+    "an opcode": (zipped(**{"data.pkl": b"\x80\x02}(S'a'\nu."}), "opcode STRING, not expected"),
     "big-endian": (zipped(byteorder=b"big"), "byte order b'big', expected b'little'"),
     "no numbers": (zipped(**{"data/0": None}), "zip entry 'x/data/0': missing"),
     "few numbers": (zipped(**{"data/0": bytes(20)}), "storage '0': 20 bytes of 6"),

@@ -138,12 +138,12 @@ STARTED = {
 }  # fmt: skip
 
 DECODED = {
-    "codecs", "codecs.*", "coding", "coding.*", "egs", "egs.*", "files.decoding", "formats",
+    "codecs", "codecs.*", "coding", "coding.*", "egs", "egs.*", "files.decode_file", "formats",
     "formats.*", "scene",
 }  # fmt: skip
 
 INSPECTED = {
-    "batch", "batch.memory", "files.scenes", "metrics", "metrics.*", "pages", "pages.tables",
+    "batch", "batch.needed_memory", "files.scenes", "metrics", "metrics.*", "pages", "pages.tables",
     "rendering", "rendering.image_loss",
 }  # fmt: skip
 

@@ -236,6 +236,6 @@ def test_a_device_is_measured(stand_in, monkeypatch):
     for line, size in ((refining, 60), (last, 100)):
         assert (line["work"], line["gaussians"], line["iterations"]) == ("refining", size, 6)
         assert line["iterations_per_second"] > 0
-    columns, rows = device_table(Results([decoding, more, refining, last]))
-    assert all(len(row) == len(columns) for row in rows)
-    assert [row[5] for row in rows] == ["yes", "yes", "", ""]
+    table = device_table(Results([decoding, more, refining, last]))
+    assert all(len(row) == len(table.columns) for row in table.rows)
+    assert [row[5] for row in table.rows] == ["yes", "yes", "", ""]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from gs_codec.config import EGS, LOSSLESS, Config, RateTarget, as_config, as_rate_target
 from gs_codec.edit.actions import Action
@@ -16,15 +15,13 @@ from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.files.writing import keeps_rounding, tell_lost, write_parts
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
+from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene, Shift
-
-if TYPE_CHECKING:
-    from gs_codec.preparation.steps import Plan
 
 
 @checked

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 from crc32c import crc32c
-from scenes import SmallBlocks, random_scene, with_far
+from scenes import SmallBlocks, random_scene, seen_from, with_far
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
@@ -34,9 +34,14 @@ REFUSALS = (CorruptStream, TruncatedStream, UnsupportedVersion)
 TIMES_LIMIT, TIMES_FILE, A_THREAD = 3, 64, 32 << 20
 
 
-#: Argument of `sample` for a file of profile `m` with far Gaussians; and all arguments of `sample`.
+#: Argument of `sample` for a file of profile `m` with far Gaussians.
 FAR = "far"
-SAMPLES = (*PROFILE_CHOICES, FAR)
+
+#: Argument of `sample` for a file of profile `m` with SH-AC in local bases.
+BASIS = "basis"
+
+#: All arguments of `sample`.
+SAMPLES = (*PROFILE_CHOICES, FAR, BASIS)
 
 
 @cache
@@ -46,6 +51,9 @@ def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -
     scene = random_scene(count, degree, seed=60)
     if profile == FAR:
         profile, scene = "m", with_far(scene, 1 + count // 5)
+    if profile == BASIS:
+        # Values so large that bases pay for a few Gaussians.
+        profile, scene = "m", seen_from(scene, 1, scale=100.0)
     scene = replace(scene, extra=carried, comments=("a comment",), has_normals=True)
     # more blocks in fewer bytes to damage
     config = SmallBlocks(profile, extra="keep", block_size=block_size)
@@ -60,8 +68,11 @@ def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> 
     sections = [Section(SectionId(i), b, d) for (i, b), d in changed.items() if d is not None]
     found = {section.id for section in sections}
     needed = {
-        SectionId.TOOL: Feature.GPCC, SectionId.CODER: Feature.TORCHAC, SectionId.FAR: Feature.FAR,
-    }  # fmt: skip
+        SectionId.TOOL: Feature.GPCC,
+        SectionId.CODER: Feature.TORCHAC,
+        SectionId.FAR: Feature.FAR,
+        SectionId.BASIS: Feature.LOCAL_BASIS,
+    }
     features = sum(feature for section, feature in needed.items() if section in found)
     header = replace(file.header, features=Feature(features))
     return write_file(header, in_file_order(sections))

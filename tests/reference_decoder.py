@@ -17,11 +17,11 @@ from reference_tools import Reader, check, crc32c, finite
 
 MAGIC = bytes.fromhex("894547530D0A1A0A")
 CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, GPCC, TOOL, CODER = 1, 11, 12, 13, 16, 17, 18, 19
-LEVEL, ERRORS, FAR_CENTRES = 20, 21, 22
+LEVEL, ERRORS, FAR_CENTRES, BASIS = 20, 21, 22, 23
 SCENE = {CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, TOOL, CODER, ERRORS}
-KNOWN = range(1, 23)
+KNOWN = range(1, 24)
 FIRST = (INDEX, ERRORS, CHANNELS, LATTICE, TOOL, CODER)
-G_PCC, TORCHAC, FAR = 1, 2, 4
+G_PCC, TORCHAC, FAR, LOCAL_BASIS = 1, 2, 4, 8
 LOSSLESS = 6
 TYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 LAYOUT = re.compile(r"[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]", re.ASCII)
@@ -96,14 +96,17 @@ def read_header(data):
     table = tuple(Entry(*reader.numbers("HHIQI")) for _ in range(sections))
     check(crc32c(data[: reader.at]) == reader.u32(), "header: checksum")
     check(count < 1 << 53, "header: count")
-    check(features < 8, f"header: features {features:#x} are not known")
+    check(features < 16, f"header: features {features:#x} are not known")
     check(version == (2 if features >= 4 else 1), f"header: version {version}")
     check(flags < 8, f"header: flags {flags:#x}")
     check(not flags & 2 or profile == LOSSLESS, "header: order of the input, but not lossless")
     check(profile <= 6, f"header: profile {profile}")
-    of_profile = G_PCC | TORCHAC if profile <= 2 else 0 if profile == LOSSLESS else FAR
+    of_profile = (
+        G_PCC | TORCHAC if profile <= 2 else 0 if profile == LOSSLESS else FAR | LOCAL_BASIS
+    )
     check(not features & ~of_profile, f"header: features with profile {profile}")
     check(degree <= 3, f"header: SH degree {degree}")
+    check(degree or not features & LOCAL_BASIS, "header: a local basis of SH degree 0")
     check(reserved == b"\0\0\0", "header: reserved bytes are not 0")
     check(1 <= block_size <= 65536, f"header: block size {block_size}")
     marks = [bool(flags & bit) for bit in (1, 2, 4)]
@@ -165,9 +168,10 @@ def check_presence(header, sections, of_scene, of_blocks):
         of_scene = of_scene | {INDEX}
     expected = {(number, 0) for number in of_scene}
     expected |= {(number, block) for number in of_blocks for block in range(header.blocks)}
-    free = (COMMENTS, EXTRA, LEVEL, FAR_CENTRES)
-    has_far = any(number == FAR_CENTRES for number, _ in sections)
-    check(has_far == bool(header.features & FAR), "far: feature or sections are missing")
+    free = (COMMENTS, EXTRA, LEVEL, FAR_CENTRES, BASIS)
+    for name, section, feature in (("far", FAR_CENTRES, FAR), ("basis", BASIS, LOCAL_BASIS)):
+        found = any(number == section for number, _ in sections)
+        check(found == bool(header.features & feature), f"{name}: feature or sections are missing")
     found = {key for key in sections if key[0] in KNOWN and key[0] not in free}
     check(found == expected, f"sections: (id, block) {sorted(found ^ expected)[:3]}")
 
@@ -441,6 +445,8 @@ def decode_scene(header, sections):
         lattice = reference_lattice.read_lattice(sections[LATTICE, 0], header.sh_degree)
         far = header.features & FAR
         check(not far or sum(lattice.bits) <= 62, "lattice: too many bits with far Gaussians")
+        in_basis = header.features & LOCAL_BASIS
+        check(not in_basis or len(set(lattice.units[4:])) == 1, "lattice: units with a local basis")
 
         def decode_block(*block):
             return reference_lattice.decode_block(lattice, *block)

@@ -27,7 +27,7 @@ from reference_tools import (
 )
 
 GEOMETRY, SH_DC, STATES, OPACITY, SCALING, ROTATION, SH_1, SH_2, SH_3 = range(2, 11)
-CLASSES, LOW_BITS, FAR_CENTRES = 14, 15, 22
+CLASSES, LOW_BITS, FAR_CENTRES, BASIS = 14, 15, 22, 23
 BANDS = (SH_1, SH_2, SH_3)
 PRECISION = 12
 ONE = 1 << 20
@@ -369,14 +369,50 @@ def decode_ac(lattice, states, sections, gaussians, near, sh_degree):
         levels = decode_levels(coder, lists, stream, sums, near, 2 * band + 3)
         stream.finish()
         for colour, planes in enumerate(levels):
-            for plane in planes:
-                colours[colour].append(
-                    [
-                        fixed_point(level * (lattice.units[4 + band] << gaussian.shift))
-                        for level, gaussian in zip(plane, gaussians, strict=False)
-                    ]
+            colours[colour] += planes
+    if BASIS in sections:
+        return [turned(lattice, sections[BASIS], planes, gaussians) for planes in colours]
+    return [
+        [
+            [
+                fixed_point(level * (lattice.units[4 + band_of(k)] << gaussian.shift))
+                for level, gaussian in zip(plane, gaussians, strict=False)
+            ]
+            for k, plane in enumerate(planes)
+        ]
+        for planes in colours
+    ]
+
+
+def band_of(k):
+    """The band of a coefficient, from 0."""
+    return 0 if k < 3 else 1 if k < 8 else 2
+
+
+FACTORS = (4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32)
+
+
+def turned(lattice, content, planes, gaussians):
+    """Values of coefficients, in fixed point, from levels of components (section "Local basis")."""
+    size, count = len(planes), len(gaussians)
+    check(len(content) > 0 and 1 <= content[0] <= count, "basis: runs")
+    runs, raw = content[0], RawBits(content[1:], "basis")
+    entries = [[[raw.take(5) - 15 for _ in range(size)] for _ in range(size)] for _ in range(runs)]
+    numbers = [[raw.take(4) for _ in range(size)] for _ in range(runs)]
+    raw.finish()
+    check(all(e <= 15 for run in entries for row in run for e in row), "basis: an entry")
+    check(all(q < len(FACTORS) for run in numbers for q in run), "basis: a factor")
+    found = [[] for _ in range(size)]
+    for run in range(runs):
+        for i in range(run * count // runs, (run + 1) * count // runs):
+            step = float(lattice.units[4] << gaussians[i].shift)
+            for k, values in enumerate(found):
+                total = sum(
+                    entries[run][k][j] * FACTORS[numbers[run][j]] * planes[j][i]
+                    for j in range(size)
                 )
-    return colours
+                values.append(fixed_point(float(total) * step / 64))
+    return found
 
 
 def decode_sums(coder, tables, stream, gaussians):

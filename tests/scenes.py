@@ -19,7 +19,7 @@ from gs_codec.config import Config, option
 from gs_codec.guidance.guide import Guidance, steps_adding
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene, join_scenes
 from gs_codec.views import estimate as auto_cameras
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
@@ -48,6 +48,20 @@ def random_scene(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
         "rot": rng.normal(size=(4, count)),
     }
     return Scene(**{name: plane.astype(np.float32) for name, plane in planes.items()})
+
+
+def seen_from(scene: Scene, directions: int, seed: int = 0, scale: float = 0.1) -> Scene:
+    """The scene with SH-AC in a space of few dimensions, as cameras in few directions leave it."""
+    rng = np.random.default_rng(seed)
+    towards = rng.normal(size=(len(scene.f_rest) // 3, directions))
+    planes = towards @ rng.laplace(scale=scale, size=(3, directions, scene.count))
+    return replace(scene, f_rest=planes.reshape(scene.f_rest.shape).astype(np.float32))
+
+
+def moved_apart(first: Scene, second: Scene) -> Scene:
+    """Both scenes in one, with the second at larger x: so it comes second in stream order."""
+    away = np.array([[100.0], [0.0], [0.0]], np.float32)
+    return join_scenes([first, replace(second, positions=second.positions + away)])
 
 
 def with_far(scene: Scene, number: int, seed: int = 0, lowest: float = 1e3) -> Scene:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import FAR, sample, with_section
+from damage import BASIS, FAR, sample, with_section
 from golden.make import GUIDES
-from scenes import edge_scenes, encode_by, random_scene
+from scenes import edge_scenes, encode_by, moved_apart, random_scene, seen_from
 
 import gs_codec
 from gs_codec.codecs import decode_scene
@@ -73,6 +73,9 @@ def folder(tmp_path_factory) -> Path:
         (folder / f"{name}.egs").write_bytes(data)
     (folder / "blocks.egs").write_bytes(sample("s", 70, 3, 33))
     (folder / "far.egs").write_bytes(sample(FAR, 20, 1, 8))
+    (folder / "basis.egs").write_bytes(sample(BASIS, 30, 2, 20))
+    bases = moved_apart(*(seen_from(random_scene(40, 3, k), 1, k, 100.0) for k in range(2)))
+    (folder / "bases.egs").write_bytes(encode_by(bases, Config("m")))
     # Sums of SH-AC up to the highest contexts, and many tables.
     strong = replace(STRONG, f_rest=8 * STRONG.f_rest)
     (folder / "strong.egs").write_bytes(encode_by(strong, Config("m")))

@@ -77,10 +77,14 @@ def test_any_minor_version_is_read():
 @pytest.mark.parametrize(
     ("features", "named"),
     [
-        (8, "3 (local SH basis), this reader knows 0 (G-PCC), 1 (torchac), 2 (far Gaussians)"),
+        (
+            16,
+            "4 (sequences), this reader knows 0 (G-PCC), 1 (torchac), 2 (far Gaussians), "
+            "3 (local SH basis)",
+        ),
         (1 << 31, "31, this"),
-        (0b11101, "3 (local SH basis), 4 (sequences), this"),
-        ((1 << 32) - 1, "3 (local SH basis), 4 (sequences), 5, 6, 7"),
+        (0b11101, "4 (sequences), this"),
+        ((1 << 32) - 1, "4 (sequences), 5, 6, 7"),
     ],
 )
 def test_unknown_features_are_named(features, named):
@@ -119,6 +123,9 @@ def test_names_of_features():
         ("m", 0, 2, "version 2 with features: none"),
         ("m", 4, 1, "version 1 with features: far Gaussians"),
         ("m", 4, 2, "feature far Gaussians is stated, unlike section 'far'"),
+        ("m", 8, 1, "version 1 with features: local SH basis"),
+        ("m", 8, 2, "feature local SH basis is stated, unlike section 'basis'"),
+        ("paper-m", 12, 2, "far Gaussians and local SH basis with profile paper-m"),
         ("paper-m", 3, 2, "version 2 with features: G-PCC, torchac"),
         ("paper-m", 4, 2, "far Gaussians with profile paper-m"),
         (LOSSLESS, 4, 2, "far Gaussians with profile lossless"),
@@ -130,7 +137,7 @@ def test_versions_and_features_go_together(profile, features, version, told):
     for read in (decode_scene, inspect_bytes):
         with pytest.raises(CorruptStream, match=told):
             read(data)
-    with pytest.raises(ValueError, match=r"header|far"):
+    with pytest.raises(ValueError, match=r"header|far|basis"):
         reference_decode(data)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reference_tools
-from damage import FAR, changed, flipped, sample, with_checksums, with_section
+from damage import BASIS, FAR, changed, flipped, sample, with_checksums, with_section
 from format_cases import CASES, LATTICE_CASES, encoded, lattice_config
 from javascript import BLOCK, COUNT, GOLDEN, NODE, blocks, digest, run, upto
 from scenes import (
@@ -20,6 +20,7 @@ from scenes import (
     encode_by,
     made_up_guide,
     random_scene,
+    seen_from,
     shared_scene_path,
     with_far,
 )
@@ -166,14 +167,14 @@ def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
 def test_impossible_requests_are_reported():
     data = blocks()
     future, features = bytearray(data), bytearray(data)
-    future[8], features[24] = 3, 8
+    future[8], features[24] = 3, 16
     paper = encode_scene(random_scene(40, 1), Config("paper-m"))[0]
     jobs = [
         ({"bytes": future}, "UnsupportedError", "header: version 3"),
         (
             {"bytes": with_checksums(features)},
             "UnsupportedError",
-            "header: features local SH basis",
+            "header: features sequences",
         ),
         ({"bytes": b"ply\n" * 9}, "CorruptError", "not an .egs file"),
         ({"bytes": b""}, "CorruptError", "cut off before byte 16"),
@@ -344,7 +345,7 @@ def test_errors_are_the_same_in_workers():
 
 
 @pytest.mark.one_in(2)
-@pytest.mark.parametrize("profile", ["m", FAR, "paper-m"])
+@pytest.mark.parametrize("profile", ["m", FAR, BASIS, "paper-m"])
 def test_every_truncation_is_refused(profile):
     data = sample(profile)
     jobs = [{"bytes": data[:size]} for size in range(len(data))]
@@ -362,13 +363,15 @@ def decoded(data: bytes) -> str | None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("right", [False, True], ids=["wrong checksums", "right checksums"])
-@pytest.mark.parametrize("profile", ["m", FAR, "paper-m"])
+@pytest.mark.parametrize("profile", ["m", FAR, BASIS, "paper-m"])
 def test_damage_is_refused_or_decodes_like_in_python(profile, right):
     rng = np.random.default_rng(71)
     extra = {"label": np.arange(40, dtype="<i4"), "mark": rng.integers(0, 9, 40).astype("<u2")}
     scene = replace(random_scene(40, 2, seed=60), extra=extra)
     if profile == FAR:
         profile, scene = "m", with_far(scene, 12)
+    if profile == BASIS:
+        profile, scene = "m", seen_from(scene, 1, scale=100.0)
     data = encode_scene(scene, Config(profile, block_size=1024, extra="keep"))[0]
     files = [bytes(changed(data, rng)) for _ in range(300)]
     files = [with_checksums(each) if right else each for each in files]

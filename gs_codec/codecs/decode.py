@@ -186,7 +186,12 @@ def _chosen(
     """Read and check the sections of some blocks of a file."""
     degree = part.degree_of(file.header.sh_degree)
     chosen = frozenset(blocks)
-    unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
+    # In a local basis, each coefficient depends on all components.
+    in_basis = degree > 0 and Feature.LOCAL_BASIS in file.header.features
+    highest = file.header.sh_degree if in_basis else degree
+    unread = {SectionId.of_stream(f"sh{band}") for band in range(highest + 1, 4)}
+    if not degree:
+        unread.add(SectionId.BASIS)
     unread.add(SectionId.LEVEL)
     file = file.read(
         lambda section, block: (
@@ -345,7 +350,7 @@ def _check_sections(file: EgsFile, is_level: bool = False) -> None:
         if header.profile in ADAPTIVE_PROFILES:
             own = own | {SectionId.LEVEL}
     if header.profile in ADAPTIVE_PROFILES:
-        own = own | {SectionId.FAR}
+        own = own | {SectionId.FAR, SectionId.BASIS}
     others = set(SectionId) - own - expected
     for section_id, block in file.table:
         if section_id in others:

@@ -24,7 +24,8 @@ class Part:
         Lowest x, y, z and highest x, y, z. Selects Gaussians with their centre inside or on the
         border.
     sh_degree : int, optional
-        Highest SH degree to decode, 0-3.
+        Highest SH degree to decode, 0-3. Higher degrees are not read, except where SH-AC is in a
+        local basis and the degree is above 0.
     level : int
         Level of detail: 0 is the scene, 1 has a quarter of its Gaussians, 2 a sixteenth ..., if the
         file has levels (`Config.lod`). Default 0.

@@ -161,3 +161,48 @@ def main_axis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _orthogonalise(turned, turns)
     return turns[np.argmax(np.sum(turned * turned, axis=1))]
+
+
+def eigenvectors(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Magnitudes of the eigenvalues ``(K,)`` of a symmetric ``matrix (K, K)``; its eigenvectors.
+
+    An eigenvector is a row; its sign is arbitrary.
+    """
+    turned, turns = np.array(matrix, np.float64, order="C"), np.eye(len(matrix))
+    _orthogonalise(turned, turns)
+    return np.sqrt(np.sum(turned * turned, axis=1)), turns
+
+
+@kernel
+def _eliminate(left, right):
+    """Turn ``left (K, K)`` into the identity by Gauss-Jordan, and change `right` likewise.
+
+    Returns whether it has an inverse.
+    """
+    size = len(left)
+    for column in range(size):
+        best = column
+        for k in range(column + 1, size):
+            if abs(left[k, column]) > abs(left[best, column]):
+                best = k
+        pivot = left[best, column]
+        if pivot == 0.0:
+            return False
+        for part in (left, right):
+            for j in range(size):
+                taken = part[best, j]
+                part[best, j] = part[column, j]
+                part[column, j] = taken / pivot
+        for k in range(size):
+            factor = left[k, column]
+            if k != column:
+                for j in range(size):
+                    left[k, j] -= factor * left[column, j]
+                    right[k, j] -= factor * right[column, j]
+    return True
+
+
+def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse of a ``matrix (K, K)``; NaN if it has none."""
+    left, right = np.array(matrix, np.float64, order="C"), np.eye(len(matrix))
+    return right if _eliminate(left, right) else np.full_like(right, np.nan)

@@ -25,7 +25,7 @@ from gs_codec.scene import Scene
 _PASS = tuple(field.name for field in fields(PassData))
 
 #: Parts of blocks that are bytes, by name.
-_BYTES = ("tree", "low_bits", "far")
+_BYTES = ("tree", "low_bits", "far", "basis")
 
 
 def quantise(
@@ -34,13 +34,14 @@ def quantise(
     lattice: Lattice,
     block_size: int,
     watched: Watched | None = None,
+    may_have_basis: bool = True,
 ) -> list[Block]:
     """Quantise the Gaussians of a chunk, in stream order, camera-free."""
     order = np.arange(scene.count, dtype=np.uint32)
     classes = np.zeros((2, scene.count), np.uint8)
     if watched is not None:
         watched.settle(order)
-    arranged = Arranged(scene, order, lattice, codes, classes, watched)
+    arranged = Arranged(scene, order, lattice, codes, classes, watched, may_have_basis)
     blocks = []
     for start in range(0, scene.count, block_size):
         shaped = shape_block(arranged, start, min(start + block_size, scene.count))
@@ -54,8 +55,12 @@ def save_quantised(folder: Folder, number: int, blocks: list[Block], coefficient
     folder.save(f"blocks-{number}", _packed(blocks))
     extents = np.stack([block.extent for block in blocks])
     clamped = np.array(sum(block.clamped for block in blocks))
+    has_basis = np.array(any(block.basis for block in blocks))
     counts = {f"count-{k}": counts for k, counts in enumerate(counted)}
-    folder.save(f"quantise-{number}", {"extents": extents, "clamped": clamped, **counts})
+    folder.save(
+        f"quantise-{number}",
+        {"extents": extents, "clamped": clamped, "has_basis": has_basis, **counts},
+    )
 
 
 def _packed(blocks: Sequence[Block]) -> Arrays:
@@ -83,8 +88,8 @@ def _unpacked(packed: Arrays, extents: NDArray[np.float32]) -> Iterator[Block]:
     number = (len(names) - len(_BYTES)) // len(_PASS)
     for k, extent in enumerate(extents):
         own = [PassData(*(columns[f"{p} {name}"][k] for name in _PASS)) for p in range(number)]
-        tree, low_bits, far = (columns[name][k].tobytes() for name in _BYTES)
-        yield Block(tree, low_bits, far, extent, own, 0)
+        sections = {name: columns[name][k].tobytes() for name in _BYTES}
+        yield Block(**sections, extent=extent, passes=own, clamped=0)
 
 
 def save_coded(

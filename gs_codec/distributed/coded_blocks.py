@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from gs_codec.distributed.chunks import coded_bytes, coded_table, save_coded
 from gs_codec.distributed.folder import Folder
 from gs_codec.distributed.tasks import Crew
 from gs_codec.egs.egs_file import Listed, Section, SectionId, file_head, in_file_order, padded_parts
-from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.index import index_section
 from gs_codec.report import ChannelCost, StageTimes
 from gs_codec.runtime.atomic import atomic_writer
@@ -90,7 +90,8 @@ def code_blocks(crew: Crew, quantised: Quantised, times: StageTimes) -> CodedBlo
     """Code all chunks."""
     folder, chunks, lattice = quantised
     with times.stage("model"):
-        extents, clamped, counted = _counted(folder, chunks)
+        extents, clamped, has_basis, counted = _counted(folder, chunks)
+        chunks = replace(chunks, header=chunks.header.having(Feature.LOCAL_BASIS, has_basis))
         models, _, costs = choose_models(passes(chunks.coefficients), counted)
         sections = index_section(extents)
         described = write_lattice(lattice, models)
@@ -103,17 +104,19 @@ def code_blocks(crew: Crew, quantised: Quantised, times: StageTimes) -> CodedBlo
 
 def _counted(
     folder: Folder, chunks: Chunks
-) -> tuple[list[NDArray[np.float32]], int, list[NDArray[np.int64]]]:
-    """Extents of all blocks, number of clamped values, and the sum of `count_tokens`."""
-    extents, clamped, counted = list[NDArray[np.float32]](), 0, list[NDArray[np.int64]]()
+) -> tuple[list[NDArray[np.float32]], int, bool, list[NDArray[np.int64]]]:
+    """Extents of all blocks, number of clamped values, whether any has bases, and token counts."""
+    extents, counted = list[NDArray[np.float32]](), list[NDArray[np.int64]]()
+    clamped, has_basis = 0, False
     for number in range(chunks.number):
         found = folder.load(f"quantise-{number}")
         extents += list(found.pop("extents"))
         clamped += int(found.pop("clamped"))
+        has_basis |= bool(found.pop("has_basis"))
         counted = counted or [np.zeros_like(counts) for counts in found.values()]
         for total, counts in zip(counted, found.values(), strict=True):
             total += counts
-    return extents, clamped, counted
+    return extents, clamped, has_basis, counted
 
 
 def _code(folder: Folder, described: bytes, chunks: Chunks, number: int) -> None:

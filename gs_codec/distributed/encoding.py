@@ -32,7 +32,7 @@ from gs_codec.distributed.sources import Sources, open_sources
 from gs_codec.distributed.survey import Job, Looked, choose_lattice, look
 from gs_codec.distributed.tasks import Crew, crew_at, size_within
 from gs_codec.egs.egs_file import Section, SectionId, section_sizes
-from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.header import FANOUT, Feature, Header
 from gs_codec.egs.sections import carried_sections
 from gs_codec.encoding.loss import Check
 from gs_codec.encoding.request import Request
@@ -182,7 +182,7 @@ def _quantise_all(
         with times.stage("sort"):
             lattice = choose_lattice(crew, job, looked._replace(config=config))
             header = Header.of(job.gaussians.head, config, count)
-            chunks = Chunks.of(header.with_far(lattice.grid.has_far), size)
+            chunks = Chunks.of(header.having(Feature.FAR, lattice.grid.has_far), size)
             cuts = _sort(crew, own, lattice, chunks)
         with times.stage("quantise"):
             task = partial(_quantise, own, lattice, chunks, cuts, check.windows)

@@ -98,7 +98,7 @@ def code_levels(
             config = config_of_levels(looked.config)
         may_have_far = Feature.FAR in header.features
         lattice = choose_lattice(crew, job, looked._replace(config=config), may_have_far)
-        own = Chunks(header.with_far(lattice.grid.has_far), chunks.each)
+        own = Chunks(header.having(Feature.FAR, lattice.grid.has_far), chunks.each)
         task = partial(_quantise, merged, lattice, own)
         crew.do_all(folder, "quantise", task, own.number)
         level = code_blocks(crew, Quantised(folder, own, lattice), StageTimes())
@@ -146,5 +146,6 @@ def _quantise(merged: Merged, lattice: Lattice, chunks: Chunks, number: int) -> 
     codes = grid_codes(scene.positions, lattice.grid)
     size = chunks.header.block_size
     order = order_within(codes, size)
-    blocks = quantise(scene.take(order), codes[order], lattice, size)
+    may_have_basis = Feature.LOCAL_BASIS in chunks.header.features
+    blocks = quantise(scene.take(order), codes[order], lattice, size, None, may_have_basis)
     save_quantised(merged.folder, number, blocks, chunks.coefficients)

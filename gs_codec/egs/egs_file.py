@@ -69,6 +69,7 @@ class SectionId(IntEnum):
     LEVEL = 20
     ERRORS = 21
     FAR = 22
+    BASIS = 23
 
     @property
     def label(self) -> str:
@@ -108,6 +109,7 @@ _FEATURE_SECTIONS = {
     Feature.GPCC: SectionId.TOOL,
     Feature.TORCHAC: SectionId.CODER,
     Feature.FAR: SectionId.FAR,
+    Feature.LOCAL_BASIS: SectionId.BASIS,
 }
 
 #: Sections of a block that follow all other sections of blocks, in this order.

@@ -40,6 +40,7 @@ class Feature(IntFlag):
     GPCC = 1
     TORCHAC = 2
     FAR = 4
+    LOCAL_BASIS = 8
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -51,10 +52,11 @@ _FEATURE_LABELS = {
     Feature.GPCC: "G-PCC",
     Feature.TORCHAC: "torchac",
     Feature.FAR: "far Gaussians",
+    Feature.LOCAL_BASIS: "local SH basis",
 }
 
 #: Names of reserved feature bits.
-_RESERVED_FEATURES = {3: "local SH basis", 4: "sequences"}
+_RESERVED_FEATURES = {4: "sequences"}
 
 #: Files with this or a later feature are version 2.
 _FIRST_OF_VERSION_2 = Feature.FAR
@@ -102,9 +104,9 @@ class Header:
         """Format version of a file with these features."""
         return 2 if self.features >= _FIRST_OF_VERSION_2 else 1
 
-    def with_far(self, has_far: bool) -> Header:
-        """The header of profile ``l``, ``m`` or ``s``, with or without far Gaussians."""
-        return replace(self, features=Feature.FAR if has_far else Feature.NONE)
+    def having(self, feature: Feature, has: bool) -> Header:
+        """The header with a feature, or without it."""
+        return replace(self, features=self.features & ~feature | feature * has)
 
     @property
     def block_count(self) -> int:
@@ -186,8 +188,12 @@ def unpack_header(
         raise CorruptStream("header: a reserved field is not 0")
     if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
-    if features & Feature.FAR and PROFILE_NAMES[profile] not in ADAPTIVE_PROFILES:
-        raise CorruptStream(f"header: far Gaussians with profile {PROFILE_NAMES[profile]}")
+    needless = Feature.NONE if degree else Feature.LOCAL_BASIS
+    if PROFILE_NAMES[profile] not in ADAPTIVE_PROFILES:
+        needless = Feature.FAR | Feature.LOCAL_BASIS
+    if wrong := Feature(features) & needless:
+        what = f"profile {PROFILE_NAMES[profile]} of SH degree {degree}"
+        raise CorruptStream(f"header: {' and '.join(wrong.labels)} with {what}")
     if coordinates and coordinates not in _SYSTEMS:
         raise CorruptStream(f"header: coordinates {coordinates} are no system")
     if count >= TOO_LARGE:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.extent import EXTENT, centre_box
 from gs_codec.egs.egs_file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
-from gs_codec.egs.header import FANOUT, Feature, Header
+from gs_codec.egs.header import FANOUT, Header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.wording import counted
 
@@ -88,7 +88,7 @@ _IN_ERRORS = "section 'errors'"
 
 
 def level_header(header: Header, level: int) -> Header:
-    """The header of a level of a file with this header; the level may have no far Gaussians."""
+    """The header of a level of a file with this header; the level may lack some of its features."""
     count = header.level_counts[level - 1]
     return replace(header, count=count, has_normals=False)
 
@@ -112,8 +112,8 @@ def open_level(file: EgsFile, level: int) -> EgsFile:
         data = file.nested(SectionId.LEVEL, level)
         found = read_file(data, lambda section, _: section in DESCRIPTIONS)
         wanted = level_header(file.header, level)
-        fewer = replace(wanted, features=wanted.features & ~Feature.FAR)
-        if found.header not in (wanted, fewer) or levels_of(found):
+        same = replace(found.header, features=wanted.features) == wanted
+        if not same or found.header.features & ~wanted.features or levels_of(found):
             raise CorruptStream("header: does not match a level of this file")
         errors_of(found)
     return found

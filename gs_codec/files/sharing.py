@@ -207,7 +207,9 @@ def _open(
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
         if file.format == EGS:
             info = inspect_bytes(file.data)
-            if info.profile != LOSSLESS and set(info.features) <= set(Feature.FAR.labels):
+            if info.profile != LOSSLESS and set(info.features) <= set(
+                (Feature.FAR | Feature.LOCAL_BASIS).labels
+            ):
                 levels = len(info.levels)
                 return SharedScene(_name(path), bytes(file.data), False, levels), scene
         with located(path):

@@ -18,7 +18,15 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from scenes import SmallBlocks, encode_by, made_up_guide, random_scene, with_far  # noqa: E402
+from scenes import (  # noqa: E402
+    SmallBlocks,
+    encode_by,
+    made_up_guide,
+    moved_apart,
+    random_scene,
+    seen_from,
+    with_far,
+)
 
 from gs_codec.codecs import decode_part, decode_scene, encode_parts  # noqa: E402
 from gs_codec.codecs.part import Part  # noqa: E402
@@ -39,6 +47,22 @@ GUIDES = {
 def golden_scenes() -> dict[str, tuple[Scene, Config]]:
     """Scenes and options that together use every part of the format, by file name."""
     return {f"v1-{name}": case for name, case in _golden_scenes().items()} | {
+        "v2-basis": (
+            # The second block has no basis.
+            moved_apart(seen_from(random_scene(1050, 3, seed=109), 3), random_scene(1050, 3)),
+            Config("m", block_size=1050),
+        ),
+        "v2-basis-runs": (
+            moved_apart(
+                seen_from(random_scene(1050, 1, seed=110), 1),
+                seen_from(random_scene(1050, 1, seed=113), 1, seed=1),
+            ),
+            Config("l"),
+        ),
+        "v2-basis-far": (
+            with_far(seen_from(random_scene(400, 2, seed=111), 2), 20),
+            Config("s"),
+        ),
         "v2-far": (
             with_far(random_scene(1100, 3, seed=106), 11),
             Config("m", block_size=1024),
@@ -103,6 +127,7 @@ def golden_levels() -> dict[str, Callable[[], bytes]]:
 
     return {
         "v1-levels": lambda: encode(random_scene(600, 1, seed=105)),
+        "v2-basis-levels": lambda: encode(seen_from(random_scene(600, 2, seed=112), 2)),
         "v2-far-levels": lambda: encode(with_far(random_scene(600, 1, seed=108), 30)),
     }
 

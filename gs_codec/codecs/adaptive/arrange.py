@@ -71,6 +71,7 @@ class Arranged:
     codes: NDArray[np.int64]
     classes: NDArray[np.uint8]
     watched: Watched | None = None
+    may_have_basis: bool = True
 
 
 def arrange_scene(

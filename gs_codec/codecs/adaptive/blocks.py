@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged
+from gs_codec.codecs.adaptive.basis import Bases, bounds, choose_bases, write_bases
 from gs_codec.codecs.adaptive.colour import code_colours, round_diffusing
 from gs_codec.codecs.adaptive.lattice import (
     LARGEST,
@@ -111,6 +112,7 @@ class Block:
     extent: NDArray[np.float32]
     passes: list[PassData]
     clamped: int
+    basis: bytes = b""
 
     def kept(self) -> Block:
         """The block with its arrays moved to the storage in use (memory or disk)."""
@@ -164,20 +166,27 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
     levels, contexts, values = code_colours(nearest, colours, units["sh-dc"], shaped.shifts)
     listed = [shaped.coded, PassData.of(levels, contexts)]
     coefficients = len(source.f_rest) // 3
+    bases = None
     by_colour: NDArray[np.int32] = np.empty((3, coefficients, len(members)), np.int32)
     if coefficients:
         planes = source.f_rest.reshape(3, coefficients, -1)
         finest = _ac_units(arranged)
         ac, beyond = take_colours(planes, members, finest, shaped.shifts, LARGEST)
         clamped += beyond
+        if diffusing and arranged.may_have_basis and np.ptp(finest) == 0:
+            by_channel = ac.reshape(3, coefficients, -1)
+            bases = choose_bases(by_channel)
+            if bases is not None:
+                ac = bases.components(by_channel).reshape(ac.shape)
         rounded = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
         by_colour = rounded.reshape(3, coefficients, -1)
         coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
     decoded = shaped.decoded(arranged.lattice.grid)
     if arranged.watched is not None:
-        _keep_decoded(arranged, shaped, decoded, values, by_colour)
-    return Block(*shaped.coded_places(), block_extent(*decoded), listed, clamped)
+        _keep_decoded(arranged, shaped, decoded, values, by_colour, bases)
+    basis = b"" if bases is None else write_bases(bases)
+    return Block(*shaped.coded_places(), block_extent(*decoded), listed, clamped, basis)
 
 
 def _ac_units(arranged: Arranged) -> NDArray[np.int64]:
@@ -192,6 +201,7 @@ def _keep_decoded(
     decoded: tuple[NDArray[np.float32], ...],
     colours: NDArray[np.int64],
     levels: NDArray[np.int32],
+    bases: Bases | None,
 ) -> None:
     """Store the decoded values of the watched Gaussians of a block."""
     watched, (start, stop) = arranged.watched, (shaped.start, shaped.stop)
@@ -201,7 +211,12 @@ def _keep_decoded(
     f_rest = np.empty((3, levels.shape[1], len(at)), np.float32)
     if f_rest.size:
         some = np.ascontiguousarray(levels[:, :, at])
-        fill_colours(some, _ac_units(arranged), shaped.shifts[at], TOO_LARGE, f_rest)
+        units, shifts = _ac_units(arranged), shaped.shifts[at]
+        if bases is None:
+            fill_colours(some, units, shifts, TOO_LARGE, f_rest)
+        else:
+            ends = np.searchsorted(at, bounds(len(bases.entries), stop - start))
+            bases.fill(some, ends, units[0], shifts, TOO_LARGE, f_rest)
     watched.keep(
         start,
         stop,

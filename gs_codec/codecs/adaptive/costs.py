@@ -38,7 +38,8 @@ class BlockCosts:
     steps : dict of str to ndarray, shape (k, n), float64
         Step sizes by stream, in the attribute's own domain: sides of a cell along x, y and z
         (``geometry``; 0 for far Gaussians), logit, log-scale (the longest, and the differences of
-        the next two), sine of half an angle (roll and two tilts), SH (the same for Y, Co and Cg).
+        the next two), sine of half an angle (roll and two tilts), SH (the same for Y, Co and Cg;
+        in a local basis, before the factors of components).
     """
 
     bits: dict[str, NDArray[np.float64]]

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs.adaptive.basis import Bases, bounds, read_bases
 from gs_codec.codecs.adaptive.colour import read_colours
 from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.lattice import TOO_LARGE, centres, far_codes, from_grid, to_float
@@ -21,6 +22,7 @@ from gs_codec.coding.fields import BitReader
 from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
 from gs_codec.egs.egs_file import EgsFile, SectionId
+from gs_codec.egs.header import Feature
 from gs_codec.egs.index import check_centres
 from gs_codec.errors import CorruptStream
 from gs_codec.report import Progress, step_counter
@@ -62,7 +64,8 @@ class DecodedBlock:
     the grid; ``dropped (n,)`` is the number of low Morton bits that are not coded, ``low_bits
     (n,)`` the number coded outside the tree; ``far (3, f)`` are the centres of the last Gaussians,
     which are outside the grid; ``shifts (n,)`` are the shifts of the colours' step sizes; ``colours
-    (3, n)`` is SH-DC as fixed-point Y, Co, Cg; ``levels (3, K, n)`` are the levels of SH-AC.
+    (3, n)`` is SH-DC as fixed-point Y, Co, Cg; ``levels (3, K, n)`` are the levels of SH-AC, or of
+    its components in `bases`.
     """
 
     classes: NDArray[np.int64]
@@ -75,6 +78,7 @@ class DecodedBlock:
     shifts: NDArray[np.int64]
     colours: NDArray[np.int64]
     levels: NDArray[np.int32]
+    bases: Bases | None
 
 
 class Blocks:
@@ -86,7 +90,8 @@ class Blocks:
         self.tables = PassTables.pack(self.models.tables())
         self.passes = passes(SH_COEFFICIENTS[file.header.sh_degree])
         self.rows = [self.models.rows(item) for item in self.passes]
-        self.bands = sh_bands(SH_COEFFICIENTS[degree])
+        self.has_bases = degree > 0 and Feature.LOCAL_BASIS in file.header.features
+        self.bands = sh_bands(SH_COEFFICIENTS[file.header.sh_degree if self.has_bases else degree])
 
     def read(self, block: int) -> DecodedBlock:
         """Decode a block. Raises TruncatedStream or CorruptStream."""
@@ -118,7 +123,8 @@ class Blocks:
         if len(streams) == len(self.passes):
             reader.finish()
         of_places = grid_positions, dropped, low_bits, far
-        return DecodedBlock(classes, shape, *of_places, nearest, shifts, colours, levels)
+        bases = read_bases(self.file, block) if self.has_bases else None
+        return DecodedBlock(classes, shape, *of_places, nearest, shifts, colours, levels, bases)
 
     def _read_tree(self, block: int) -> tuple[NDArray, NDArray, NDArray[np.float32]]:
         """Morton codes ``(n,)`` without low bits; number of low bits; far centres ``(3, f)``."""
@@ -145,7 +151,17 @@ class Blocks:
         kept = found.levels.shape[1]
         if kept:
             units = [self.lattice.units[f"sh{n}"] for n, b in enumerate(self.bands, 1) for _ in b]
-            rows = groups["f_rest"].reshape(3, kept, -1)
-            lattice = np.array(units), found.shifts
-            if not fill_colours(found.levels, *lattice, TOO_LARGE, rows, span.start):
+            rows = groups["f_rest"].reshape(3, len(groups["f_rest"]) // 3, -1)
+            if not self._fill_colours(found, np.array(units), rows, span.start):
                 raise CorruptStream(f"block {block}: a value out of range")
+
+    def _fill_colours(
+        self, found: DecodedBlock, units: NDArray[np.int64], rows: NDArray[np.float32], first: int
+    ) -> bool:
+        """Fill SH-AC of a block; returns whether all values are in range."""
+        lattice = found.shifts, TOO_LARGE, rows, first
+        if found.bases is None:
+            kept = rows.shape[1]
+            return fill_colours(found.levels[:, :kept], units[:kept], *lattice)
+        ends = bounds(len(found.bases.entries), len(found.shifts))
+        return found.bases.fill(found.levels, ends, units[0], *lattice)

@@ -108,7 +108,8 @@ def encode_level(
     times = StageTimes()
     may_have_far = Feature.FAR in header.features
     arranged = arrange_scene(scene, config, None, header.block_size, may_have_far)
-    header = header.with_far(arranged.lattice.grid.has_far)
+    arranged = replace(arranged, may_have_basis=Feature.LOCAL_BASIS in header.features)
+    header = header.having(Feature.FAR, arranged.lattice.grid.has_far)
     blocks = _blocks(header, arranged, True, times, progress)
     further = [errors_section(errors)]
     return _code(header, arranged, blocks, times, progress, further)[0]
@@ -174,7 +175,8 @@ def _arrange(
 ) -> tuple[Header, Arranged]:
     with times.stage("order"):
         arranged = arrange_scene(scene, config, steps, watched=watched)
-        header = Header.of(scene, config).with_far(arranged.lattice.grid.has_far)
+        has_far = arranged.lattice.grid.has_far
+        header = Header.of(scene, config).having(Feature.FAR, has_far)
         return header, arranged
 
 
@@ -191,6 +193,7 @@ def _code(
     further: Sequence[Section] = (),
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Entropy-code blocks and return the file, with further sections in `further`."""
+    header = header.having(Feature.LOCAL_BASIS, any(block.basis for block in blocks))
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
         models, tables, costs = choose_models(listed, count_tokens(listed, blocks))
@@ -278,6 +281,8 @@ def block_sections(
     ]
     if block.far:
         sections.append(Section(SectionId.FAR, number, block.far))
+    if block.basis:
+        sections.append(Section(SectionId.BASIS, number, block.basis))
     for stream, data in streams.items():
         sections.append(Section.kept(SectionId.of_stream(stream), number, data))
     return sections

@@ -133,14 +133,15 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
 def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
     """Lattices and tables of a file; see `read_lattice`."""
     coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-    has_far = Feature.FAR in file.header.features
-    return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients, has_far))
+    features = file.header.features
+    return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients, features))
 
 
 def read_lattice(
-    data: memoryview, coefficients: int, has_far: bool = False
+    data: memoryview, coefficients: int, features: Feature = Feature.NONE
 ) -> tuple[Lattice, PassModels]:
     """Invert `write_lattice`. Raises TruncatedStream or CorruptStream."""
+    has_far = Feature.FAR in features
     reader = ByteReader(data, _WHERE)
     *origin, step = reader.unpack("4f")
     bits = reader.unpack("3B")
@@ -156,6 +157,8 @@ def read_lattice(
         raise CorruptStream(f"{_WHERE}: a centre out of range")
     units = dict(zip(UNITS, reader.unpack(f"{len(UNITS)}I"), strict=True))
     rules = {name: _read_rule(reader) for name in RULES}
+    if Feature.LOCAL_BASIS in features and len({units[stream] for stream in SH_STREAMS}) > 1:
+        raise CorruptStream(f"{_WHERE}: units of SH-AC differ, with a local basis")
     lattice = Lattice(grid, classes, centres, units, rules)
     _check_steps(lattice)
     return lattice, _read_models(reader, coefficients)

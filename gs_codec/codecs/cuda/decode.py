@@ -16,6 +16,7 @@ import torch
 from numba import cuda
 from numpy.typing import NDArray
 
+from gs_codec.codecs.adaptive.basis import MATRIX_BITS, read_bases
 from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.lattice import Lattice, cell_widths, packed_rules
 from gs_codec.codecs.adaptive.rotation import TURN_RULES
@@ -272,8 +273,19 @@ class _Decoder:
         # A kernel needs an argument even if there are no coefficients.
         steps = self._upload(np.array(units or [0], np.float64))
         own = steps, shifts, coefficients, self.header.block_size, BAD_VALUE, self.faults
-        self._each(fill_colours, values, levels, *own, found["sh"].view(-1))
+        bases = self._bases()
+        self._each(fill_colours, values, levels, *bases, *own, found["sh"].view(-1))
         return found
+
+    def _bases(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Matrices of all runs ``(R, K, K)``, and where those of each block begin, and the end."""
+        blocks = range(self.header.block_count)
+        found = [read_bases(self.file, block) for block in blocks]
+        firsts = np.cumsum([0, *(0 if each is None else len(each.entries) for each in found)])
+        matrices = [each.matrices / (1 << MATRIX_BITS) for each in found if each is not None]
+        # A kernel needs an argument even if there are no bases.
+        padded = np.concatenate(matrices or [np.zeros((1, 1, 1))])
+        return self._upload(padded), self._upload(firsts)
 
     def _check(self, widths: torch.Tensor, means: torch.Tensor) -> None:
         """Raise the faults that kernels found."""

@@ -128,11 +128,33 @@ def _fill(tile, thread, column, y, o, g):
     tile[thread, column + 2] = rest - orange
 
 
+@device
+def _coefficient(levels, matrices, run, runs, k, i):
+    """Y, Co, Cg of a coefficient, in step sizes; without runs, levels are of coefficients."""
+    if runs == 0:
+        return (
+            np.float64(levels[k, 0, i]),
+            np.float64(levels[k, 1, i]),
+            np.float64(levels[k, 2, i]),
+        )
+    y, o, g = 0.0, 0.0, 0.0
+    for j in range(matrices.shape[2]):
+        factor = matrices[run, k, j]
+        y += factor * levels[j, 0, i]
+        o += factor * levels[j, 1, i]
+        g += factor * levels[j, 2, i]
+    return y, o, g
+
+
 @launched
-def fill_colours(values, levels, units, shifts, coefficients, block_size, fault, faults, sh):
+def fill_colours(
+    values, levels, matrices, firsts, units, shifts, coefficients, block_size, fault, faults, sh
+):  # fmt: skip
     """Fill ``sh (N (1 + K) 3,)`` from SH-DC ``values (3, N)`` and SH-AC ``levels (K, 3, N)``.
 
-    Threads write from shared memory, so that writes of adjacent colours are coalesced.
+    ``matrices (R, K, K)`` turn the components of runs into coefficients; a block's begin at
+    ``firsts[block]`` of ``firsts (blocks + 1,)``. Threads write from shared memory, so that writes
+    of adjacent colours are coalesced.
     """
     tile = cuda.shared.array((THREADS, _COLUMNS), np.float32)
     thread, width = cuda.threadIdx.x, 3 * (1 + coefficients)
@@ -142,12 +164,16 @@ def fill_colours(values, levels, units, shifts, coefficients, block_size, fault,
             y, o = np.float64(values[0, i]) / _ONE, np.float64(values[1, i]) / _ONE
             _fill(tile, thread, 0, y, o, np.float64(values[2, i]) / _ONE)
             octave = np.float64(1 << np.int64(shifts[i])) / _ONE
+            block = i // block_size
+            runs = firsts[block + 1] - firsts[block]
+            size = min(block_size, len(shifts) - block * block_size)
+            run = firsts[block] + ((i - block * block_size + 1) * runs - 1) // size
             for k in range(coefficients):
+                y, o, g = _coefficient(levels, matrices, run, runs, k, i)
                 step = units[k] * octave
-                y, o = np.float64(levels[k, 0, i]) * step, np.float64(levels[k, 1, i]) * step
-                g = np.float64(levels[k, 2, i]) * step
+                y, o, g = y * step, o * step, g * step
                 if max(abs(y), abs(o), abs(g)) >= TOO_LARGE:
-                    faults[i // block_size, faults.shape[1] - 1] = fault
+                    faults[block, faults.shape[1] - 1] = fault
                 _fill(tile, thread, 3 + 3 * k, y, o, g)
         meet()
         for k in range(thread, min(THREADS, len(shifts) - first) * width, THREADS):

@@ -1,4 +1,5 @@
 // Section "Lattices" of FORMAT.md: the passes of a block of profiles l, m, s.
+import { MATRIX_ONE, readBases, runBegin } from './basis.js';
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
 import { COARSE, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
@@ -7,6 +8,9 @@ import { bitLength, clamp, inRange } from './numbers.js';
 import { LANES, Words, checkLastStates, firstStates } from './tables.js';
 import { addBits, axesOf, walkTree } from './tree.js';
 import { counted } from './wording.js';
+
+/** Gaussians whose components are turned at once. */
+const AT_ONCE = 64;
 
 const ROOTS = [1 / Math.sqrt(3), 1 / Math.sqrt(2), 1 / Math.sqrt(6)];
 
@@ -255,6 +259,28 @@ export class LatticeBlock {
    * @returns {Float32Array} 3 (2 band + 3) planes: R of its coefficients, then G, then B
    */
   band(band, content) {
+    const levels = this.#levels(band, content);
+    return this.#colours(levels, levels[0].length, band);
+  }
+
+  /**
+   * SH-AC of a file with local bases, up to a degree.
+   *
+   * @returns {Float32Array} planes: R of the coefficients, then G, then B
+   */
+  bands(wanted, sections) {
+    const levels = [[], [], []];
+    for (let band = 0; band < this.degree; band++) {
+      this.#levels(band, sections[`sh${band + 1}`]).forEach((own, k) => levels[k].push(...own));
+    }
+    const kept = (wanted + 1) ** 2 - 1;
+    if (!sections.basis) return this.#colours(levels, kept, 0);
+    const bases = readBases(sections.basis, levels[0].length, this.count);
+    return this.#turned(levels, kept, bases);
+  }
+
+  /** Levels of the next band: planes of Y, of Co, of Cg. */
+  #levels(band, content) {
     const { lattice, count, degree } = this;
     const where = `sh${band + 1}`;
     const stream = new Stream(content, where);
@@ -270,7 +296,7 @@ export class LatticeBlock {
       for (let i = 0; i < count; i++) this.left[i] -= sums[i];
     }
     const size = 2 * band + 3;
-    const levels = new Array(3 * size);
+    const levels = [[], [], []];
     // Gaussians with a remaining sum.
     const active = new Int32Array(count);
     let some = 0;
@@ -281,12 +307,12 @@ export class LatticeBlock {
         const plane = new Int32Array(count + 1); // 0 for neighbours that do not exist
         const isLast = colour === 2 && j === size - 1;
         some = this.#plane(pass, contexts, stream, plane, sums, active, some, j, isLast);
-        levels[colour * size + j] = plane;
+        levels[colour].push(plane);
       }
     }
     stream.finish();
     if (!hasMore) checkLastStates(this.states);
-    return this.#colours(levels, band, size);
+    return levels;
   }
 
   #sums(pass, contexts, stream) {
@@ -340,19 +366,54 @@ export class LatticeBlock {
     return kept;
   }
 
-  #colours(levels, band, size) {
+  /** The first coefficients of levels, in steps of a band. */
+  #colours(levels, size, band) {
     const { count } = this;
-    const steps = new Float64Array(count);
-    for (let i = 0; i < count; i++) {
-      steps[i] = this.lattice.units.bands[band] * POWERS[this.colourShifts[i]];
-    }
+    const steps = this.#steps(band);
     const planes = new Float32Array(3 * size * count);
     for (let j = 0; j < size; j++) {
-      const values = [levels[j], levels[size + j], levels[2 * size + j]];
+      const values = levels.map((own) => own[j]);
       toColours(values, steps, planes.subarray(j * count), size * count);
     }
     return planes;
   }
+
+  #steps(band) {
+    const unit = this.lattice.units.bands[band];
+    return Float64Array.from(this.colourShifts, (shift) => unit * POWERS[shift]);
+  }
+
+  /** The first coefficients of levels of components. */
+  #turned(levels, size, bases) {
+    const { count } = this;
+    const steps = this.#steps(0).map((step) => step / MATRIX_ONE);
+    const planes = new Float32Array(3 * size * count);
+    const sums = levels.map(() => Array.from({ length: size }, () => new Float64Array(AT_ONCE)));
+    bases.forEach((matrix, run) => {
+      const end = runBegin(run + 1, bases.length, count);
+      for (let begin = runBegin(run, bases.length, count); begin < end; begin += AT_ONCE) {
+        const some = Math.min(AT_ONCE, end - begin);
+        levels.forEach((own, colour) => turn(own, begin, some, matrix, sums[colour]));
+        const own = steps.subarray(begin, begin + some);
+        for (let k = 0; k < size; k++) {
+          toColours(sums.map((of) => of[k]), own, planes.subarray(k * count + begin), size * count);
+        }
+      }
+    });
+    return planes;
+  }
+}
+
+/** Sums over components j of column k of a matrix times levels of `some` Gaussians from `begin` on. */
+function turn(levels, begin, some, matrix, sums) {
+  for (const sum of sums) sum.fill(0);
+  levels.forEach((plane, j) => {
+    for (let i = 0; i < some; i++) {
+      const level = plane[begin + i];
+      if (level === 0) continue;
+      for (let k = 0; k < sums.length; k++) sums[k][i] += matrix[k * levels.length + j] * level;
+    }
+  });
 }
 
 /** w, x, y, z of a rotation into `planes`, `stride` apart. */
@@ -381,7 +442,7 @@ function quaternion(pole, roll, tilt0, tilt1, planes, at, stride) {
 /** R, G, B from Y, Co, Cg in steps, into zeroed planes that are `stride` apart. */
 function toColours([ys, cos, cgs], steps, planes, stride) {
   for (let i = 0; i < steps.length; i++) {
-    if ((ys[i] | cos[i] | cgs[i]) === 0) continue;
+    if (ys[i] === 0 && cos[i] === 0 && cgs[i] === 0) continue;
     const step = steps[i];
     const a = (fixedPoint(ys[i] * step) / ONE) * ROOTS[0];
     const b = (fixedPoint(cos[i] * step) / ONE) * ROOTS[1];

@@ -1,4 +1,5 @@
 // Decoding of blocks, in this thread or in a worker.
+import { partDegrees } from './basis.js';
 import { LatticeBlock } from './block.js';
 import { Lattice } from './lattice.js';
 import { Channels, PaperBlock } from './paper.js';
@@ -6,14 +7,17 @@ import { Channels, PaperBlock } from './paper.js';
 /** Decodes parts of blocks, and keeps their state until the last part. */
 export class Blocks {
   /**
-   * @param {object} setup `{content, degree, wanted, isPaper}`: the section `lattice` or
-   *   `channels`, the SH degrees of the file and to decode
+   * @param {object} setup `{content, degree, degrees, hasBasis, isPaper}`: the section
+   *   `lattice` or `channels`, the SH degree of the file, those that the parts of a block reach, and
+   *   whether SH-AC is in a local basis
    */
-  constructor({ content, degree, wanted, isPaper }) {
+  constructor({ content, degree, degrees, hasBasis, isPaper }) {
     this.common = isPaper ? new Channels(content, degree) : new Lattice(content, degree);
     this.Block = isPaper ? PaperBlock : LatticeBlock;
     this.degree = degree;
-    this.wanted = wanted;
+    this.degrees = degrees;
+    this.hasBasis = hasBasis;
+    if (hasBasis) this.common.checkBasis();
     this.open = new Map();
   }
 
@@ -23,7 +27,8 @@ export class Blocks {
   }
 
   /**
-   * Decode a part of a block: 0 is everything but SH-AC, 1 to 3 are bands of SH-AC, in order.
+   * Decode a part of a block: 0 is everything but SH-AC; the others are bands of SH-AC, in order, or
+   * all bands together.
    *
    * @param {object} job `{block, count, part, sections}`
    * @returns {Float32Array} planes, as from `LatticeBlock`
@@ -31,9 +36,18 @@ export class Blocks {
   decode({ block, count, part, sections }) {
     if (part === 0) this.open.set(block, new this.Block(this.common, count, this.degree));
     const found = this.open.get(block);
-    if (part === this.wanted) this.open.delete(block);
-    return part === 0 ? found.base(sections) : found.band(part - 1, sections[`sh${part}`]);
+    if (part === this.degrees.length - 1) this.open.delete(block);
+    if (part === 0) return found.base(sections);
+    return this.#ac(found, this.degrees[part], sections);
   }
+
+  /** SH-AC of a degree or, in a local basis, up to it. */
+  #ac(found, degree, sections) {
+    return this.hasBasis
+      ? found.bands(degree, sections)
+      : found.band(degree - 1, sections[`sh${degree}`]);
+  }
+
   /**
    * Decode a whole block, up to an SH degree.
    *
@@ -42,10 +56,9 @@ export class Blocks {
    */
   whole({ count, degree, sections }) {
     const found = new this.Block(this.common, count, this.degree);
-    const parts = [found.base(sections)];
-    for (let band = 0; band < degree; band++)
-      parts.push(found.band(band, sections[`sh${band + 1}`]));
-    return parts;
+    return partDegrees(degree, this.hasBasis).map((reached) =>
+      reached === 0 ? found.base(sections) : this.#ac(found, reached, sections),
+    );
   }
 }
 

@@ -10,7 +10,7 @@ const COEFFICIENTS = [0, 3, 8, 15];
 /** Names of sections by id. */
 const NAMES = (
   ' channels geometry sh-dc states opacity scaling rotation sh1 sh2 sh3 comments extra lattice ' +
-  'classes low-bits index gpcc tool coder level errors far'
+  'classes low-bits index gpcc tool coder level errors far basis'
 ).split(' ');
 
 /** Sections at the beginning of a file, in this order. */
@@ -18,11 +18,13 @@ export const FIRST = ['index', 'errors', 'channels', 'lattice', 'tool', 'coder']
 
 const OF_SCENE = [...FIRST, 'comments', 'extra'];
 
-/** Names of the bits of `features`; those after the first three are reserved. */
+/** Names of the bits of `features`; the last is reserved. */
 const FEATURES = ['G-PCC', 'torchac', 'far Gaussians', 'local SH basis', 'sequences'];
 
-/** Far Gaussians; files with this feature are version 2. */
+/** Features; files with one from `FAR` on are version 2. */
 const FAR = 4;
+const LOCAL_BASIS = 8;
+const KNOWN = 15;
 
 /** Fan-out: one block, or Gaussian, replaces this many of the next finer level. */
 export const FANOUT = 4;
@@ -54,9 +56,10 @@ export function headerSize(prefix) {
  *
  * Attributes in addition to those of the format: `profile` is a name, `coordinates` three letters
  * or null, `coefficients` the number of SH-AC per colour, `blocks` the number of blocks, `hasFar`
- * whether some have far Gaussians, `levelCounts` the numbers of Gaussians of level 1, 2, ... if the
- * file has levels, `sections` a list of `{name, block, at, size, checksum}` in the order of the
- * file, `end` the size of the file, `bytes` that of each stream, by name.
+ * whether some have far Gaussians, `hasBasis` whether some have SH-AC in a local basis,
+ * `levelCounts` the numbers of Gaussians of level 1, 2, ... if the file has levels, `sections` a
+ * list of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file,
+ * `bytes` that of each stream, by name.
  */
 export class Header {
   constructor(data) {
@@ -82,11 +85,12 @@ export class Header {
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
     check(reader.u32() === checksum, 'header', 'wrong checksum');
-    if (this.features >= 2 * FAR) {
-      throw new UnsupportedError(`features ${namesOf(this.features & -(2 * FAR))}`, 'header');
+    if (this.features > KNOWN) {
+      throw new UnsupportedError(`features ${namesOf(this.features & ~KNOWN)}`, 'header');
     }
-    this.hasFar = this.features >= FAR;
-    const isRight = version === (this.hasFar ? 2 : 1);
+    this.hasFar = (this.features & FAR) !== 0;
+    this.hasBasis = (this.features & LOCAL_BASIS) !== 0;
+    const isRight = version === (this.features >= FAR ? 2 : 1);
     check(isRight, 'header', `version ${version} with features ${this.features}`);
     check(flags < 8, 'header', `flags ${flags}`);
     this.antialiased = (flags & 4) !== 0;
@@ -95,9 +99,10 @@ export class Header {
     check(!(flags & 2) || this.profile === 'lossless', 'header', 'order of the input');
     const isPaper = profile <= 2;
     const isLattice = !isPaper && profile <= 5;
-    const fitting = (isPaper ? FAR - 1 : 0) | (isLattice ? FAR : 0);
+    const fitting = (isPaper ? FAR - 1 : 0) | (isLattice ? FAR | LOCAL_BASIS : 0);
     check((this.features & ~fitting) === 0, 'header', `features with profile ${profile}`);
     check(this.degree <= 3, 'header', `SH degree ${this.degree}`);
+    check(!this.hasBasis || this.degree > 0, 'header', 'a local basis of SH degree 0');
     check(
       reserved.every((byte) => byte === 0),
       'header',
@@ -179,10 +184,11 @@ export class Header {
     const scene = [...ofScene];
     if (this.count > 0) scene.push('index');
     if (isLevel) scene.push('errors');
-    // Blocks without far Gaussians have no such section.
-    const free = isLevel ? ['', 'far'] : ['', 'far', 'comments', 'extra'];
-    const hasFar = this.sections.some(({ name }) => name === 'far');
-    check(hasFar === this.hasFar, 'header', 'far Gaussians, or their sections, are missing');
+    // Some blocks may be without far Gaussians, or a basis.
+    const free = ['', 'far', 'basis', ...(isLevel ? [] : ['comments', 'extra'])];
+    const has = (wanted) => this.sections.some(({ name }) => name === wanted);
+    check(has('far') === this.hasFar, 'header', 'far Gaussians, or their sections, are missing');
+    check(has('basis') === this.hasBasis, 'header', 'bases, or their sections, are missing');
     const counts = new Map();
     for (const { name } of this.sections) {
       if (!free.includes(name)) counts.set(name, (counts.get(name) ?? 0) + 1);
@@ -273,8 +279,9 @@ export function checkErrors(finer, coarser) {
 /** Check that a header belongs to a level of a file. */
 export function checkLevel(header, level, file) {
   const same = ['coordinates', 'profile', 'degree', 'blockSize'];
-  // A level may have no far Gaussians.
-  const isSame = same.every((name) => header[name] === file[name]) && header.hasFar <= file.hasFar;
+  // A level may lack features.
+  const isSame =
+    same.every((name) => header[name] === file[name]) && (header.features & ~file.features) === 0;
   const isLevel = isSame && header.count === file.levelCounts[level - 1];
   check(
     isLevel && header.flags === (file.flags & ~1),

@@ -205,7 +205,7 @@ class Decoding {
     const waiting = this.blocks.get(block);
     const { sections } = waiting;
     if (this.broken.has(block)) return;
-    for (; waiting.next <= this.degree; waiting.next++) {
+    for (; waiting.next < this.opened.parts.length; waiting.next++) {
       const names = this.opened.namesOf(block, waiting.next);
       if (!names.every((name) => sections[name])) return;
       const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
@@ -223,8 +223,9 @@ class Decoding {
     this.ending.signal.throwIfAborted();
     if (this.broken.has(block)) return;
     if (part === 0) checkBox(this.boxes[block].centres, planes, count, block);
-    scene.put(part, planes, first, count);
-    options.onBlock?.(scene, { block, first, count, degree: part });
+    const { degrees } = this.opened;
+    scene.put(degrees[part - 1] ?? -1, degrees[part], planes, first, count);
+    options.onBlock?.(scene, { block, first, count, degree: degrees[part] });
   }
 }
 

@@ -97,6 +97,12 @@ export class Lattice {
     check(x + y + z <= 62, 'lattice', `bits ${this.bits} with far Gaussians`);
   }
 
+  /** Check what holds if there are bases. */
+  checkBasis() {
+    const [unit, ...others] = this.units.bands;
+    check(others.every((other) => other === unit), 'lattice', 'units of SH-AC in a local basis');
+  }
+
   #checkUnits() {
     const { opacity, scaling, rotation, dc, bands } = this.units;
     const most = (rules) => Math.max(...rules.map((rule) => rule.limit));

@@ -1,4 +1,5 @@
 // A file from which selected blocks, of selected levels of detail, are read and decoded.
+import { partDegrees } from './basis.js';
 import { checkBox, checkErrors, checkLevel, checkSupport } from './container.js';
 import { Ending } from './ending.js';
 import { EgsError, check } from './errors.js';
@@ -234,7 +235,8 @@ class Chosen {
     Object.assign(this, { opened, level, onBlock });
     const { header } = opened;
     this.degree = Math.min(shDegree, header.degree);
-    this.names = new Set(opened.parts.slice(0, this.degree + 1).flat());
+    this.degrees = partDegrees(this.degree, header.hasBasis);
+    this.names = new Set(opened.parts.slice(0, this.degrees.length).flat());
     this.blocks = new Map(); // by number: first Gaussian of a block, and its pending sections
     let first = 0;
     for (const block of blocks) {
@@ -280,14 +282,16 @@ class Chosen {
   }
 
   async #put(pool, block, signal) {
-    const { opened, level, degree, scene } = this;
+    const { opened, level, degree, degrees, scene } = this;
     const { first, sections } = this.blocks.get(block);
     const count = opened.header.blockCount(block);
     const job = { file: level, block, count, degree, sections };
     const parts = await pool.decode(job);
     signal.throwIfAborted();
     checkBox(opened.boxes[block].centres, parts[0], count, block);
-    parts.forEach((planes, part) => scene.put(part, planes, first, count));
+    parts.forEach((planes, part) =>
+      scene.put(degrees[part - 1] ?? -1, degrees[part], planes, first, count),
+    );
     this.onBlock?.(scene, { level, block, first, count, degree });
   }
 }

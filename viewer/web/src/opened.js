@@ -1,4 +1,5 @@
 // A file whose header and first sections have been read, which describe its blocks.
+import { partDegrees } from './basis.js';
 import { Blocks } from './blocks.js';
 import {
   FIRST,
@@ -104,25 +105,32 @@ export class Opened {
     const { header, commonName, isPaper } = this;
     const bands = BANDS.slice(0, header.degree);
     check(this.common !== undefined, `section ${commonName}`, 'missing');
+    const { degree, hasBasis } = header;
+    /** SH degrees that the parts of a block reach. */
+    this.degrees = partDegrees(wanted, hasBasis);
     /** The setup of `Blocks`. */
-    this.setup = { content: this.common, degree: header.degree, wanted, isPaper };
+    this.setup = { content: this.common, degree, degrees: this.degrees, hasBasis, isPaper };
     const blocks = new Blocks(this.setup); // also checks it
     const names = isPaper ? blocks.sections : [...BASE, ...bands];
     header.checkPresence([commonName], names, this.isLevel);
     if (header.hasFar) blocks.common.checkFar();
-    const far = header.sections.filter(({ name }) => name === 'far');
-    this.blocksWithFar = new Set(far.map(({ block }) => block));
+    /** Blocks with sections that others may lack. */
+    this.having = {};
+    for (const name of ['far', 'basis']) {
+      const found = header.sections.filter((entry) => entry.name === name);
+      this.having[name] = new Set(found.map(({ block }) => block));
+    }
     /** Names of the sections for parts of blocks, up to the wanted degree; see `namesOf`. */
     this.parts = [names.filter((each) => !BANDS.includes(each))];
     if (header.hasFar) this.parts[0].push('far');
-    for (const band of bands.slice(0, wanted)) {
-      this.parts.push(names.filter((each) => each === band));
+    for (const reached of this.degrees.slice(1)) {
+      const own = hasBasis ? ['basis', ...bands] : names.filter((each) => each === BANDS[reached - 1]);
+      this.parts.push(own);
     }
   }
 
   /** Names of the sections for a part of a block. */
   namesOf(block, part) {
-    const isThere = (name) => name !== 'far' || this.blocksWithFar.has(block);
-    return this.parts[part].filter(isThere);
+    return this.parts[part].filter((name) => this.having[name]?.has(block) ?? true);
   }
 }

@@ -73,20 +73,23 @@ export class Scene {
     return arrays[kind].subarray(plane * this.count, (plane + 1) * this.count);
   }
 
-  /** Copy a part of a block into the scene, starting at Gaussian `first`. */
-  put(part, planes, first, count) {
+  /**
+   * Copy a part of a block into the scene, starting at Gaussian `first`: everything but SH-AC if
+   * `degree` is 0, otherwise SH of the degrees above `below`, up to `degree`.
+   */
+  put(below, degree, planes, first, count) {
     const copy = (array, plane, from) => {
       const values = planes.subarray(from * count, (from + 1) * count);
       array.set(values, plane * this.count + first);
     };
     let from = 0;
-    if (part === 0) {
+    if (degree === 0) {
       for (const [name, size] of ARRAYS) {
         for (let plane = 0; plane < size; plane++) copy(this[name], plane, from++);
       }
       return;
     }
-    const [begin, end] = [part ** 2 - 1, (part + 1) ** 2 - 1];
+    const [begin, end] = [(below + 1) ** 2 - 1, (degree + 1) ** 2 - 1];
     for (let colour = 0; colour < 3; colour++) {
       for (let i = begin; i < end; i++) copy(this.fRest, colour * this.coefficients + i, from++);
     }

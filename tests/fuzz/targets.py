@@ -20,7 +20,7 @@ import browser
 import foreign
 import numpy as np
 from damage import ENTRY, HEADER, SECTIONS, with_checksums
-from scenes import SmallBlocks, encode_by, made_up_guide, random_scene, with_far
+from scenes import SmallBlocks, encode_by, made_up_guide, random_scene, seen_from, with_far
 
 from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.cameras.camera import Camera
@@ -154,6 +154,7 @@ def _streams() -> list[bytes]:
             streams.append(encode_scene(scene, Config(profile, extra="keep", block_size=1024))[0])
     streams.append(encode_by(random_scene(_COUNT, 2), Config("m"), made_up_guide()))
     streams.append(encode_scene(with_far(random_scene(_COUNT, 1), 3), Config("m"))[0])
+    streams.append(encode_scene(seen_from(random_scene(_COUNT, 1), 1, scale=100.0), Config("m"))[0])
     found = [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
     return found + [bytes([first]) + _levels() for first in (9, 25, 41)]
 
@@ -171,6 +172,7 @@ def _browser_streams() -> list[bytes]:
         encode_scene(random_scene(_COUNT, 2, seed=7), Config(profile))[0] for profile in profiles
     ]
     streams.append(encode_scene(with_far(random_scene(_COUNT, 1), 3), Config("m"))[0])
+    streams.append(encode_scene(seen_from(random_scene(_COUNT, 1), 1, scale=100.0), Config("m"))[0])
     levels = SmallBlocks("m", lod=True)
     parts = encode_parts(random_scene(_COUNT, 1, seed=8), levels)
     streams.append(b"".join(add_levels(*parts, levels)[0]))

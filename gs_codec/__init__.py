@@ -19,8 +19,8 @@ __version__ = "1.0.0"
 #: Modules and their public names.
 _PUBLIC = {
     "gs_codec.config": ("Config", "RateTarget"),
-    "gs_codec.preparation.steps": ("Plan", "Steps"),
-    "gs_codec.preparation.presets": ("Preset", "preset"),
+    "gs_codec.plan": ("Plan", "Steps"),
+    "gs_codec.presets": ("Preset", "preset"),
     "gs_codec.codecs.part": ("Part",),
     "gs_codec.cameras.camera": ("Camera",),
     "gs_codec.cameras.lens": ("Lens",),

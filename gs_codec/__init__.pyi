@@ -47,12 +47,12 @@ from gs_codec.metrics.attributes import GroupError as GroupError
 from gs_codec.metrics.image_quality import Quality as Quality
 from gs_codec.metrics.image_quality import View as View
 from gs_codec.metrics.image_quality import compare_images as compare_images
+from gs_codec.plan import Plan as Plan
+from gs_codec.plan import Steps as Steps
 from gs_codec.preparation.prepare_report import PrepareReport as PrepareReport
 from gs_codec.preparation.prepare_report import StepReport as StepReport
-from gs_codec.preparation.presets import Preset as Preset
-from gs_codec.preparation.presets import preset as preset
-from gs_codec.preparation.steps import Plan as Plan
-from gs_codec.preparation.steps import Steps as Steps
+from gs_codec.presets import Preset as Preset
+from gs_codec.presets import preset as preset
 from gs_codec.rendering.renderer import Accumulations as Accumulations
 from gs_codec.rendering.renderer import RenderedViews as RenderedViews
 from gs_codec.rendering.renderer import Rendering as Rendering

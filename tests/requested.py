@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from gs_codec.config import Config, RateTarget, as_rate_target
 from gs_codec.encoding.order import encode, encode_to_rate
 from gs_codec.encoding.request import Request
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.report import EncodeReport
 from gs_codec.scene import Scene
 

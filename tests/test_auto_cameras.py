@@ -13,7 +13,7 @@ from scenes import edge_scenes, random_scene
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 from gs_codec.views import estimate as module

@@ -33,7 +33,7 @@ from gs_codec.files.encode_file import encode_file
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.runtime import memory as free_memory
 from gs_codec.runtime.atomic import atomic_writer, leftovers
 from gs_codec.views.estimate import HEIGHT, WIDTH

@@ -24,7 +24,7 @@ from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 
 pytestmark = pytest.mark.slow
 

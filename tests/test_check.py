@@ -26,7 +26,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance.calibrate import finer, wanted_error
 from gs_codec.guidance.windows import choose_windows, sample_of, windows_of
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.rendering.renderer import render
 from gs_codec.report import StageTimes, psnr_loss
 from gs_codec.scene import GROUPS

@@ -831,6 +831,7 @@ import zipfile
 print(*sorted(sys.modules), file=sys.stderr)
 """
 RUN_ALL = """
+import sys
 from gs_codec.cli.main import main
 for line in {commands}:
     sys.argv = ["gs-codec", *line.split()]
@@ -853,8 +854,8 @@ for line in {commands}:
         (
             RUN_ALL.format(
                 commands=[
-                    "encode scene.ply out.egs",
-                    "decode out.egs out.ply",
+                    "encode scene.ply out.egs --overwrite",
+                    "decode out.egs out.ply --overwrite",
                     "inspect out.egs",
                     "compare scene.ply out.egs",
                 ]
@@ -876,7 +877,7 @@ for line in {commands}:
 def test_heavy_packages_load_on_use(folder, run, loaded, absent):
     # Kernels are compiled first: more than once if another process compiles them at the same time.
     for _ in range(3):
-        python("-c", run, cwd=folder.path)
+        assert python("-c", run, cwd=folder.path).status == 0
         status, _, err = python("-c", LOADED.format(run=run), cwd=folder.path)
         modules = set(err.split())
         if not absent & modules:

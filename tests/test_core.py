@@ -134,7 +134,7 @@ print(status, *sorted(sys.modules), file=sys.stderr)
 STARTED = {
     "cli", "cli.*", "config", "edit", "edit.actions", "errors", "files", "files.suffixes",
     "formats", "formats.table",
-    "preparation", "preparation.presets", "preparation.steps", "report", "runtime", "runtime.*",
+    "plan", "presets", "report", "runtime", "runtime.*",
 }  # fmt: skip
 
 DECODED = {

@@ -13,9 +13,9 @@ from gs_codec.edit.decimation import decimate
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import rotation_of
 from gs_codec.merging.pairs import blobs_of, lone_errors, merge_errors, merge_pairs
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
-from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 BLACK = (0.0, 0.0, 0.0)

@@ -23,7 +23,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.metrics.image_quality import psnr
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.wording import as_typed
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene

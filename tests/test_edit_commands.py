@@ -29,7 +29,7 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.runtime import arrays
 from gs_codec.scene import Scene
 

@@ -50,7 +50,7 @@ from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.files.sharing import page_of
 from gs_codec.formats.ply.file import read_ply
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.scene import Scene
 from gs_codec.views.find import find_cameras
 from samples.generate import generate

@@ -26,9 +26,9 @@ from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.pipeline import prepare_scene
-from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering import gradients, gsplat_backend
 from gs_codec.rendering.image_loss import differentiate_loss, differentiate_loss_tensor
 from gs_codec.rendering.renderer import render

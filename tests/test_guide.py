@@ -23,8 +23,8 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance.guide import Guidance, guide
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
-from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate, orbit_cameras
 

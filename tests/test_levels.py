@@ -51,7 +51,7 @@ from gs_codec.levels.building import build_levels
 from gs_codec.levels.quarter import Clusters, merge_group
 from gs_codec.merging.pairs import blobs_of
 from gs_codec.metrics.views import compare_views
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 
 #: Numbers of Gaussians: none, less than a block, full blocks and groups, and one more.

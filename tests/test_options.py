@@ -13,7 +13,7 @@ from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
 from gs_codec.config import Config
 from gs_codec.files.encode_file import encode_file
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 
 #: Typed form of each option that a command may ignore.
 VALUES = {

@@ -18,7 +18,7 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.decode_file import decode_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 
 WRONG_SUFFIX = {
     "encode scene.ply b.ply": ".usdc or .usdz; `convert` writes that",

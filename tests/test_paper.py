@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gs_codec.preparation.presets import PRESETS
+from gs_codec.presets import PRESETS
 
 PAPER = Path(__file__).parents[1] / "gs_codec" / "PAPER.md"
 ROWS = [line.split("|")[1:-1] for line in PAPER.read_text().splitlines() if line.startswith("| ")]

@@ -25,11 +25,11 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
+from gs_codec.plan import Steps
 from gs_codec.preparation import optimise, pipeline
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.prepare_report import LABELS, centres_checksum
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
-from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene
 

@@ -23,9 +23,9 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.preparation.presets import PRESETS, Preset
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.prune import keep_near
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.presets import PRESETS, Preset
 from samples.generate import generate, orbit_cameras
 
 PRESET = PRESETS["entropygs"]

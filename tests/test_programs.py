@@ -23,7 +23,7 @@ from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.packed_values import unit_quaternions
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
 

@@ -10,6 +10,7 @@ from scenes import edge_scenes, random_scene
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.errors import InvalidInput
+from gs_codec.plan import Steps
 from gs_codec.preparation import reference_views as targets_module
 from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.pipeline import Plan, prepare_scene
@@ -22,7 +23,6 @@ from gs_codec.preparation.prune import (
     prune_leave_one_out,
 )
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit, draw_reference_views
-from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import SH_C0, Scene
 

@@ -14,7 +14,7 @@ from gs_codec.edit.actions import Action
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.writing import write_scene
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 
 TARGET = RateTarget(ratio=9)
 PRUNING = replace(TARGET, allow_prune=True)

@@ -32,7 +32,7 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import check_file, open_scene, overview_of
 from gs_codec.formats.table import STREAMED
 from gs_codec.levels.streaming import stream_levels
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import ANTIALIASED, Scene
 from gs_codec.views.estimate import auto_cameras

@@ -15,7 +15,7 @@ from gs_codec.cli.main import describe_error
 from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.cli.typed import is_given
-from gs_codec.preparation.steps import CAMERAS
+from gs_codec.plan import CAMERAS
 from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.wording import counted
 from viewer.scenes.choice import (

@@ -18,7 +18,7 @@ from gs_codec.files.suffixes import PLAIN
 from gs_codec.files.writing import tell_lost, write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply.writer import vertex_rows
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.report import Progress, RateReport
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.mapped import located, opened

@@ -18,7 +18,7 @@ from gs_codec.formats.coordinates import system_of, turn_axes
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.metrics.image_quality import LPIPS_VARIABLE
 from gs_codec.metrics.views import compare_views
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.rendering.renderer import RenderedViews, Rendering
 from gs_codec.rendering.renderer import render as render_view
 from gs_codec.report import Progress

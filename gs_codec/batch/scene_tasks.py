@@ -70,7 +70,7 @@ class Options(Request):
         if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
             return 0
         from gs_codec.cameras.camera_files import read_cameras
-        from gs_codec.preparation.steps import Plan
+        from gs_codec.plan import Plan
         from gs_codec.views.estimate import HEIGHT, SMALL, WIDTH, guiding_number
 
         plan = plan or Plan()

@@ -16,9 +16,9 @@ from gs_codec.config import Config
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.errors import MissingTool
+from gs_codec.plan import BACKGROUNDS
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.reference_views import draw_targets, evenly
-from gs_codec.preparation.steps import BACKGROUNDS
 from gs_codec.rendering.gsplat_backend import is_chosen
 from gs_codec.scene import Scene
 

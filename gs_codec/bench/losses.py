@@ -21,7 +21,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.pages.tables import Table, number
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, psnr_loss, step_counter
 from gs_codec.runtime.threads import run_all

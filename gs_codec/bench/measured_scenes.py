@@ -13,8 +13,8 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.file import read_ply
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.reference_views import photographed
-from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import GROUPS, Scene
 from gs_codec.views.find import find_cameras

@@ -19,10 +19,10 @@ from gs_codec.codecs.entropygs import paper
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
 from gs_codec.metrics.image_quality import LPIPS_VARIABLE, Quality
 from gs_codec.pages.tables import Table, escaped, number
+from gs_codec.plan import Plan
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.prepare_report import PrepareReport, StepReport, coding_steps
-from gs_codec.preparation.presets import PRESETS
-from gs_codec.preparation.steps import Plan
+from gs_codec.presets import PRESETS
 from gs_codec.report import Progress
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene

@@ -24,8 +24,8 @@ from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.pipeline import prepare_scene
-from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import Scene
 
 #: Suffix of the profile's name if it is camera-guided.

@@ -20,8 +20,8 @@ from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import PROFILE_CHOICES, PROFILES_SHOWN, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.pages.tables import Table
-from gs_codec.preparation.presets import PRESETS
-from gs_codec.preparation.steps import CAMERAS
+from gs_codec.plan import CAMERAS
+from gs_codec.presets import PRESETS
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder, write_files
 from gs_codec.runtime.optional import check_installed
 

@@ -18,7 +18,7 @@ from gs_codec.cli.output import (
 )
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.pages.tables import Table
-from gs_codec.preparation.steps import CAMERAS
+from gs_codec.plan import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted
 

@@ -25,7 +25,7 @@ from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.combinations import refuse_coding
 from gs_codec.files.suffixes import LEVELLED, PLAIN, format_name, known_suffix
-from gs_codec.preparation.steps import CAMERAS, Plan
+from gs_codec.plan import CAMERAS, Plan
 from gs_codec.report import bits_per_gaussian
 from gs_codec.runtime.wording import counted, listed, size_text
 

@@ -27,7 +27,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text
 

@@ -21,7 +21,7 @@ from gs_codec.cli.typed_request import config_of, plan_of
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import PLAIN, format_name, known_suffix
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.report import bits_per_gaussian
 
 

@@ -11,7 +11,7 @@ import typer
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_text, progress_bar
 from gs_codec.cli.typed import Typed, takes
-from gs_codec.preparation.steps import CAMERAS
+from gs_codec.plan import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
 from gs_codec.runtime.wording import counted
 

@@ -12,7 +12,7 @@ from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import UP_AXES
-from gs_codec.preparation.steps import CAMERAS
+from gs_codec.plan import CAMERAS
 
 
 @takes("max_bytes", "overwrite", "json")

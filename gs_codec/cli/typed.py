@@ -15,8 +15,8 @@ from gs_codec.cli.output import set_loudness
 from gs_codec.config import Config, RateTarget, options_of
 from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
-from gs_codec.preparation.presets import PRESETS
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
+from gs_codec.presets import PRESETS
 
 Settings = TypeVar("Settings", Config, RateTarget, Plan, Steps)
 

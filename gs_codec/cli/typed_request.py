@@ -17,7 +17,7 @@ from gs_codec.encoding.combinations import (
 )
 from gs_codec.encoding.request import Request
 from gs_codec.files.suffixes import format_name, known_suffix
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 
 
 def request_of(typed: Typed, target: Path | None = None, dask: str | None = None) -> Request:

@@ -19,7 +19,7 @@ from gs_codec.report import ActionReport, Progress
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.steps import Plan
+    from gs_codec.plan import Plan
 
 
 class _Context(NamedTuple):

@@ -22,7 +22,7 @@ from gs_codec.config import (
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.table import FORMATS, format_of
-from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.plan import Plan, Steps
 
 _ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)
 

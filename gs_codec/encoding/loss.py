@@ -28,7 +28,7 @@ from gs_codec.report import NOMINAL_ERROR, RenderedLoss, psnr_loss
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.steps import Plan
+    from gs_codec.plan import Plan
 
 #: Reported quantile of the crops' losses. A few crops are rendered from inside a Gaussian, where no
 #: camera has been.

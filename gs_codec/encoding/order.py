@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from gs_codec.codecs.adaptive.watched import Watched
     from gs_codec.guidance.guide import Guidance
     from gs_codec.guidance.windows import Windows
+    from gs_codec.plan import Plan
     from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
-    from gs_codec.preparation.steps import Plan
 
 
 log = logging.getLogger(__name__)
@@ -192,8 +192,8 @@ def encode_to_rate(
     that are estimated from the scene. `views` are the plan's, if already known. Raises InvalidInput
     if the target is unreachable; the error gives the range.
     """
+    from gs_codec.plan import Plan
     from gs_codec.preparation.pipeline import choose_views, guiding_views
-    from gs_codec.preparation.steps import Plan
     from gs_codec.rate.allocate import meet_rate
     from gs_codec.rate.search import RateSearch, Seen
 

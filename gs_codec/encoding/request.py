@@ -10,7 +10,7 @@ from gs_codec.encoding.combinations import check_request
 
 if TYPE_CHECKING:
     from gs_codec.edit.actions import Action
-    from gs_codec.preparation.steps import Plan
+    from gs_codec.plan import Plan
 
 
 @dataclass(frozen=True)

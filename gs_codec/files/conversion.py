@@ -32,7 +32,7 @@ from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene, Shift
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.steps import Plan
+    from gs_codec.plan import Plan
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from gs_codec.files.suffixes import ENCODED, check_target, config_for
 from gs_codec.files.writing import keeps_rounding, tell_lost, write_parts
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
-from gs_codec.preparation.steps import Plan
+from gs_codec.plan import Plan
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded

@@ -22,8 +22,8 @@ from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 
 if TYPE_CHECKING:
+    from gs_codec.plan import Plan
     from gs_codec.preparation.prepare_report import PrepareReport
-    from gs_codec.preparation.steps import Plan
 
 
 @checked

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.plan import Device
 from gs_codec.preparation.adam import (
     LAST,
     RATES,
@@ -27,7 +28,6 @@ from gs_codec.preparation.adam import (
     write_checkpoint,
 )
 from gs_codec.preparation.reference_views import ReferenceViews, draw_targets
-from gs_codec.preparation.steps import Device
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.report import Progress, step_counter

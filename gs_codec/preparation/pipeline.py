@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.cameras.camera import Camera
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import Config
+from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.balance import Balance, StepsOf, profile_steps
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.likely_views import cameras_between
@@ -38,7 +39,6 @@ from gs_codec.preparation.reference_views import (
     read_photographs,
 )
 from gs_codec.preparation.refit_colour import refit_colour
-from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.gsplat_backend import is_chosen
 from gs_codec.report import Progress
 from gs_codec.scene import Scene

@@ -26,9 +26,9 @@ from gs_codec.codecs.adaptive.step_sizes import expected_sensitivity
 from gs_codec.coding.axes import sort_axes
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import sigmoid
+from gs_codec.plan import GeometryRule, Steps
 from gs_codec.preparation.balance import Balance
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
-from gs_codec.preparation.steps import GeometryRule, Steps
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.renderer import render
 from gs_codec.rendering.tiles_float32 import sum_errors_without

@@ -15,7 +15,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.image_files import seek_images
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.image_quality import Quality, compare_images, mean_quality
-from gs_codec.preparation.steps import Device
+from gs_codec.plan import Device
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.renderer import render

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gs_codec.config import Config, Option, changed_options
-from gs_codec.preparation.steps import Steps
+from gs_codec.plan import Steps
 from gs_codec.runtime.arguments import checked
 
 #: Half range of SH-AC, in Laplace scales. The paper gives it only in its supplement, but at 4 bits

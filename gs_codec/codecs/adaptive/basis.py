@@ -301,11 +301,13 @@ def _entropy(counts):
     """Bits of tokens, by the frequencies of their row, with the raw bits that follow them."""
     bits = 0.0
     for k in range(len(counts)):
-        total = exact_log(np.float64(max(counts[k].sum(), 1)))
+        total = np.int64(0)
+        for token in range(counts.shape[1]):
+            total += counts[k, token]
         for token in range(counts.shape[1]):
             count = np.float64(counts[k, token])
             if count > 0.0:
-                own = (total - exact_log(count)) / exact_log(2.0)
+                own = (exact_log(np.float64(total)) - exact_log(count)) / exact_log(2.0)
                 bits += count * (own + RAW_WIDTHS[token])
     return bits
 

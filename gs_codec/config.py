@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.table import FORMATS, SceneFormat, format_of
+from gs_codec.format_table import FORMATS, SceneFormat, format_of
 from gs_codec.runtime.arguments import check_fields
 
 #: Handling of properties beyond the INRIA layout.

@@ -20,10 +20,10 @@ import numpy as np
 from gs_codec.bench.peers import AbsentPeer, find_splat_transform, spz_peer
 from gs_codec.errors import MissingTool
 from gs_codec.files.scenes import read_scene
+from gs_codec.format_table import SPZ, format_of
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
 from gs_codec.formats.packed_values import logits_of, sigmoid, unit_quaternions
 from gs_codec.formats.ply.file import read_ply
-from gs_codec.formats.table import SPZ, format_of
 from gs_codec.formats.tensors import NAMES, scene_of_tensors
 from gs_codec.scene import Scene, property_names
 

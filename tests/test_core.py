@@ -133,7 +133,7 @@ print(status, *sorted(sys.modules), file=sys.stderr)
 #: Modules that start a command, and that define its options.
 STARTED = {
     "cli", "cli.*", "config", "edit", "edit.actions", "errors", "files", "files.suffixes",
-    "formats", "formats.table",
+    "format_table",
     "plan", "presets", "report", "runtime", "runtime.*",
 }  # fmt: skip
 

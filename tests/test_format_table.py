@@ -11,8 +11,8 @@ from command_line import python
 from scenes import random_scene, thorough
 
 import gs_codec.formats
+from gs_codec.format_table import FLAG, FORMATS, SceneFormat
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.formats.table import FLAG, FORMATS, SceneFormat
 from gs_codec.runtime.lazy import Lazy
 
 DOCUMENT = Path(gs_codec.formats.__file__).with_name("FORMATS.md").read_text()
@@ -57,7 +57,7 @@ MODULE = """
 import numpy as np
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count
-from gs_codec.formats.table import TOY
+from gs_codec.format_table import TOY
 from gs_codec.scene import Scene
 
 
@@ -82,7 +82,7 @@ def pack(scene):
 #: Its record for the table.
 RECORD = """
 import os, sys
-from gs_codec.formats import table
+from gs_codec import format_table as table
 
 table.TOY = table.SceneFormat(
     name="toy",

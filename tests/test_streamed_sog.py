@@ -27,10 +27,10 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
+from gs_codec.format_table import STREAMED
 from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import check_file, open_scene, overview_of
-from gs_codec.formats.table import STREAMED
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.plan import Plan, Steps
 from gs_codec.runtime.atomic import write_files

@@ -77,8 +77,7 @@ def rows() -> list[list[str]]:
 def unit_of(module: str) -> str:
     """The entry of the table that a gs_codec module belongs to."""
     parts = module.split(".")[1:]
-    apart = (parts[0] == "codecs" and len(parts) > 2) or parts == ["formats", "table"]
-    return "/".join(parts[:2]) if apart else parts[0]
+    return "/".join(parts[:2]) if parts[0] == "codecs" and len(parts) > 2 else parts[0]
 
 
 def test_no_modules_import_one_another(imports):

@@ -17,8 +17,8 @@ from scenes import assert_same_bits, random_scene
 
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.files.scenes import read_scene, stated_bytes
+from gs_codec.format_table import USD
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.table import USD
 from gs_codec.formats.usd import scene as usd
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene

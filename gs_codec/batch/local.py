@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.formats.table import EGS, FORMATS
+from gs_codec.format_table import EGS, FORMATS
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
 

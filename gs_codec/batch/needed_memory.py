@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gs_codec.formats.table import format_of_file
+from gs_codec.format_table import format_of_file
 
 #: Bytes for Python, its packages, and compiled kernels.
 _FIXED = 400 << 20

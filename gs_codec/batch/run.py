@@ -23,7 +23,7 @@ from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scene_tasks import Options, Task, find_tasks
 from gs_codec.batch.work import record_scene, versions
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
-from gs_codec.formats.table import format_of
+from gs_codec.format_table import format_of
 from gs_codec.runtime.memory import available_bytes
 from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.redaction import redacted, without_secrets

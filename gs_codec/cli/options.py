@@ -13,7 +13,7 @@ import typer
 from gs_codec.config import CODED_FORMATS, Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import ENCODED, PLAIN, READ_NAMES
-from gs_codec.formats.table import unmarked_names
+from gs_codec.format_table import unmarked_names
 from gs_codec.plan import Plan, Steps
 from gs_codec.presets import PRESETS
 from gs_codec.runtime.wording import listed

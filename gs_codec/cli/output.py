@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gs_codec.errors import printable
-from gs_codec.formats.table import read_names
+from gs_codec.format_table import read_names
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.wording import as_typed, listed, log_warnings, size_text
 

@@ -14,7 +14,7 @@ from crc32c import crc32c
 from gs_codec.coding.fields import ByteReader
 from gs_codec.egs.header import FIELDS, TOO_LARGE, Feature, Header, pack_header, unpack_header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
-from gs_codec.formats.table import EGS
+from gs_codec.format_table import EGS
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.guess import LOOKED_AT, looks_like
 from gs_codec.runtime.mapped import FileBytes

@@ -21,7 +21,7 @@ from gs_codec.config import (
 )
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.table import FORMATS, format_of
+from gs_codec.format_table import FORMATS, format_of
 from gs_codec.plan import Plan, Steps
 
 _ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)

@@ -22,8 +22,8 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import early_shifts, read_scene, turn_scene
 from gs_codec.files.suffixes import check_target
 from gs_codec.files.writing import keeps_rounding, write_scene, written_bytes
+from gs_codec.format_table import format_of
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
-from gs_codec.formats.table import format_of
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.arrays import bounded

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gs_codec.config import EGS, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.table import FORMATS, STREAMED, format_of, read, written
+from gs_codec.format_table import FORMATS, STREAMED, format_of, read, written
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.wording import listed
 

@@ -16,9 +16,9 @@ from gs_codec.config import Config
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
+from gs_codec.format_table import SSOG, STREAMED, UNBUNDLED, format_of
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.registry import open_scene
-from gs_codec.formats.table import SSOG, STREAMED, UNBUNDLED, format_of
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.report import RenderedLoss

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import CHECKPOINT
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count, most_bytes, refusing
 from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
-from gs_codec.formats.table import CHECKPOINT
 from gs_codec.formats.tensors import (
     NAMES,
     NERFSTUDIO,

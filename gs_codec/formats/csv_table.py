@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gs_codec.format_table import CSV
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.packed_values import spans
 from gs_codec.formats.ply.writer import vertex_rows
-from gs_codec.formats.table import CSV
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import Scene
 

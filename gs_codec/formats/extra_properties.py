@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.table import COMMENTS, FLAG, PROPERTIES, SceneFormat
+from gs_codec.format_table import COMMENTS, FLAG, PROPERTIES, SceneFormat
 from gs_codec.scene import NORMALS, Scene, other_comments
 
 log = logging.getLogger(__name__)

@@ -14,11 +14,7 @@ from gs_codec.coding.extent import centre_bounds
 from gs_codec.config import Extra
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.ply.body import Ply, ply_of
-from gs_codec.formats.ply.file import scene_of
-from gs_codec.formats.ply.packed import is_packed
-from gs_codec.formats.ply.packed import stated_size as packed_size
-from gs_codec.formats.table import (
+from gs_codec.format_table import (
     COMPRESSED_PLY,
     FORMATS,
     PLY,
@@ -26,6 +22,10 @@ from gs_codec.formats.table import (
     read,
     unmarked_names,
 )
+from gs_codec.formats.ply.body import Ply, ply_of
+from gs_codec.formats.ply.file import scene_of
+from gs_codec.formats.ply.packed import is_packed
+from gs_codec.formats.ply.packed import stated_size as packed_size
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
 from gs_codec.runtime.mapped import FileBytes, opened
 from gs_codec.runtime.wording import listed

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import SPLAT
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
@@ -24,7 +25,6 @@ from gs_codec.formats.packed_values import (
     sigmoid,
     unit_quaternions,
 )
-from gs_codec.formats.table import SPLAT
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, Scene

@@ -16,11 +16,11 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.config import Config
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import STREAMED, UNBUNDLED
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.sog.streamed import Leaf, Run, describe_levels
 from gs_codec.formats.sog.writer import REACH, numbers, sog_files_of
-from gs_codec.formats.table import STREAMED, UNBUNDLED
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.adding import config_of_levels
 from gs_codec.levels.building import coarsen

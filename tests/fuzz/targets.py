@@ -32,12 +32,12 @@ from gs_codec.codecs.lossless.columns import read_integers, write_integers
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
+from gs_codec.format_table import STREAMED, UNBUNDLED
 from gs_codec.formats import checkpoint as of_trainers
 from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.sog.files import parse_meta, read_pixels
-from gs_codec.formats.table import STREAMED, UNBUNDLED
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.adding import add_levels

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import GLTF
 from gs_codec.formats.limits import refusing
-from gs_codec.formats.table import GLTF
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.wording import counted
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import GLTF
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.gltf.file import GltfFile, numbers, open_gltf, pack_document, whole
@@ -28,7 +29,6 @@ from gs_codec.formats.packed_values import (
     unit_quaternions,
 )
 from gs_codec.formats.similarity import move_scene, rotation_of
-from gs_codec.formats.table import GLTF
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import COMPRESSED_PLY
 from gs_codec.formats.attribute_steps import ShGrid
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.limits import check_count
@@ -30,7 +31,6 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.ply.body import Ply
 from gs_codec.formats.ply.ply_header import PlyHeader
-from gs_codec.formats.table import COMPRESSED_PLY
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import DEGREE_4, SH_C0, SH_COEFFICIENTS, Scene, stated_comments

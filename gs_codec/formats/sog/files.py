@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import STREAMED, UNBUNDLED, ZIP
 from gs_codec.formats import images
 from gs_codec.formats.limits import DECODED_BYTES, refusing
-from gs_codec.formats.table import STREAMED, UNBUNDLED, ZIP
 from gs_codec.formats.zip_file import Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located

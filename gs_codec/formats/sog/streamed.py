@@ -17,10 +17,10 @@ from typing import Any
 
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import STREAMED, ZIP
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.sog.files import Files, Unit, opened_files, opened_unit
 from gs_codec.formats.sog.scene import SPARE, scene_of_unit
-from gs_codec.formats.table import STREAMED, ZIP
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located

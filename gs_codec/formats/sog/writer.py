@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.far import bring_nearer
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import SOG, UNBUNDLED
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.codebook import choose_colours, choose_levels, make_table
 from gs_codec.formats.coordinates import turn_axes
@@ -27,7 +28,6 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.sog.files import FIRST_TAG, PALETTE_COLUMNS
 from gs_codec.formats.sog.palette import fit_palette
-from gs_codec.formats.table import SOG, UNBUNDLED
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import SPZ
 from gs_codec.formats.extra_properties import say_degree_4, say_left_out
 from gs_codec.formats.limits import check_count, refusing
-from gs_codec.formats.table import SPZ
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted

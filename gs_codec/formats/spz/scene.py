@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.far import Box, draw_nearer, find_far
 from gs_codec.coding.morton import spatial_order
+from gs_codec.format_table import SPZ
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of
@@ -36,7 +37,6 @@ from gs_codec.formats.spz.file import (
     pack_streams,
     read_streams,
 )
-from gs_codec.formats.table import SPZ
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, stated_comments
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, ToolFailed
+from gs_codec.format_table import USD, ZIP
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
@@ -30,7 +31,6 @@ from gs_codec.formats.packed_values import (
     unit_quaternions,
 )
 from gs_codec.formats.similarity import move_scene
-from gs_codec.formats.table import USD, ZIP
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.optional import check_installed, missing_package

@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -51,6 +50,7 @@ from gs_codec.preparation.adam import (
 )
 from gs_codec.report import SCHEMA
 from gs_codec.runtime.atomic import write_files
+from gs_codec.runtime.optional import is_available
 from gs_codec.scene import GROUPS, Scene
 from viewer.scenes.opened import read_pruned
 
@@ -445,7 +445,7 @@ TARGETS = {
     "gltf": Target(_scene_file(".gltf"), _gltfs),
     "ksplat": Target(_scene_file(".ksplat"), _ksplats),
     "pcodec": Target(_pcodec, _columns),
-    **({"usd": Target(_scene_file(".usd"), _usds)} if find_spec("pxr") else {}),
+    **({"usd": Target(_scene_file(".usd"), _usds)} if is_available("pxr") else {}),
     "pickle": Target(parse_pickle, _pickles),
     "trainer": Target(_scene_file(".pt"), _trainers),
     "sog": Target(_scene_file(".sog"), _sogs),

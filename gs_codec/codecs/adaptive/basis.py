@@ -41,7 +41,7 @@ MATRIX_BITS = 6
 #: Approximate number of Gaussians of the longest runs that an encoder tries.
 _LONGEST = 4096
 
-#: Shorter runs that it tries: how many there are of them in one of the longest.
+#: Numbers of equal parts that it divides the longest runs into.
 _DIVISIONS = (1, 2, 4)
 
 #: Added to the squared length of a Gaussian's colours, in step sizes, which weighs it: so those
@@ -130,6 +130,12 @@ def write_bases(bases: Bases) -> bytes:
     return bytes([len(bases.entries)]) + writer.finish()
 
 
+def _section_size(runs: int, coefficients: int) -> int:
+    """Bytes of the section with the bases of a block."""
+    bits = runs * coefficients * (_ENTRY_BITS * coefficients + _FACTOR_BITS)
+    return 1 + (bits + 7) // 8
+
+
 def read_bases(file: EgsFile, block: int) -> Bases | None:
     """Bases of the runs of a block; None if its levels are those of coefficients.
 
@@ -145,13 +151,10 @@ def read_bases(file: EgsFile, block: int) -> Bases | None:
     runs = data[0] if len(data) else 0
     if not 1 <= runs <= count:
         raise CorruptStream(f"{where}: {counted(runs, 'run')}, expected 1-{min(count, 255)}")
-    square = runs * coefficients * coefficients
-    bits = _ENTRY_BITS * square + _FACTOR_BITS * runs * coefficients
-    if len(data) != 1 + (bits + 7) // 8:
-        size = counted(len(data), "byte")
-        raise CorruptStream(f"{where}: {size}, expected {1 + (bits + 7) // 8}")
+    if len(data) != (expected := _section_size(runs, coefficients)):
+        raise CorruptStream(f"{where}: {counted(len(data), 'byte')}, expected {expected:,}")
     reader = BitReader(data[1:], where)
-    entries = reader.fields(np.full(square, _ENTRY_BITS)) - _MOST
+    entries = reader.fields(np.full(runs * coefficients * coefficients, _ENTRY_BITS)) - _MOST
     numbers = reader.fields(np.full(runs * coefficients, _FACTOR_BITS))
     reader.close()
     if entries.max() > _MOST or numbers.max() >= len(FACTORS):
@@ -179,7 +182,7 @@ def choose_bases(values: NDArray[np.float32]) -> Bases | None:
         bases = _rounded(energies, directions)
         # The same sample for both, which depends on the runs.
         saved = _bits(values, np.broadcast_to(np.eye(values.shape[1]), directions.shape))
-        saved -= _bits(values, directions) + 8 * len(write_bases(bases))
+        saved -= _bits(values, directions) + 8 * _section_size(runs, values.shape[1])
         if saved > most and np.isfinite([_back(matrix) for matrix in bases.matrices]).all():
             best, most = bases, saved
     return best

@@ -33,5 +33,5 @@ def expected_floats(size: int, name: str) -> int:
 
 
 def most_floats(size: int, name: str) -> int:
-    """Maximum bytes of floats to accept from a file of which only the size is known."""
+    """Maximum bytes of floats to accept from a file, if only its size is known."""
     return max(_MARGIN * expected_floats(size, name), _LEAST)

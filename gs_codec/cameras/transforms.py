@@ -109,7 +109,7 @@ def _name(where: str, value: Any) -> str:
 
 
 def _splits(path: Path, shared: Mapping[str, Any]) -> dict[str, str]:
-    """The split of each image by name; an empty name stands for all others, by the file's name."""
+    """The split of each image, by its name; the split of all other images, by an empty name."""
     ending = path.stem.lower().rpartition("_")[2]
     splits = {"": _SPLITS[ending]} if ending in _SPLITS else {}
     for word, split in _SPLITS.items():

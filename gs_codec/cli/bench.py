@@ -103,14 +103,14 @@ def measure_suite(
     check_installed("matplotlib", "plots")
     start = time.monotonic()
 
-    def tell(stage: str) -> None:
+    def announce(stage: str) -> None:
         minutes, seconds = divmod(round(time.monotonic() - start), 60)
         print_status(f"{minutes:3}:{seconds:02} {stage}")
 
     target = make_folder(out) / "suite.jsonl"
     check_writable(target)
-    lines = _printed(_written(run_suite(options, _typed(), tell), target))
-    tell("report")
+    lines = _printed(_written(run_suite(options, _typed(), announce), target))
+    announce("report")
     write_report(lines, out)
     print_codecs(lines)
     print_status(f"report: {out / 'report.md'}")

@@ -83,12 +83,12 @@ def command(
         _say_what_changed(done)
         if typed["json"]:
             inputs = [str(source) for source in sources]
-            told = asdict(done)
+            shown = asdict(done)
             print_document(
                 input=inputs if len(inputs) > 1 else inputs[0], output=str(target),
                 profile=None if suffix in PLAIN else config.profile, format=format_name(suffix),
                 bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
-                stages=told.pop("seconds"), **told,
+                stages=shown.pop("seconds"), **shown,
             )  # fmt: skip
         else:
             print_text(

@@ -103,11 +103,12 @@ def _tell(source: Path, target: Path, out: Path, typed: Typed, report: DecodeRep
     """Print the report; `out` is the file written for the target."""
     size = out.stat().st_size
     if typed["json"]:
-        told = asdict(report)
+        shown = asdict(report)
         print_document(
-            input=str(source), output=str(target), format="ply", input_bytes=told.pop("file_bytes"),
-            output_bytes=size, bits_per_gaussian=bits_per_gaussian(size, report.count),
-            stages=told.pop("seconds"), **told,
+            input=str(source), output=str(target), format="ply",
+            input_bytes=shown.pop("file_bytes"), output_bytes=size,
+            bits_per_gaussian=bits_per_gaussian(size, report.count),
+            stages=shown.pop("seconds"), **shown,
         )  # fmt: skip
         return
     print_text(

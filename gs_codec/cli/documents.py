@@ -55,12 +55,12 @@ def leave_stdout() -> None:
     _run.file = sys.stderr
 
 
-def print_document(**told: Any) -> None:
-    """Print the document of the command; `told` are its values, by key or by Python field name.
+def print_document(**shown: Any) -> None:
+    """Print the document of the command; `shown` are its values, by key or by Python field name.
 
     `stages` are seconds by stage, `seconds` by default their sum.
     """
-    values = _renamed(told)
+    values = _renamed(shown)
     if "lost" in values:
         values["lost"] = list(map(as_typed, values["lost"]))
     whole = {"schema": SCHEMA, "command": _run.command, "warnings": _run.warnings} | values

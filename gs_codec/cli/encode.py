@@ -87,12 +87,12 @@ def _encode_divided(source: Path, target: Path, request: Request, typed: Typed) 
 def _tell(source: Path, target: Path, config: Config, typed: Typed, done: EncodeReport) -> None:
     _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
     if typed["json"]:
-        told = asdict(done)
+        shown = asdict(done)
         print_document(
             input=str(source), output=str(target), profile=config.profile, format=config.format,
             output_bytes=done.file_bytes,
             bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
-            stages=told.pop("seconds"), **told,
+            stages=shown.pop("seconds"), **shown,
         )  # fmt: skip
     else:
         _print_report(target, done, config)

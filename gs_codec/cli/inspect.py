@@ -63,8 +63,8 @@ def command(
             scene = read_scene(path, coordinates=None, max_bytes=typed["max_bytes"])
             statistics = _statistics_of(scene)
     if typed["json"]:
-        told = {} if statistics is None else _as_dict(statistics)
-        _print_document(file, info, told | {"format": EGS, "ratio": info.ratio})
+        shown = {} if statistics is None else _as_dict(statistics)
+        _print_document(file, info, shown | {"format": EGS, "ratio": info.ratio})
         return
     _print_info(file, info)
     if channels:
@@ -82,8 +82,8 @@ def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
     statistics = _statistics_of(scene) if histogram else None
     shares = shares_of(scene) if statistics is None else ()
     if typed["json"]:
-        told = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)
-        _print_document(file, found, told)
+        shown = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)
+        _print_document(file, found, shown)
         return
     print_text(
         f"{file}: {found.format}, {counted(found.count, 'Gaussian')}, SH degree {found.sh_degree}",
@@ -98,11 +98,11 @@ def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
         _print_statistics(statistics)
 
 
-def _print_document(file: Path, found: Info | Overview, told: dict[str, Any]) -> None:
-    told = told | found.as_dict()
+def _print_document(file: Path, found: Info | Overview, shown: dict[str, Any]) -> None:
+    shown = shown | found.as_dict()
     print_document(
-        input=str(file), input_bytes=told.pop("file_bytes"),
-        bits_per_gaussian=bits_per_gaussian(found.file_bytes, found.count), **told,
+        input=str(file), input_bytes=shown.pop("file_bytes"),
+        bits_per_gaussian=bits_per_gaussian(found.file_bytes, found.count), **shown,
     )  # fmt: skip
 
 

@@ -56,18 +56,18 @@ def command(
     views = find_cameras(cameras, loaded, typed["split"], typed["width"])
     if only_cameras:
         write_cameras(out, views, typed["overwrite"])
-        told, seconds = counted(len(views), "camera"), None
+        shown, seconds = counted(len(views), "camera"), None
     else:
         start = time.perf_counter()
         with progress_bar() as progress:
             drawn = typed["background"], antialiased, typed["device"]
             write_views(loaded, views, out, *drawn, progress)
         seconds = time.perf_counter() - start
-        told = f"{counted(len(views), 'image')}, {seconds:.2f} s"
+        shown = f"{counted(len(views), 'image')}, {seconds:.2f} s"
     if typed["json"]:
         print_document(
             input=str(scene), output=str(out), gaussians=loaded.count, sh_degree=loaded.sh_degree,
             seconds=seconds, views=[view.name for view in views],
         )  # fmt: skip
     else:
-        print_text(f"{out}: {told}")
+        print_text(f"{out}: {shown}")

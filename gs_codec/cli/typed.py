@@ -160,11 +160,11 @@ def _expert(hidden: list[str], defaults: dict[str, Any]) -> list[tuple[str, str]
     """Expert options in their typed form, with their help."""
     entries = []
     for name in hidden:
-        described, told = OPTIONS[name], OPTIONS[name].help
+        described, shown = OPTIONS[name], OPTIONS[name].help
         default = described.shown or defaults.get(name)
         if default is not None and described.kind is not bool:
-            told += f" (default: {default})"
-        entries.append((f"{typed_name(name)} {metavar_of(described)}".rstrip(), told))
+            shown += f" (default: {default})"
+        entries.append((f"{typed_name(name)} {metavar_of(described)}".rstrip(), shown))
     return entries
 
 
@@ -172,7 +172,7 @@ def _listed(title: str, entries: list[tuple[str, str]]) -> list[str]:
     """Lines on options at the end of the help; empty without options."""
     column = 2 + max((len(head) for head, _ in entries), default=0)
     lines = [title] * bool(entries)
-    for head, told in entries:
-        first, *rest = textwrap.wrap(told, 78 - column)
+    for head, shown in entries:
+        first, *rest = textwrap.wrap(shown, 78 - column)
         lines += [f"{head:<{column}}{first}", *(column * " " + line for line in rest)]
     return lines

@@ -38,10 +38,10 @@ def command(
             file, typed["threads"], typed["max_bytes"], progress, typed["tmc3"], typed["max_memory"]
         )
     if typed["json"]:
-        told = asdict(report)
+        shown = asdict(report)
         print_document(
-            input=str(source), format=EGS, input_bytes=told.pop("file_bytes"),
-            bits_per_gaussian=bits_per_gaussian(report.file_bytes, report.count), **told,
+            input=str(source), format=EGS, input_bytes=shown.pop("file_bytes"),
+            bits_per_gaussian=bits_per_gaussian(report.file_bytes, report.count), **shown,
         )  # fmt: skip
     else:
         levels = f"{counted(report.levels, 'coarser level')}, " if report.levels else ""
@@ -62,11 +62,11 @@ def _verify_other(source: Path, file: Path, typed: Typed) -> None:
     check_file(file, typed["max_bytes"])
     seconds = time.perf_counter() - start
     if typed["json"]:
-        told = found.as_dict()
+        shown = found.as_dict()
         print_document(
-            input=str(source), input_bytes=told.pop("file_bytes"),
+            input=str(source), input_bytes=shown.pop("file_bytes"),
             bits_per_gaussian=bits_per_gaussian(found.file_bytes, found.count),
-            seconds=seconds, **told,
+            seconds=seconds, **shown,
         )  # fmt: skip
     else:
         print_text(

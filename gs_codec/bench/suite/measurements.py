@@ -70,15 +70,15 @@ class Options:
         return Config(profile, threads=self.threads)
 
 
-def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Lines:
-    """Yield result lines as they are measured; `tell` is called with the next step.
+def run_suite(options: Options, command: str, announce: Callable[[str], None]) -> Lines:
+    """Yield result lines as they are measured; `announce` is called with the next step.
 
     The first line contains the `command` to repeat the measurement. Raises InvalidInput if a scene,
     cameras or photographs cannot be used; raised before measuring.
     """
     check_installed("scipy", "bench suite")
     scenes = [open_with_cameras(path, options.width) for path in options.scenes]
-    return _measure(options, command, tell, scenes)
+    return _measure(options, command, announce, scenes)
 
 
 def scene_line(measured: MeasuredScene) -> dict[str, Any]:
@@ -100,7 +100,10 @@ def scene_line(measured: MeasuredScene) -> dict[str, Any]:
 
 
 def _measure(
-    options: Options, command: str, tell: Callable[[str], None], scenes: Sequence[MeasuredScene]
+    options: Options,
+    command: str,
+    announce: Callable[[str], None],
+    scenes: Sequence[MeasuredScene],
 ) -> Lines:
     date = datetime.now(timezone.utc).isoformat(timespec="seconds")
     skipped = sorted(options.skip)
@@ -115,7 +118,7 @@ def _measure(
         for group, (title, measure) in STAGES.items():
             if group in options.skip or (group in ONCE and measured is not largest):
                 continue
-            tell(f"{measured.name}: {title}")
+            announce(f"{measured.name}: {title}")
             for line in measure(measured, options, found):
                 found.append(line)
                 yield line

@@ -186,9 +186,9 @@ class Plan:
         times `views` cameras, with as many pixels in total as `views` images of 420 x 280.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
-        measured against them. `refine` fits them, and renders of the input for cameras without one.
-        By default renders of the input are used. Images with lens distortion are undistorted (see
-        `Lens`).
+        measured against them. `refine` fits them, renders of the input for cameras without one,
+        and at most a third as many renders between cameras. By default renders of the input are
+        used. Images with lens distortion are undistorted (see `Lens`).
     width : int, optional
         Width of the views, pixels; not allowed with `gt_images`, whose size is used.
     views : int

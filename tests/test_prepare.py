@@ -159,7 +159,7 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     chosen = Plan(Steps(refine=1), CAMERAS, gt_images=tmp_path, views=1)
     views = choose_views(scene, chosen)
     targets = views.targets
-    assert [c.name for c in targets.cameras] == ["c", "a", "d", *BETWEEN]
+    assert [c.name for c in targets.cameras] == ["c", "a", "d"]
     np.testing.assert_array_equal(targets.images[0], read_image(tmp_path / "c.png"))
     expected = render(scene, CAMERAS[3].resized(24, 16)).colour
     # Rendered in float32: a pixel may be on the other side of the alpha threshold.
@@ -167,6 +167,21 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     views = choose_views(scene, replace(chosen, gt_images=None))
     assert [c.name for c in views.targets.cameras] == ["a", "c", "d", *BETWEEN]
     assert len(views.renders.cameras) == 1
+
+
+@pytest.mark.parametrize(("photographs", "between"), [(9, 3), (5, 1), (2, 0)])
+def test_a_third_as_many_views_between_cameras_as_photographs(
+    scene, tmp_path, photographs, between
+):
+    cameras = [camera(f"{i}", 0.1 * i, "train") for i in range(9)]
+    held_out = camera("out", 0.05, "test")
+    for each in [held_out, *cameras[:photographs]]:
+        write_png(tmp_path / f"{each.name}.png", np.full((32, 48, 3), 0.4))
+    chosen = Plan(Steps(refine=1), [*cameras, held_out], gt_images=tmp_path)
+    names = [c.name for c in choose_views(scene, chosen).targets.cameras]
+    assert names[:9] == [f"{i}" for i in range(9)]
+    assert len(names) == 9 + between
+    assert all(" to " in name for name in names[9:])
 
 
 @pytest.mark.parametrize(("megabytes", "number"), [(1000, 11), (6, 5), (0, 2)])

@@ -57,6 +57,10 @@ _TARGET_BYTES = 1 << 30
 #: Maximum number of views between cameras for each missing camera.
 _BETWEEN = 4
 
+#: Number of photographs for each view between cameras that refinement fits too. Such a view shows
+#: the faults of the scene itself.
+_PHOTOGRAPHS = 3
+
 #: If no cameras are marked, refinement holds out every n-th one, as 3DGS does.
 _EVERY = 8
 
@@ -131,7 +135,7 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
         found = evenly(photographed(rest, plan.gt_images), most)
         photographs = read_photographs(found, plan.background)
     if plan.steps.refine:
-        targets = _targets(scene, _enough(known, most), photographs, plan, progress)
+        targets = _targets(scene, known, most, photographs, plan, progress)
     if test == rest:
         held_out = photographs or renders.first(len(rest))
     elif plan.gt_images is not None:
@@ -143,16 +147,19 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
 
 def _targets(
     scene: Scene,
-    cameras: list[Camera],
+    known: _Split,
+    most: int,
     photographs: ReferenceViews | None,
     plan: Plan,
     progress: Progress | None,
 ) -> ReferenceViews:
-    """Photographs, and renders of the scene from cameras without one.
+    """Photographs, renders of the scene from cameras without one, and some from between cameras.
 
     With few photographs, a scene would overfit to them; on bonsai, renders from the other cameras
     avoid a third of that loss.
     """
+    between = None if photographs is None else len(photographs.cameras) // _PHOTOGRAPHS
+    cameras = _enough(known, most, between)
     if photographs is None:
         return draw_targets(scene, cameras, plan.background, plan.device, progress)
     taken = {camera.name: camera for camera in photographs.cameras}
@@ -203,17 +210,20 @@ def checking_cameras(scene: Scene, plan: Plan) -> list[Camera]:
     return cameras_between(known.rest) or known.rest
 
 
-def _enough(known: _Split, most: int) -> list[Camera]:
+def _enough(known: _Split, most: int, between: int | None = None) -> list[Camera]:
     """At most this many given cameras; if there are fewer, views between them are added.
 
-    At most four are added for each missing one, even if cameras are few.
+    At most four are added for each missing one, even if cameras are few, and at most `between`.
     """
     cameras = known.rest
     if known.origin != "given":
         return cameras
     if len(cameras) >= most:
         return evenly(cameras, most)
-    return [*cameras, *evenly(cameras_between(cameras), _BETWEEN * (most - len(cameras)))]
+    added = _BETWEEN * (most - len(cameras))
+    if between is not None:
+        added = min(added, between)
+    return [*cameras, *evenly(cameras_between(cameras), added)]
 
 
 class _Split(NamedTuple):

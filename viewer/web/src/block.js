@@ -2,7 +2,7 @@
 import { MATRIX_ONE, readBases, runBegin } from './basis.js';
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
-import { COARSE, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
+import { COARSE_BITS, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
 import { Neighbours } from './neighbours.js';
 import { bitLength, clamp, inRange } from './numbers.js';
 import { LANES, Words, checkLastStates, firstStates } from './tables.js';
@@ -43,7 +43,7 @@ class Pass {
     const { starts, states, lane } = this;
     const state = states[lane];
     const slot = state & (SLOTS - 1);
-    let token = this.tokens[table + Math.floor(slot / COARSE)];
+    let token = this.tokens[table + (slot >> COARSE_BITS)];
     let end = starts[table + token + 1];
     while (slot >= end) end = starts[table + ++token + 1];
     const start = starts[table + token];
@@ -380,7 +380,9 @@ export class LatticeBlock {
 
   #steps(band) {
     const unit = this.lattice.units.bands[band];
-    return Float64Array.from(this.colourShifts, (shift) => unit * POWERS[shift]);
+    const steps = new Float64Array(this.count);
+    for (let i = 0; i < steps.length; i++) steps[i] = unit * POWERS[this.colourShifts[i]];
+    return steps;
   }
 
   /** The first coefficients of levels of components. */
@@ -388,30 +390,38 @@ export class LatticeBlock {
     const { count } = this;
     const steps = this.#steps(0).map((step) => step / MATRIX_ONE);
     const planes = new Float32Array(3 * size * count);
-    const sums = levels.map(() => Array.from({ length: size }, () => new Float64Array(AT_ONCE)));
+    const sums = levels.map(() => new Float64Array(size * AT_ONCE));
+    const rows = Array.from({ length: size }, (_, k) =>
+      sums.map((own) => own.subarray(k * AT_ONCE, (k + 1) * AT_ONCE)),
+    );
     bases.forEach((matrix, run) => {
       const end = runBegin(run + 1, bases.length, count);
       for (let begin = runBegin(run, bases.length, count); begin < end; begin += AT_ONCE) {
         const some = Math.min(AT_ONCE, end - begin);
         levels.forEach((own, colour) => turn(own, begin, some, matrix, sums[colour]));
         const own = steps.subarray(begin, begin + some);
-        for (let k = 0; k < size; k++) {
-          toColours(sums.map((of) => of[k]), own, planes.subarray(k * count + begin), size * count);
-        }
+        rows.forEach((row, k) => {
+          toColours(row, own, planes.subarray(k * count + begin), size * count);
+        });
       }
     });
     return planes;
   }
 }
 
-/** Sums over components j of column k of a matrix times levels of `some` Gaussians from `begin` on. */
+/**
+ * Sums over components j of column k of a matrix times levels of `some` Gaussians from `begin` on,
+ * each column `AT_ONCE` after the one before.
+ */
 function turn(levels, begin, some, matrix, sums) {
-  for (const sum of sums) sum.fill(0);
+  sums.fill(0);
   levels.forEach((plane, j) => {
     for (let i = 0; i < some; i++) {
       const level = plane[begin + i];
       if (level === 0) continue;
-      for (let k = 0; k < sums.length; k++) sums[k][i] += matrix[k * levels.length + j] * level;
+      for (let at = i, entry = j; at < sums.length; at += AT_ONCE, entry += levels.length) {
+        sums[at] += matrix[entry] * level;
+      }
     }
   });
 }

@@ -18,8 +18,8 @@ export const SLOTS = 2 ** PRECISION;
 /** Entries per table in the arrays of all tables, which thus fit into a processor's cache. */
 const SYMBOLS = 256;
 
-/** Slots per entry that gives the token of the first of them. */
-export const COARSE = SLOTS / SYMBOLS;
+/** Base-2 logarithm of the number of slots per entry, which gives the token of the first of them. */
+export const COARSE_BITS = 4;
 
 /** Number of contexts of the lists of the shape pass and the f_dc pass. */
 const LISTS = [31, 16, 256, 256, 256, 256, 32, 32, 32, 288];
@@ -166,9 +166,9 @@ export class Lattice {
       let end = 0;
       frequencies(weights, PRECISION, 'lattice').forEach((frequency, token) => {
         this.starts[base + token] = end;
-        const first = base + Math.ceil(end / COARSE);
+        const first = base + Math.ceil(end / 2 ** COARSE_BITS);
         end += frequency;
-        this.tokens.fill(token, first, base + Math.ceil(end / COARSE));
+        this.tokens.fill(token, first, base + Math.ceil(end / 2 ** COARSE_BITS));
       });
     });
   }

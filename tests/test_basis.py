@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from gs_codec.codecs.gaussian_costs import gaussian_bits
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.coding.exact_math import eigenvectors, inverse
+from gs_codec.coding.ycocg import from_ycocg
 from gs_codec.config import Config
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.egs.header import Feature
@@ -108,6 +110,21 @@ def test_components_are_turned_back():
     # The first components have nearly all of the energy.
     energy = np.sum(found**2, axis=(0, 2))
     assert energy[:3].sum() > 0.95 * energy.sum()
+
+
+def test_levels_are_turned_exactly_where_most_are_zero():
+    rng = np.random.default_rng(406)
+    levels = rng.integers(-3, 4, (3, 15, 300), dtype=np.int32)
+    levels[:, 5:, :200] = 0
+    levels[2, :, 100:] = 0
+    bases = choose_bases(SEEN.f_rest.reshape(3, 15, -1) * np.float32(30))
+    ends, shifts = bounds(len(bases.entries), 300), rng.integers(0, 3, 300)
+    found = np.empty((3, 15, 300), np.float32)
+    assert bases.fill(levels, ends, 1 << 10, shifts, 1600.0, found)
+    turned = np.empty(levels.shape)
+    for matrix, span in zip(bases.matrices, pairwise(ends), strict=True):
+        turned[:, :, slice(*span)] = np.einsum("kj,cjn->ckn", matrix, levels[:, :, slice(*span)])
+    np.testing.assert_array_equal(found, from_ycocg(turned * 2.0 ** (shifts - 16)))
 
 
 def test_eigenvectors_and_inverse():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.far import find_far
 from gs_codec.runtime.arrays import Disk, current
-from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import Scene
 
 #: Bits of each axis in `spatial_order`.
@@ -69,17 +69,22 @@ def axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     return tables
 
 
+@inlined
+def cells_of(code, size, tables):
+    """Quantised position of a Morton code of `size` bytes; see `axis_tables`."""
+    x = y = z = np.uint32(0)
+    for byte in range(size):
+        row = tables[byte, (code >> (8 * byte)) & 255]
+        x |= row[0]
+        y |= row[1]
+        z |= row[2]
+    return x, y, z
+
+
 @kernel
 def _decode(codes, size, tables, cells):
     for i in range(codes.size):
-        code = codes[i]
-        x = y = z = np.uint32(0)
-        for byte in range(size):
-            row = tables[byte, (code >> (8 * byte)) & 255]
-            x |= row[0]
-            y |= row[1]
-            z |= row[2]
-        cells[0, i], cells[1, i], cells[2, i] = x, y, z
+        cells[0, i], cells[1, i], cells[2, i] = cells_of(codes[i], size, tables)
 
 
 def encode_morton(cells: NDArray[np.uint32], depths: tuple[int, int, int]) -> NDArray[np.int64]:

@@ -260,6 +260,12 @@ def _add_turned(planes, begin, size, matrix, total):
     """Add a matrix times values or levels ``planes (K, n)`` of a few Gaussians to their total."""
     for j in range(planes.shape[0]):
         plane = planes[j, begin : begin + size]
+        # Half of the components are 0 in all of the few Gaussians.
+        some = False
+        for i in range(size):
+            some |= plane[i] != 0
+        if not some:
+            continue
         for k in range(len(total)):
             factor = matrix[k, j]
             for i in range(size):

@@ -52,6 +52,7 @@ def _read(
     """Decode ``values (3, n)``."""
     position, used = reached[:, 0]
     weights = np.zeros(NEIGHBOURS, np.int64)
+    means, contexts = np.zeros((2, 3), np.int64)
     symbol, limit = 0, 8 * (len(bits) - MORE_BITS)
     for i in range(len(shifts)):
         if position > ends[0] or used > limit:
@@ -60,14 +61,18 @@ def _read(
         weigh(distances, i, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
+        # In a loop of its own: channels do not depend on one another, so their chains overlap.
         for channel in range(3):
             mean, activity = predict(values, channel, near, i, weights, step, ACTIVITIES)
-            row = rows[channel * COLOUR_SHIFTS * ACTIVITIES + base + activity]
+            means[channel] = mean
+            contexts[channel] = channel * COLOUR_SHIFTS * ACTIVITIES + base + activity
+        for channel in range(3):
+            row = rows[contexts[channel]]
             level, position, used = read_token(
                 words, position, states, symbol, spans, slots, row, bits, used, True
             )
             symbol += 1
-            values[channel, i] = mean + level * step
+            values[channel, i] = means[channel] + level * step
             if abs(values[channel, i]) >= FIXED_LIMIT:
                 return BAD_VALUE
     reached[0, 0], reached[1, 0] = position, used

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.morton import bit_layout, decode_morton, encode_morton
+from gs_codec.coding.morton import axis_tables, bit_layout, cells_of, encode_morton
 from gs_codec.runtime.kernels import inlined, kernel
 
 #: Fraction bits of a fixed-point value.
@@ -223,6 +223,15 @@ def cell_sides(dropped: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.flo
     return np.ldexp(grid.step, cell_widths(grid)[:, dropped])
 
 
+@kernel
+def _centres(codes, dropped, size, tables, widths, found):
+    for i in range(codes.size):
+        x, y, z = cells_of(codes[i], size, tables)
+        found[0, i] = 2 * np.int64(x) + (1 << widths[0, dropped[i]])
+        found[1, i] = 2 * np.int64(y) + (1 << widths[1, dropped[i]])
+        found[2, i] = 2 * np.int64(z) + (1 << widths[2, dropped[i]])
+
+
 def centres(
     codes: NDArray[np.int64], dropped: NDArray[np.int64], grid: PositionGrid
 ) -> NDArray[np.int64]:
@@ -230,10 +239,11 @@ def centres(
 
     The ``dropped (n,)`` low bits of ``codes (n,)`` are 0.
     """
-    cells = 2 * decode_morton(codes, grid.bits).astype(np.int64)
-    # Not [:, dropped], whose rows, and those of later results, would not be contiguous.
-    cells += np.int64(1) << np.take(cell_widths(grid), dropped, axis=1)
-    return cells
+    found = np.empty((3, codes.size), np.int64)
+    _centres(
+        codes, dropped, -(-grid.total_bits // 8), axis_tables(grid.bits), cell_widths(grid), found
+    )
+    return found
 
 
 def from_grid(

@@ -33,9 +33,7 @@ _OF_COLOUR = SUMS * SIGNS * MEMBERS
 
 def two_nearest(nearest: Nearest) -> NDArray[np.uint8]:
     """Distances back to each Gaussian's two nearest neighbours, ``(n, 2)``; 0 for none."""
-    # Modulo 256, which is exact because distances are at most the window.
-    near = nearest.near[:, :2].astype(np.uint8)
-    ago = np.arange(len(near)).astype(np.uint8)[:, None] - near
+    ago = (np.arange(len(nearest.near))[:, None] - nearest.near[:, :2]).astype(np.uint8)
     # The second Gaussian has only one neighbour.
     ago[1:2, 1] = 0
     return ago

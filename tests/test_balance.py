@@ -12,7 +12,7 @@ from gs_codec.codecs import decode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.plan import Plan, Steps
-from gs_codec.preparation.balance import Balance, profile_steps
+from gs_codec.preparation.balance import ADDED, Balance, profile_steps
 from gs_codec.preparation.pipeline import choose_views, prepare_scene
 from gs_codec.rate.allocate import step_error_for
 from gs_codec.scene import Scene
@@ -78,6 +78,20 @@ def test_rounds_are_compared_with_the_previous_one(seen):
     assert sizes[3][1] == pytest.approx(0.0175 * renders.error(half))
     assert not Balance(scene, renders, True, 1, step_error).pays(half)
     assert 0.8 * renders.error(half) < sizes[4][1] <= renders.error(half)
+
+
+@pytest.mark.parametrize(("factor", "pays"), [(1.01, True), (0.99, False)])
+def test_a_round_must_add_less_error_than_steps_that_save_as_much(seen, factor, pays):
+    scene, plan = seen
+    renders = choose_views(scene, plan).renders.evenly(16)
+    half = scene.take(range(0, scene.count, 2))
+    limit = 0.13 * renders.error(half)
+
+    def step_error(size: float, lost: float) -> float:
+        # Without the round, the same file takes an error that is larger by this factor.
+        return factor * limit / (size**-4.4 - 1) / ADDED
+
+    assert Balance(scene, renders, False, 500, step_error).pays(half) is pays
 
 
 @pytest.mark.thorough

@@ -1,12 +1,11 @@
 """Decide how far to prune before refinement: as long as coarser steps would lose more.
 
-Fewer Gaussians and coarser steps both make a file smaller. The loss is smallest where saving the
-next 0.1 % of the size adds the same error either way.
+Fewer Gaussians and coarser steps both make a file smaller. A round of pruning pays off if it adds
+less error than the coarser steps that would make the file as small without it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -85,7 +84,7 @@ class Balance:
         size = _size(pruned)
         error = self._left * self._seen.error(pruned, self.progress)
         step_error = ADDED * self.step_error(size / self._whole, error)
-        cheap = error - self._error <= _SLOPE * step_error * math.log(self._size / size)
+        cheap = error - self._error <= step_error * ((self._size / size) ** _SLOPE - 1)
         self._size, self._error = size, error
         return cheap
 

@@ -157,7 +157,7 @@ export class LatticeBlock {
       recent.add(1, level);
       const o = fixedPoint(centres[0] + level);
 
-      scales.fill(0);
+      scales[0] = scales[1] = scales[2] = 0;
       for (let k = 0; k < 3; k++) {
         const by = lattice.scales[k].shift(shape, o, scales[0], scales[1], scales[2]);
         const bucket = clamp(Math.floor(recent.sum(2 + k) / ONE) + (k === 0 ? 4 : 0), 0, 7);
@@ -166,7 +166,9 @@ export class LatticeBlock {
         recent.add(2 + k, value);
         scales[k] = fixedPoint(k === 0 ? centres[1] + value : scales[k - 1] - value);
       }
-      const [s0, s1, s2] = scales;
+      const s0 = scales[0];
+      const s1 = scales[1];
+      const s2 = scales[2];
 
       for (let axis = 0; axis < 3; axis++) {
         const apart = Math.abs(scales[axis === 0 ? 1 : 0] - scales[axis === 2 ? 1 : 2]);
@@ -214,7 +216,7 @@ export class LatticeBlock {
       for (let axis = 0; axis < 3; axis++) {
         const width = among[axis][dropped];
         const place = (cells[axis] << (width + 1)) + (1 << width);
-        places[axis].fill(place, i, i + points);
+        for (let k = i; k < i + points; k++) places[axis][k] = place;
       }
       i += points;
     });

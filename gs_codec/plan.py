@@ -120,8 +120,8 @@ class Steps:
     )  # fmt: skip
     refine: int = option(
         0,
-        "Refine all attributes with N iterations of Adam (1000 without N).",
-        metavar="[N]", shown="none", alone=1000, **_ITERATIONS,
+        "Refine all attributes with N iterations of Adam (2000 without N).",
+        metavar="[N]", shown="none", alone=2000, **_ITERATIONS,
     )  # fmt: skip
     keep_refined: bool = option(
         False,

@@ -563,8 +563,8 @@ def test_number_of_gaussians(folder):
 
 @pytest.mark.parametrize(
     ("typed", "iterations"),
-    [(["--refine", "a.ply", "b.egs"], 1000), (["a.ply", "b.egs", "--refine"], 1000),
-     (["--refine", "--json", "a.ply", "b.egs"], 1000), (["--refine", "7", "a.ply", "b.egs"], 7)],
+    [(["--refine", "a.ply", "b.egs"], 2000), (["a.ply", "b.egs", "--refine"], 2000),
+     (["--refine", "--json", "a.ply", "b.egs"], 2000), (["--refine", "7", "a.ply", "b.egs"], 7)],
 )  # fmt: skip
 def test_refinement_without_a_number(monkeypatch, typed, iterations):
     asked = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, get_args
 
 from gs_codec.errors import InvalidInput
@@ -160,22 +160,44 @@ class AdaptiveProfile:
     of_loss : float
         With cameras: quantisation may also add this share of the error that the (pruned) scene
         already has before coding.
+    looks : float
+        With cameras: joint rounding looks at this many views for each view that guides.
     """
 
     error: float
     compaction: float
     fineness: float
     of_loss: float
+    looks: float = 0.0
 
     def scaled(self, factor: float) -> AdaptiveProfile:
         """The profile with step sizes multiplied by `factor`; errors scale with its square."""
         square = factor**2
-        return AdaptiveProfile(
-            self.error * square,
-            self.compaction * square,
-            self.fineness * factor,
-            self.of_loss * square,
+        return replace(
+            self,
+            error=self.error * square,
+            compaction=self.compaction * square,
+            fineness=self.fineness * factor,
+            of_loss=self.of_loss * square,
         )
+
+    def rounding_jointly(self, effort: Effort) -> AdaptiveProfile:
+        """The profile with joint rounding, and steps so much coarser that errors stay the same."""
+        looks, left = _ROUNDING[effort]
+        return replace(
+            self, error=self.error / left, compaction=self.compaction / left, looks=looks
+        )
+
+
+#: How long an encode may take.
+Effort = Literal["fast", "normal", "high"]
+
+#: Looks of joint rounding (see `AdaptiveProfile`), and the share of the error that it leaves.
+_ROUNDING: Mapping[Effort, tuple[float, float]] = {
+    "fast": (0.0, 1.0),
+    "normal": (1.4, 0.9),
+    "high": (4.0, 0.82),
+}
 
 
 _M = AdaptiveProfile(error=2.6e-5, compaction=1.5e-5, fineness=0.0063, of_loss=0.3)
@@ -365,6 +387,10 @@ class Config:
         With ``l``, ``m``, ``s``: add coarser levels with a quarter, a sixteenth ... of the
         Gaussians, for distant views and a quick first view; about a third more bytes. Default
         False.
+    effort : {"fast", "normal", "high"}
+        With ``l``, ``m``, ``s`` as `.egs`: how long encoding may take. With cameras, the time goes
+        into joint rounding (see `round_jointly`), which ``fast`` omits. Without cameras, ``fast``
+        omits the local basis of SH-AC, and ``high`` is not allowed. Default ``normal``.
     strict : bool
         With ``l``, ``m``, ``s``: fail if rendered views lose more than twice the profile's target.
         Default False: only warn.
@@ -456,6 +482,11 @@ class Config:
     lod: bool = option(
         False, "With profiles l, m, s: add coarser levels of detail; a third more bytes.", kind=bool
     )
+    effort: Effort = option(
+        "normal",
+        "How long profiles l, m, s may take: fast skips some savings; high, with cameras, is slow.",
+        values=get_args(Effort),
+    )
     strict: bool = option(
         False,
         "Fail if rendered views lose more than twice the profile's aim.",
@@ -481,6 +512,13 @@ class Config:
             known = ", ".join(ADAPTIVE_PROFILES)
             raise InvalidInput(
                 f"lod: profile '{self.profile}', format '{self.format}', expected {known} as .egs"
+            )
+        if self.effort != "normal" and (
+            self.profile not in ADAPTIVE_PROFILES or self.format != EGS
+        ):
+            known = ", ".join(ADAPTIVE_PROFILES)
+            raise InvalidInput(
+                f"effort: profile '{self.profile}' as '{self.format}', expected {known} as 'egs'"
             )
         if self.strict and not (self.has_steps and not self.depths):
             raise InvalidInput(
@@ -574,7 +612,8 @@ class Config:
         """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""
         if self.profile not in ADAPTIVE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
-        return ADAPTIVE_PROFILES[self.profile].scaled(self.coarseness)
+        scaled = ADAPTIVE_PROFILES[self.profile].scaled(self.coarseness)
+        return scaled.rounding_jointly(self.effort) if self.format == EGS else scaled
 
 
 def as_config(config: Config | str | None) -> Config:

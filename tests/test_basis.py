@@ -74,6 +74,11 @@ def test_no_basis_where_it_saves_nothing(degree):
         assert (info.version, info.features) == (1, ())
 
 
+def test_files_encoded_fast_have_none():
+    data = encode_scene(SEEN, Config("m", effort="fast"))[0]
+    assert inspect_bytes(data).features == ()
+
+
 def test_guided_files_have_none():
     data = encode_by(SEEN, Config("m"), made_up_guide(seed=402))
     assert inspect_bytes(data).features == ()

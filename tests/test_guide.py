@@ -181,7 +181,8 @@ def test_changes_by_the_encoder_are_reported_with_views_too(scene, plan):
     _, report = as_requested(broken, Config("m", nonfinite="drop"), plan)
     assert (report.count, report.dropped, report.zero_quaternions) == (scene.count - 3, 3, 2)
     assert list(report.seconds) == [
-        "check", "views", "measure", "order", "quantise", "recolour", "model", "code", "container",
+        "check", "views", "measure", "order", "quantise", "recolour", "round", "model", "code",
+        "container",
     ]  # fmt: skip
 
 

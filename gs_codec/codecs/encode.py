@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from gs_codec.codecs.adaptive import encode as adaptive
-from gs_codec.codecs.adaptive.encode import ShapedScene, encode_adaptive
+from gs_codec.codecs.adaptive.encode import encode_adaptive
+from gs_codec.codecs.adaptive.shaped import ShapedScene
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.entropygs.encode import encode_entropygs

@@ -225,7 +225,8 @@ def _quantise(
     scene, codes = load_chunk(job.folder, begins, ends, job.gaussians.head)
     shown = find_shown(scene, windows)
     watched = Watched.shown(scene, shown)
-    blocks = quantise(scene, codes, lattice, chunks.header.block_size, watched)
+    may_have_basis = job.config.effort != "fast"
+    blocks = quantise(scene, codes, lattice, chunks.header.block_size, watched, may_have_basis)
     found = [watched.find(own) for own in shown]
     job.save_shown(f"decoded-{number}", watched.decoded(), found)
     save_quantised(job.folder, number, blocks, chunks.coefficients)

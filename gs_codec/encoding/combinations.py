@@ -47,6 +47,8 @@ def check_request(
         if config.format != EGS:
             raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
     check_actions(actions, plan, max_memory is not None, coded=plan is not None)
+    if config.effort == "high" and plan is None:
+        raise InvalidInput("effort 'high': has no effect without cameras")
     if rate is not None:
         _check_rate(config, rate, Steps() if plan is None else plan.steps)
 

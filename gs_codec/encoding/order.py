@@ -6,6 +6,7 @@
 - calibrate: choose the coarseness of the scene
 - shape: quantise everything except colours
 - colour: compact colours and refit them to the views, given the quantised shapes
+- round: move values to levels whose errors cancel in the views
 - code: write the stream
 - check: measure the loss of rendered views; if it is too high, repeat from shape with finer steps
 
@@ -346,6 +347,8 @@ def _code(
     shaped = shape_scene(clean, config, guidance.steps(profile), times, progress, watched)
     with times.stage("recolour"):
         shaped = shaped.with_colours(guidance.recolour(shaped, profile))
+    with times.stage("round"):
+        shaped = guidance.round(shaped, profile)
     return code_shaped(shaped, times, progress)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.encode import ShapedScene
+from gs_codec.codecs.adaptive.shaped import ShapedScene
 from gs_codec.codecs.adaptive.step_sizes import (
     Sensitivity,
     StepSizes,
@@ -22,6 +22,7 @@ from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
 from gs_codec.guidance.cross_validation import blend, blind_share
+from gs_codec.guidance.joint_rounding import round_jointly
 from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.guidance.sensitivity import sensitivity
 from gs_codec.preparation.compact_sh import compact_sh
@@ -104,6 +105,10 @@ class Guidance:
         """Total squared error that all parameters may add."""
         return (profile.error + profile.of_loss * self.loss) * 3 * self.pixels
 
+    def _parameter_error(self, profile: AdaptiveProfile, scene: Scene) -> float:
+        """Squared error that each parameter may add."""
+        return self._error(profile) / (scene.count * channel_count(len(scene.f_rest) // 3))
+
     def recolour(self, shaped: Shaped, profile: AdaptiveProfile, compacting: bool = True) -> Scene:
         """`compact`, then refit SH to compensate for quantisation and compaction, then round.
 
@@ -117,7 +122,7 @@ class Guidance:
         refitted, _ = refit_colour(
             decoded, self.views, iterations, operator=operator, progress=progress
         )
-        error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
+        error = self._parameter_error(profile, refitted)
         weights, cameras = self.weights[:, shaped.order], self.views.cameras
         if other is None:
             return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
@@ -125,6 +130,14 @@ class Guidance:
         if grid is None or not refitted.sh_degree:
             return refitted
         return round_rgb(refitted, cameras, weights, grid, progress)
+
+    def round(self, shaped: Shaped, profile: AdaptiveProfile) -> Shaped:
+        """Round a recoloured scene jointly, if the profile does; see `round_jointly`."""
+        looks = round(profile.looks * len(self.views.cameras))
+        if isinstance(shaped, RoundedScene) or not looks or not shaped.source.count:
+            return shaped
+        error = self._parameter_error(profile, shaped.source)
+        return round_jointly(shaped, self.views, error, looks, self.progress)
 
     def compact(self, shaped: Shaped, profile: AdaptiveProfile, decide: bool = True) -> Scene:
         """The decoded scene in stream order, with its SH compacted if this pays off.

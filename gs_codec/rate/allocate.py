@@ -48,6 +48,11 @@ _COMPACTION_SAVES = 1.08
 #: Approximate factor by which refitting colours then enlarges it.
 _REFIT_ADDS = 1.01
 
+#: Factor by which joint rounding may enlarge it further; and the change of log2 of the coarseness
+#: if that is still too much.
+_ROUNDING_ADDS = 1.004
+_NUDGE = 0.01
+
 #: Share of the Gaussians that a round of pruning removes.
 _PART = 0.2
 
@@ -171,8 +176,10 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
             # Compaction does not pay off at these step sizes, so it is skipped.
             search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
         trials.predicted_bytes = round(len(trials.last[0]) * _REFIT_ADDS)
-        start = trials.octaves
-        found = search_recoloured(trials.refit, trials.size, interval, start, _SIZE_SLOPE)
+        start, aimed = trials.octaves, (interval[0], interval[1] / _ROUNDING_ADDS)
+        found = search_recoloured(trials.refit, trials.size, aimed, start, _SIZE_SLOPE)
+        while found is not None and trials.finish(found) > limit:
+            found += _NUDGE
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
@@ -203,7 +210,7 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
         if trials.guidance is not None:
             # Colours refitted for other quantised shapes are worse than unrefitted ones.
             trials.refit(octaves)
-        trials.size(octaves)
+        trials.finish(octaves)
         trials.loss = seen.loss(trials.decoded())
         return trials.loss
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.decode import decode_as
-from gs_codec.codecs.encode import encode_scene, shape_scene
+from gs_codec.codecs.encode import code_shaped, encode_scene, shape_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import EGS, AdaptiveProfile, Config, RateTarget
 from gs_codec.guidance.guide import Guidance, Shaped, guide
@@ -272,6 +272,22 @@ class Trials:
             if self.guidance is not None:
                 steps = self.guidance.steps(config.adaptive_profile())
             self.last = encode_scene(self.coloured, config, self.job.progress, steps)
+        self.octaves = octaves
+        self.job.encodings += 1
+        return len(self.last[0])
+
+    def finish(self, octaves: float) -> int:
+        """Like `size`, with values rounded jointly, which takes longer."""
+        if self.guidance is None:
+            return self.size(octaves)
+        config, progress = self.config_at(octaves), self.job.progress
+        profile = config.adaptive_profile()
+        with self.job.times.stage("round"):
+            steps = self.guidance.steps(profile)
+            shaped = shape_scene(self.coloured, config, steps, StageTimes(), progress)
+            shaped = self.guidance.round(shaped, profile)
+            parts, report = code_shaped(shaped, StageTimes(), progress)
+        self.last = b"".join(parts), replace(report, coarseness=config.coarseness)
         self.octaves = octaves
         self.job.encodings += 1
         return len(self.last[0])

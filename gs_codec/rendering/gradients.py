@@ -8,7 +8,7 @@ Appendix C, which goes back to front).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,9 @@ from gs_codec.rendering.tiles_float32 import (
 )
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import GROUPS, SH_C0, Scene, channel_count
+
+#: Derivative of a loss by an image, and the mean squared error, of that image and a target.
+Loss = Callable[[NDArray, NDArray], tuple[NDArray, float]]
 
 #: First f_dc column of a row of slopes.
 _F_DC = 3
@@ -213,7 +216,11 @@ class Differentiated(NamedTuple):
 
 
 def differentiate(
-    scene: Scene, camera: Camera, target: NDArray[np.float32], background: Sequence[float]
+    scene: Scene,
+    camera: Camera,
+    target: NDArray[np.float32],
+    background: Sequence[float],
+    loss: Loss = differentiate_loss,
 ) -> Differentiated:
     """Render a view and propagate its loss back to the splats (Kerbl et al. 2023, Appendix A).
 
@@ -229,10 +236,12 @@ def differentiate(
     target : ndarray, shape (H, W, 3), float32
     background : sequence of three float
         RGB behind everything.
+    loss : callable
+        The loss: `differentiate_loss`, that of 3DGS, or `differentiate_squares`.
     """
     frame = make_frame(scene, camera)
     colour, state = frame.draw_float32(background)
-    by_colour, squared_error = differentiate_loss(colour, target)
+    by_colour, squared_error = loss(colour, target)
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
     behind = np.array(background, np.float64)
     frame.over_tiles(sum_gradients, behind, by_colour, *state, pairs)

@@ -56,6 +56,12 @@ def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.flo
     return by_image.reshape(colour.shape), float(errors.sum() / image.size)
 
 
+def differentiate_squares(colour: NDArray, target: NDArray) -> tuple[NDArray, float]:
+    """Derivative of the sum of squared errors by an image ``(H, W, 3)``, and their mean."""
+    error = colour - target
+    return 2 * error, float(np.mean(np.square(error, dtype=np.float64)))
+
+
 def mean_ssim(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """SSIM of two images ``(H, W, 3)`` in 0-1, at least 11 pixels wide and high.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +112,26 @@ def arrange_scene(
         watched.settle(order)
     if given is None:
         scene, narrow = in_stream_order(scene, narrow)
-    return Arranged(scene, narrow, lattice, codes, classes, watched)
+    has_basis = config.effort != "fast"
+    return Arranged(scene, narrow, lattice, codes, classes, watched, has_basis)
+
+
+def rearranged(arranged: Arranged, source: Scene) -> Arranged:
+    """Arrange a changed source on the same lattices; each Gaussian keeps its classes."""
+    codes = _codes(source, arranged.lattice.grid)
+    order = canonical_order(codes)
+    classes = np.empty_like(arranged.classes)
+    classes[:, arranged.order] = arranged.classes
+    if arranged.watched is not None:
+        arranged.watched.settle(order)
+    keep = current().keep
+    return replace(
+        arranged,
+        source=source,
+        order=order.astype(np.uint32),
+        codes=keep(codes[order]),
+        classes=keep(np.take(classes, order, axis=1)),
+    )
 
 
 def sample_stride(count: int) -> int:

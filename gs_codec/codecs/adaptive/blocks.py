@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.count_tree import encode_tree
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.fields import BitWriter
-from gs_codec.coding.nearest import find_all_nearest
+from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
 from gs_codec.config import SH_STREAMS
 from gs_codec.runtime.arrays import current
@@ -156,15 +157,31 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
     )
 
 
-def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
-    """Quantise the colours of a block; `diffusing` spreads the errors of SH-AC to neighbours."""
-    source, units = arranged.source, arranged.lattice.units
+class CodedDc(NamedTuple):
+    """SH-DC of a block: results of `code_colours`, its neighbours, and the number clamped."""
+
+    levels: NDArray[np.int32]
+    contexts: NDArray[np.uint16]
+    values: NDArray[np.int64]
+    nearest: Nearest
+    clamped: int
+
+
+def code_dc(arranged: Arranged, shaped: ShapedBlock) -> CodedDc:
+    """Quantise SH-DC of a block."""
     members = arranged.order[shaped.start : shaped.stop]
     nearest = find_all_nearest(shaped.grid_positions)
-    colours, clamped = to_fixed(to_ycocg(source.f_dc[:, members]), LARGEST)
-    clamped += shaped.clamped
-    levels, contexts, values = code_colours(nearest, colours, units["sh-dc"], shaped.shifts)
-    listed = [shaped.coded, PassData.of(levels, contexts)]
+    colours, clamped = to_fixed(to_ycocg(arranged.source.f_dc[:, members]), LARGEST)
+    unit = arranged.lattice.units["sh-dc"]
+    return CodedDc(*code_colours(nearest, colours, unit, shaped.shifts), nearest, clamped)
+
+
+def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
+    """Quantise the colours of a block; `diffusing` spreads the errors of SH-AC to neighbours."""
+    source, members = arranged.source, arranged.order[shaped.start : shaped.stop]
+    dc = code_dc(arranged, shaped)
+    clamped = dc.clamped + shaped.clamped
+    listed = [shaped.coded, PassData.of(dc.levels, dc.contexts)]
     coefficients = len(source.f_rest) // 3
     bases = None
     by_colour: NDArray[np.int32] = np.empty((3, coefficients, len(members)), np.int32)
@@ -178,13 +195,15 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
             bases = choose_bases(by_channel)
             if bases is not None:
                 ac = bases.components(by_channel).reshape(ac.shape)
-        rounded = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
+        rounded = (
+            round_diffusing(dc.nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
+        )
         by_colour = rounded.reshape(3, coefficients, -1)
-        coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
+        coded = code_bands(by_colour, two_nearest(dc.nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
     decoded = shaped.decoded(arranged.lattice.grid)
     if arranged.watched is not None:
-        _keep_decoded(arranged, shaped, decoded, values, by_colour, bases)
+        _keep_decoded(arranged, shaped, decoded, dc.values, by_colour, bases)
     basis = b"" if bases is None else write_bases(bases)
     return Block(*shaped.coded_places(), block_extent(*decoded), listed, clamped, basis)
 

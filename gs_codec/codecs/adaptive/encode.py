@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,68 +11,22 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
 from gs_codec.codecs.adaptive.contexts import ContextList, Pass, passes, share_tables
-from gs_codec.codecs.adaptive.lattice import to_float
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_lattice
+from gs_codec.codecs.adaptive.shaped import ShapedScene, spans
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET, RAW_WIDTHS
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encode_passes
 from gs_codec.coding.exact_math import dot
 from gs_codec.coding.frequency_table import FrequencyTable, SentModel, shannon_bits
-from gs_codec.config import SH_STREAMS, Config
+from gs_codec.config import Config
 from gs_codec.egs.egs_file import Section, SectionId
 from gs_codec.egs.header import Feature, Header
 from gs_codec.egs.index import errors_section, index_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import Scene, gather
-
-
-@dataclass(frozen=True)
-class ShapedScene:
-    """A scene with everything quantised except its colours."""
-
-    header: Header
-    arranged: Arranged
-    blocks: list[ShapedBlock]
-
-    @property
-    def source(self) -> Scene:
-        """The scene, with its current colours."""
-        return self.arranged.source
-
-    @property
-    def order(self) -> NDArray[np.uint32]:
-        """Index in the source of each Gaussian, ``(N,)``, in stream order."""
-        return self.arranged.order
-
-    def decoded(self) -> Scene:
-        """The decoded scene in stream order, except for its SH, which is still the source's."""
-        opacity = np.concatenate([block.shape.opacity for block in self.blocks])
-        decoded = [block.decoded(self.arranged.lattice.grid) for block in self.blocks]
-        positions, log_scale, rot = (np.concatenate(p, axis=1) for p in zip(*decoded, strict=True))
-        return replace(
-            self.arranged.source.take(self.order),
-            positions=positions,
-            opacity=np.float32(to_float(opacity))[None],
-            log_scale=log_scale,
-            rot=rot,
-        )
-
-    def sh_steps(self) -> NDArray[np.float32]:
-        """Step sizes of SH-AC of each band, ``(3, N)`` in stream order."""
-        shifts = np.concatenate([block.shifts for block in self.blocks])
-        units = np.array([[self.arranged.lattice.units[stream]] for stream in SH_STREAMS])
-        return to_float(units << shifts).astype(np.float32)
-
-    def with_colours(self, coloured: Scene) -> ShapedScene:
-        """Replace the SH by that of `coloured`, which is in stream order."""
-        rank = np.empty_like(self.order)
-        rank[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
-        f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
-        source = replace(self.arranged.source, f_dc=f_dc, f_rest=f_rest)
-        return replace(self, arranged=replace(self.arranged, source=source))
+from gs_codec.scene import Scene
 
 
 def encode_adaptive(
@@ -129,7 +83,7 @@ def _blocks(
         return colour_block(arranged, shape_block(arranged, *span), diffusing).kept()
 
     with times.stage("quantise"):
-        return run_all(code, _spans(header), advance=advance)
+        return run_all(code, spans(header), advance=advance)
 
 
 def shape_scene(
@@ -147,7 +101,7 @@ def shape_scene(
     header, arranged = _arrange(scene, config, steps, times, watched)
     advance = step_counter(progress, "quantise", header.block_count)
     with times.stage("quantise"):
-        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header), advance=advance)
+        blocks = run_all(lambda span: shape_block(arranged, *span), spans(header), advance=advance)
     return ShapedScene(header, arranged, blocks)
 
 
@@ -178,10 +132,6 @@ def _arrange(
         has_far = arranged.lattice.grid.has_far
         header = Header.of(scene, config).having(Feature.FAR, has_far)
         return header, arranged
-
-
-def _spans(header: Header) -> list[tuple[int, int]]:
-    return [header.block_range(block) for block in range(header.block_count)]
 
 
 def _code(

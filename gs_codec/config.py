@@ -162,6 +162,8 @@ class AdaptiveProfile:
         already has before coding.
     looks : float
         With cameras: joint rounding looks at this many views for each view that guides.
+    left : float
+        Share of the error that joint rounding leaves; steps are so much coarser that `error` stays.
     """
 
     error: float
@@ -169,6 +171,7 @@ class AdaptiveProfile:
     fineness: float
     of_loss: float
     looks: float = 0.0
+    left: float = 1.0
 
     def scaled(self, factor: float) -> AdaptiveProfile:
         """The profile with step sizes multiplied by `factor`; errors scale with its square."""
@@ -181,18 +184,11 @@ class AdaptiveProfile:
             of_loss=self.of_loss * square,
         )
 
-    def rounding_jointly(self, effort: Effort) -> AdaptiveProfile:
-        """The profile with joint rounding, and steps so much coarser that errors stay the same."""
-        looks, left = _ROUNDING[effort]
-        return replace(
-            self, error=self.error / left, compaction=self.compaction / left, looks=looks
-        )
-
 
 #: How long an encode may take.
 Effort = Literal["fast", "normal", "high"]
 
-#: Looks of joint rounding (see `AdaptiveProfile`), and the share of the error that it leaves.
+#: Looks of joint rounding, and the share of the error that it leaves; see `AdaptiveProfile`.
 _ROUNDING: Mapping[Effort, tuple[float, float]] = {
     "fast": (0.0, 1.0),
     "normal": (1.4, 0.9),
@@ -613,7 +609,8 @@ class Config:
         if self.profile not in ADAPTIVE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
         scaled = ADAPTIVE_PROFILES[self.profile].scaled(self.coarseness)
-        return scaled.rounding_jointly(self.effort) if self.format == EGS else scaled
+        looks, left = _ROUNDING[self.effort]
+        return replace(scaled, looks=looks, left=left) if self.format == EGS else scaled
 
 
 def as_config(config: Config | str | None) -> Config:

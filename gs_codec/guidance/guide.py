@@ -103,7 +103,8 @@ class Guidance:
 
     def _error(self, profile: AdaptiveProfile) -> float:
         """Total squared error that all parameters may add."""
-        return (profile.error + profile.of_loss * self.loss) * 3 * self.pixels
+        error = profile.error / profile.left + profile.of_loss * self.loss
+        return error * 3 * self.pixels
 
     def _parameter_error(self, profile: AdaptiveProfile, scene: Scene) -> float:
         """Squared error that each parameter may add."""
@@ -156,7 +157,7 @@ class Guidance:
             return compact_sh(
                 decoded,
                 [self.views.cameras[i] for i in seen],
-                profile.compaction,
+                profile.compaction / profile.left,
                 smallest=0.5 * steps,
                 weights=weights[list(seen)],
                 likely=likely,

@@ -28,7 +28,7 @@ from gs_codec.guidance.calibrate import finer, wanted_error
 from gs_codec.guidance.windows import choose_windows, sample_of, windows_of
 from gs_codec.plan import Plan, Steps
 from gs_codec.rendering.renderer import render
-from gs_codec.report import StageTimes, psnr_loss
+from gs_codec.report import RenderedLoss, StageTimes, psnr_loss
 from gs_codec.scene import GROUPS
 from samples.captures.capture import capture
 from samples.generate import generate, orbit_cameras
@@ -142,6 +142,25 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
     assert loss.remedy == f"{report.coarseness:.2f}x those of the profile"
     assert loss.loss <= 2 * loss.aimed
     assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("known", "encodings"),
+    [({}, 1), ({"format": "sog"}, 2), ({"format": "spz"}, 2), ({"format": "compressed.ply"}, 1)],
+    ids=["egs", "sog", "spz", "compressed.ply"],
+)
+def test_other_formats_come_closer_to_the_aim(known, encodings):
+    config = Config(**known)
+
+    def attempt(chosen):
+        loss = psnr_loss(1.6 * wanted_error(chosen))
+        return chosen, RenderedLoss(50.0, loss, loss, windows=64, views="likely")
+
+    chosen, loss = checked.encode_within_loss(attempt, config, config, check=None)
+    assert loss.encodings == encodings
+    if encodings > 1:
+        assert chosen.coarseness < config.coarseness
+        assert loss.loss == pytest.approx(loss.aimed, rel=0.05)
 
 
 def test_useless_finer_steps_are_reported(still_life, monkeypatch, caplog):

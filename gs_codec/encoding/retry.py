@@ -31,9 +31,10 @@ _MOST_ENCODINGS = 3
 #: Maximum error, relative to the target.
 _ALLOWED = 2.0
 
-#: The same with estimated cameras. Then windows lose less than true views: a third less on fox,
-#: half on village.
-_ALLOWED_ESTIMATED = 1.25
+#: The same with estimated cameras, whose windows lose less than true views (a third less on fox,
+#: half on village), and in other formats, whose own rounding is not known when steps are chosen:
+#: that of `.sog` makes the error 1.6 to 2 times the target on fox and three generated captures.
+_ALLOWED_IF_UNSURE = 1.25
 
 #: Finer steps must reduce the error to less than this share; otherwise they are discarded.
 _HELPS = 0.8
@@ -103,7 +104,8 @@ def encode_within_loss(
         Result and loss of the best attempt; None if the cameras do not fit the scene.
     """
     aim = wanted_error(config) if config.has_steps and not config.depths else None
-    allowed = _ALLOWED_ESTIMATED if origin == "estimated" else _ALLOWED
+    sure = origin != "estimated" and config.format == EGS
+    allowed = _ALLOWED if sure else _ALLOWED_IF_UNSURE
     best: tuple[Result, RenderedLoss] | None = None
     for encodings in range(1, _MOST_ENCODINGS + 1):
         result, loss = attempt(chosen)

@@ -480,7 +480,7 @@ class Config:
     )
     effort: Effort = option(
         "normal",
-        "How long profiles l, m, s may take: fast skips some savings; high, with cameras, is slow.",
+        "How long profiles l, m, s may take to make files smaller; high needs cameras.",
         values=get_args(Effort),
     )
     strict: bool = option(

@@ -237,11 +237,17 @@ def seen() -> tuple[Scene, Plan]:
 @pytest.mark.parametrize("wanted", [thorough(0.03), 0.1, thorough(0.5)])
 def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
-    data, report = to_rate(scene, Config("m"), RateTarget(psnr_drop=wanted), plan)
     measured = choose_views(scene, plan).held_out
-    loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
-    assert wanted - 0.02 <= loss <= wanted
-    assert report.rate.psnr_drop == pytest.approx(loss, abs=1e-9)
+    sizes, losses = {}, {}
+    for effort in ("fast", "normal"):
+        config = Config("m", effort=effort)
+        data, report = to_rate(scene, config, RateTarget(psnr_drop=wanted), plan)
+        sizes[effort] = len(data)
+        losses[effort] = measured.drop(measured.errors(decode_scene(data)), 0.0)
+        assert report.rate.psnr_drop == pytest.approx(losses[effort], abs=1e-9)
+    assert wanted - 0.02 <= losses["fast"] <= wanted
+    assert losses["normal"] <= wanted
+    assert sizes["normal"] < 1.01 * sizes["fast"]
 
 
 @pytest.mark.thorough

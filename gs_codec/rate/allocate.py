@@ -53,6 +53,9 @@ _REFIT_ADDS = 1.01
 _ROUNDING_ADDS = 1.004
 _NUDGE = 0.01
 
+#: Maximum number of joint roundings to meet a loss.
+_MOST_ROUNDINGS = 3
+
 #: Share of the Gaussians that a round of pruning removes.
 _PART = 0.2
 
@@ -179,7 +182,10 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
         start, aimed = trials.octaves, (interval[0], interval[1] / _ROUNDING_ADDS)
         found = search_recoloured(trials.refit, trials.size, aimed, start, _SIZE_SLOPE)
         while found is not None and trials.finish(found) > limit:
-            found += _NUDGE
+            if found == COARSEST:
+                trials.size(found)
+                break
+            found = min(found + _NUDGE, COARSEST)
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
@@ -210,7 +216,7 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
         if trials.guidance is not None:
             # Colours refitted for other quantised shapes are worse than unrefitted ones.
             trials.refit(octaves)
-        trials.finish(octaves)
+        trials.size(octaves)
         trials.loss = seen.loss(trials.decoded())
         return trials.loss
 
@@ -229,5 +235,31 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
             raise _OutOfReach(
                 f"target {limit:g} dB: unreachable, expected {least:.4f} to {most:.4f} dB"
             )
+    else:
+        _round_within(trials, limit, seen)
     trials.predicted_drop = measured.drop(before + at_once * 4.0**trials.octaves, before)
     trials.at_end = found is None
+
+
+def _round_within(trials: Trials, limit: float, seen: Seen) -> None:
+    """Round the last encoding jointly, then with coarser steps, while views lose less than a limit.
+
+    Joint rounding changes the loss of small scenes irregularly, so a search cannot rely on it.
+    """
+    if not trials.rounds_jointly:
+        return
+    best, loss, octaves = trials.last, float(trials.loss or 0), trials.octaves
+    most = loss
+    for _ in range(_MOST_ROUNDINGS):
+        if octaves != trials.octaves:
+            trials.refit(octaves)
+        trials.finish(octaves)
+        lost = seen.loss(trials.decoded())
+        if lost > most:
+            break
+        best, loss, most = trials.last, lost, limit
+        if loss >= limit - _DROP_TOLERANCE:
+            break
+        aim = limit - _DROP_TOLERANCE / 2
+        octaves += min(math.log2(aim / max(loss, aim / 2)) / _DROP_SLOPE, COARSEST - octaves)
+    trials.last, trials.loss, trials.octaves = best, loss, math.log2(best[1].coarseness)

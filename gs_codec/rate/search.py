@@ -260,6 +260,11 @@ class Trials:
             with self.job.times.stage("views"):
                 self.guidance = guide(self.scene, self.job.references, self.job.progress)
 
+    @property
+    def rounds_jointly(self) -> bool:
+        """Whether `finish` rounds values jointly."""
+        return self.guidance is not None and self.job.config.adaptive_profile().looks > 0
+
     def config_at(self, octaves: float) -> Config:
         """The configuration at a coarseness, log2."""
         return replace(self.job.config, coarseness=2.0**octaves)
@@ -278,7 +283,7 @@ class Trials:
 
     def finish(self, octaves: float) -> int:
         """Like `size`, with values rounded jointly, which takes longer."""
-        if self.guidance is None:
+        if self.guidance is None or not self.rounds_jointly:
             return self.size(octaves)
         config, progress = self.config_at(octaves), self.job.progress
         profile = config.adaptive_profile()

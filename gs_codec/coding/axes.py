@@ -101,6 +101,12 @@ def sort_axes(
     return order, scales, vectors
 
 
+def with_real_part(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternions wxyz ``(4, N)`` with these vector parts ``(3, N)``, and real parts >= 0."""
+    real = np.sqrt(np.maximum(1.0 - np.sum(vectors * vectors, axis=0), 0.0))
+    return np.concatenate([real[None], vectors])
+
+
 def nearest_quaternions(
     vectors: NDArray[np.float64], rot: NDArray[np.floating]
 ) -> NDArray[np.float32]:
@@ -109,8 +115,7 @@ def nearest_quaternions(
     ``vectors (3, N)`` are vector parts from `sort_axes`. The result ``(4, N)`` is wxyz; it
     describes the same Gaussians.
     """
-    x, y, z = vectors
-    w = np.sqrt(np.maximum(1.0 - (x * x + y * y + z * z), 0.0))
+    w, x, y, z = with_real_part(vectors)
     ways = np.array([(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)])
     dots = np.sum(ways * rot, axis=1)
     best = np.argmax(np.abs(dots), axis=0)[None]

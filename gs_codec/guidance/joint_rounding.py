@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.shaped import VALUES, ShapedScene
-from gs_codec.coding.axes import sort_axes
+from gs_codec.coding.axes import sort_axes, with_real_part
 from gs_codec.preparation.adam import LARGEST
 from gs_codec.preparation.optimise import view_of
 from gs_codec.preparation.reference_views import ReferenceViews
@@ -146,14 +146,13 @@ class _Descent:
 def _by_length(source: Scene) -> Scene:
     """A copy of the scene in which axes descend, as they do when decoded."""
     _, scales, vectors = sort_axes(source.log_scale, source.rot)
-    real = np.sqrt(np.maximum(1.0 - np.sum(vectors * vectors, axis=0), 0.0))
     return replace(
         source,
         positions=source.positions.copy(),
         f_dc=source.f_dc.copy(),
         opacity=source.opacity.copy(),
         log_scale=scales.astype(np.float32),
-        rot=np.concatenate([real[None], vectors]).astype(np.float32),
+        rot=with_real_part(vectors).astype(np.float32),
     )
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.axes import nearest_quaternions, sort_axes
+from gs_codec.coding.axes import nearest_quaternions, sort_axes, with_real_part
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.metrics.image_quality import View, mean_quality
@@ -77,7 +77,7 @@ def _errors_in_part(
         *(sort_axes(log_scale, unit.astype(np.float32))[1:] for log_scale, unit in pair),
         strict=True,
     )
-    first_rot, second_rot = map(_with_real_part, vectors)
+    first_rot, second_rot = map(with_real_part, vectors)
     near = nearest_quaternions(vectors[1], first_rot)
     moved = ShapeErrors(
         differences(*log_scales),
@@ -150,11 +150,6 @@ def _unit(rot: NDArray[np.float32]) -> NDArray[np.float64]:
     norm = np.linalg.norm(values, axis=0)
     with np.errstate(invalid="ignore"):
         return np.where(norm == 0, _IDENTITY, values / np.where(norm == 0, 1.0, norm))
-
-
-def _with_real_part(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    real = np.sqrt(np.maximum(1.0 - (vectors * vectors).sum(axis=0), 0.0))
-    return np.concatenate([real[None], vectors])
 
 
 @dataclass(frozen=True)

@@ -179,19 +179,26 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
             # Compaction does not pay off at these step sizes, so it is skipped.
             search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
         trials.predicted_bytes = round(len(trials.last[0]) * _REFIT_ADDS)
-        start, aimed = trials.octaves, (interval[0], interval[1] / _ROUNDING_ADDS)
+        start = trials.octaves
+        aimed = (interval[0], interval[1] / (_ROUNDING_ADDS if trials.rounds_jointly else 1))
         found = search_recoloured(trials.refit, trials.size, aimed, start, _SIZE_SLOPE)
-        while found is not None and trials.finish(found) > limit:
-            if found == COARSEST:
-                trials.size(found)
-                break
-            found = min(found + _NUDGE, COARSEST)
+        if found is not None and trials.rounds_jointly:
+            _round_to_size(trials, limit, found)
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
             kind = _TooLarge if least > limit else _OutOfReach
             raise kind(_beyond(trials.job.target, limit, least, most))
     trials.at_end = found is None
+
+
+def _round_to_size(trials: Trials, limit: int, octaves: float) -> None:
+    """Round jointly, with coarser steps if the file is otherwise above a limit, bytes."""
+    while trials.finish(octaves) > limit:
+        if octaves == COARSEST:
+            trials.size(octaves)
+            break
+        octaves = min(octaves + _NUDGE, COARSEST)
 
 
 def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:

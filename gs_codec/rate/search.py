@@ -282,9 +282,8 @@ class Trials:
         return len(self.last[0])
 
     def finish(self, octaves: float) -> int:
-        """Like `size`, with values rounded jointly, which takes longer."""
-        if self.guidance is None or not self.rounds_jointly:
-            return self.size(octaves)
+        """Like `size`, with values rounded jointly, which takes longer; see `rounds_jointly`."""
+        assert self.guidance is not None
         config, progress = self.config_at(octaves), self.job.progress
         profile = config.adaptive_profile()
         with self.job.times.stage("round"):

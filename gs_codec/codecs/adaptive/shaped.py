@@ -106,7 +106,7 @@ class ShapedScene:
         return ShapedScene(self.header, arranged, blocks)
 
 
-#: The rule and the group of each row of `value_steps` that is coded by itself.
+#: The rules of rows 6 to 9 of `value_steps`, and the group that each belongs to.
 _BY_RULE = {"opacity": "opacity", **{f"scale_{k}": "scaling" for k in range(3)}}
 
 

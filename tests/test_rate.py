@@ -234,8 +234,11 @@ def seen() -> tuple[Scene, Plan]:
     return generate(1200, 2, 5), Plan(Steps(), cameras(18))
 
 
-@pytest.mark.parametrize("wanted", [thorough(0.03), 0.1, thorough(0.5)])
-def test_losses_are_met_from_below(seen, wanted):
+# At small losses, compaction pays off at some step sizes and not at the next.
+@pytest.mark.parametrize(
+    ("wanted", "larger"), [thorough(0.03, 1.2), (0.1, 1.01), thorough(0.5, 1.01)]
+)
+def test_losses_are_met_from_below(seen, wanted, larger):
     scene, plan = seen
     measured = choose_views(scene, plan).held_out
     sizes, losses = {}, {}
@@ -247,7 +250,7 @@ def test_losses_are_met_from_below(seen, wanted):
         assert report.rate.psnr_drop == pytest.approx(losses[effort], abs=1e-9)
     assert wanted - 0.02 <= losses["fast"] <= wanted
     assert losses["normal"] <= wanted
-    assert sizes["normal"] < 1.01 * sizes["fast"]
+    assert sizes["normal"] < larger * sizes["fast"]
 
 
 @pytest.mark.thorough

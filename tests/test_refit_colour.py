@@ -63,8 +63,9 @@ def test_residual_is_the_references(seed, bright, opacity):
     drawn = [render_reference(scene, camera, TEAL) for camera in cameras]
     expected = sum(np.sum((t - d.colour) ** 2) for t, d in zip(targets, drawn, strict=True))
     coefficients = coefficients_of(scene).astype(np.float64)
-    assert operator.linearise(coefficients).error == pytest.approx(expected, rel=1e-6)
-    assert errors(operator, coefficients) == pytest.approx(expected, rel=1e-6)
+    # Weights of 8 bits.
+    assert operator.linearise(coefficients).error == pytest.approx(expected, rel=3e-5)
+    assert errors(operator, coefficients) == pytest.approx(expected, rel=3e-5)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -157,7 +158,7 @@ def test_tiles_are_sampled_if_memory_is_too_small(monkeypatch, every):
         assert operator.pixels(view) == np.count_nonzero(counts)
         image = render_reference(scene, camera, (0.0, 0.0, 0.0)).colour
         expected = np.sum((targets[view] - image)[counts] ** 2)
-        assert found[view] == pytest.approx(expected, rel=1e-6)
+        assert found[view] == pytest.approx(expected, rel=3e-5)
     assert sum(traced.nbytes for traced in operator.kept.values()) < taken
 
 
@@ -172,8 +173,17 @@ def test_buffers_grow_with_many_fragments():
     )
     cameras = orbit(1)
     operator = ImageOperator(scene, references(cameras, images(scene, cameras)))
-    # 16-bit weights: 87 dB.
+    # 87 dB.
     assert errors(operator, coefficients_of(scene).astype(np.float64)) < 1e-5
+
+
+def test_rounded_weights_keep_the_image():
+    """The rounding error of a weight goes to the next splats of its pixel."""
+    scene, cameras = visible_scene(200, 13), orbit(4)
+    scene = replace(scene, log_scale=scene.log_scale + np.float32(0.5))
+    operator = ImageOperator(scene, references(cameras, images(scene, cameras)))
+    error = errors(operator, coefficients_of(scene).astype(np.float64))
+    assert -10 * np.log10(error / (3 * 4 * 40 * 40)) > 70
 
 
 # Refitting
@@ -206,7 +216,7 @@ def test_psnr_is_that_of_the_images():
     targets = images(perturbed(scene, 10), cameras)
     refitted, report = refit_colour(scene, references(cameras, targets), 5)
     for result, psnr in ((scene, report.psnr[0]), (refitted, report.psnr[-1])):
-        assert psnr_of(result, cameras, targets) == pytest.approx(psnr, abs=0.01)
+        assert psnr_of(result, cameras, targets) == pytest.approx(psnr, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", [11, 12])

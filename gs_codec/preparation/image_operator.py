@@ -33,7 +33,7 @@ _CHUNK = 1 << 14
 _MOST_AT_ONCE = 4
 
 #: Approximate maximum bytes of all traced views; beyond it, some of their tiles are skipped.
-_KEPT_BYTES = 1 << 31
+_KEPT_BYTES = 1 << 30
 
 #: Number of views used to estimate the bytes of one.
 _SAMPLE = 8

@@ -63,7 +63,7 @@ def refit_colour(
     Minimises the sum over views, pixels and colours of the squared residual, `_RIDGE` times the
     squared change of SH, and the penalty on SH-AC of `compact_sh`, by conjugate gradients on the
     normal equations, with their diagonal as preconditioner. Memory is six times the size of the SH,
-    plus at most about 2 GiB for the weights alpha T of views; if these would take more, only some
+    plus at most about 1 GiB for the weights alpha T of views; if these would take more, only some
     of each view's tiles count. A colour that is clamped at black in a view has no gradient there;
     clamping is determined once, at the start.
 

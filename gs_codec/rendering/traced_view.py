@@ -21,14 +21,18 @@ from gs_codec.rendering.tiles_float32 import (
     total_of,
 )
 from gs_codec.rendering.tiles_float64 import tile_bounds
-from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import Scene
 
 #: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
 SQUARED = 3
 
-#: A weight of 1 in 16 bits; a unit is 1/257 of a step of an 8-bit image.
+#: A weight of 1 in units of the finest rows; a unit is 1/257 of a step of an 8-bit image. A row has
+#: weights of 8 bits, in 1, 2, 4, ... units; images of them have 74 dB or more.
 _UNITS = 65535.0
+
+#: Largest weight of 8 bits.
+_LEVELS = np.int32(255)
 
 #: The same values, typed for the kernels.
 _UNIT = np.float32(1 / _UNITS)
@@ -40,6 +44,9 @@ _WIDTH = np.int32(TILE)
 
 #: A row is faint if all its weights are below this, in units.
 _FAINT = np.int32(_UNITS / 512)
+
+#: First bit of a row's scale: 0 is faint; from 1 up, the weights are in 1, 2, 4, ... units.
+_SCALE = 12
 
 #: Offsets of the planes of a tile, after red. Unsigned, because numba tests whether signed indices
 #: are negative.
@@ -75,9 +82,9 @@ class TracedView(NamedTuple):
     ends : ndarray, shape (pairs,), int32
         End of the rows of each pair.
     rows : ndarray, shape (rows,), uint16
-        Bit fields: row in the tile (4), first column (4), last column (4), faint flag.
-    weights : ndarray, shape (16 + weights + 16,), uint16
-        From the first to the last column of each row, in units of 1 / 65535.
+        Bit fields of 4: row in the tile, first column, last column, scale.
+    weights : ndarray, shape (16 + weights + 16,), uint8
+        From the first to the last column of each row, in units of the row's scale.
     left : ndarray, shape (tiles, 256), float32
         Transmittance of each pixel behind all splats.
     """
@@ -89,7 +96,7 @@ class TracedView(NamedTuple):
     starts: NDArray[np.int64]
     ends: NDArray[np.int32]
     rows: NDArray[np.uint16]
-    weights: NDArray[np.uint16]
+    weights: NDArray[np.uint8]
     left: NDArray[np.float32]
 
     @property
@@ -134,7 +141,7 @@ class TracedView(NamedTuple):
 
 
 #: Buffers for rows and weights, reused because allocating memory takes longer than tracing.
-TraceBuffers = tuple[NDArray[np.uint16], NDArray[np.uint16]]
+TraceBuffers = tuple[NDArray[np.uint16], NDArray[np.uint8]]
 
 
 def trace_view(
@@ -164,7 +171,7 @@ def trace_view(
     tiles = np.flatnonzero(chosen)
     ends, left = np.zeros(len(splats), np.int32), np.zeros((len(tiles), PIXELS), np.float32)
     if buffers is None:
-        buffers = np.empty(_FIRST_ROWS, np.uint16), np.empty(_FIRST_WEIGHTS, np.uint16)
+        buffers = np.empty(_FIRST_ROWS, np.uint16), np.empty(_FIRST_WEIGHTS, np.uint8)
     size = (frame.columns, camera.width, camera.height)
     *buffers, end = _trace(frame.splats.fields, splats, starts, tiles, *size, left, ends, *buffers)
     own = buffers[0][: ends.max(initial=0)].copy(), buffers[1][: end + TILE].copy()
@@ -176,10 +183,13 @@ def trace_view(
 def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends, rows, weights):
     """Fill the outputs; return `rows` and `weights`, enlarged if needed, and the end of weights."""
     light, row_weights = np.empty(PIXELS, np.float32), np.zeros(2 * TILE, np.int32)
+    # What rounding has taken from the weights of a pixel so far.
+    owed = np.empty(PIXELS, np.int32)
     used, used_rows = TILE, 0
     for tile in range(len(tiles)):
         x0, x1, y0, y1 = tile_bounds(tiles[tile], columns, width, height)
         light[:] = _ZERO
+        owed[:] = 0
         for y in range(y1 - y0):
             light[y * TILE : y * TILE + x1 - x0] = _ONE
         still_open = 0
@@ -207,10 +217,10 @@ def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends,
                         last_column = max(last_column, column if units > 0 else np.int32(-1))
                         largest = max(largest, units)
                     if last_column >= 0:
-                        rows[used_rows] = (
-                            y | first_column << 4 | last_column << 8 | (largest < _FAINT) << 12
-                        )
+                        scale = _scale_of(largest)
+                        rows[used_rows] = y | first_column << 4 | last_column << 8 | scale << _SCALE
                         used_rows += 1
+                        _round_row(row_weights, owed[y * TILE : y * TILE + TILE], scale)
                         at, begin = np.uint64(used), np.uint64(first_column)
                         for x in range(TILE):
                             weights[at + np.uint64(x)] = row_weights[begin + np.uint64(x)]
@@ -219,6 +229,34 @@ def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends,
         for pixel in range(PIXELS):
             left_of[tile, pixel] = abs(light[pixel])
     return rows, weights, used
+
+
+@inlined
+def _scale_of(largest):
+    """Scale of a row by its largest weight, in units."""
+    if largest < _FAINT:
+        return 0
+    scale = 1
+    while (largest + ((1 << scale) >> 2)) >> (scale - 1) > _LEVELS:
+        scale += 1
+    return scale
+
+
+@inlined
+def _round_row(weights, owed, scale):
+    """Round a row's weights, from units to units of its scale.
+
+    A pixel's error goes to its next weights, at most half a step to each, so that their sum stays.
+    """
+    shift = max(scale - 1, 0)
+    half = np.int32(1 << shift >> 1)
+    for x in range(TILE):
+        weight = weights[x]
+        wanted = weight + min(max(owed[x], -half), half)
+        level = min(max(wanted + half, np.int32(0)) >> shift, _LEVELS)
+        level = level if weight > 0 else np.int32(0)
+        owed[x] += weight - (level << shift)
+        weights[x] = level
 
 
 @kernel
@@ -231,7 +269,7 @@ def _residual(
     # Red, green and blue, one after another.
     residual = np.zeros(3 * PIXELS, np.float32)
     by_column = np.zeros((SQUARED + 1) * TILE, np.float32)
-    error, row, start, most = 0.0, 0, TILE, 1 << (16 if faint else 12)
+    error, row, start, least = 0.0, 0, TILE, 0 if faint else 1 << _SCALE
     for tile in range(len(tiles)):
         x0, x1, y0, y1 = tile_bounds(tiles[tile], columns, width, height)
         residual[:] = _ZERO
@@ -243,32 +281,32 @@ def _residual(
                     residual[pixel + channel * PIXELS] = target[y, x, channel] - behind
         own, place = slice(starts[tile], starts[tile + 1]), (row, start)
         row, start = _subtract(
-            pairs[own], ends[own], rows, weights, most, colours, *place, residual
+            pairs[own], ends[own], rows, weights, least, colours, *place, residual
         )
         for value in residual:
             error += np.float64(value) * value
         if len(sums) > 0:
-            _add_up(pairs[own], ends[own], rows, weights, most, residual, *place, by_column, sums)
+            _add_up(pairs[own], ends[own], rows, weights, least, residual, *place, by_column, sums)
     return error
 
 
 @kernel
-def _subtract(pairs, ends, rows, weights, most, colours, row, start, residual):
+def _subtract(pairs, ends, rows, weights, least, colours, row, start, residual):
     """Subtract the pairs of a tile from its residual; return the start of the next tile's pairs."""
     for pair in range(len(pairs)):
         colour = colours[pairs[pair]]
         red, green, blue = _UNIT * colour[0], _UNIT * colour[1], _UNIT * colour[2]
         while row < ends[pair]:
             code = rows[row]
-            first, last, line, at = _unpack(code, start)
+            first, last, line, at, scale = _unpack(code, start)
             start += last - first + 1
             row += 1
-            if code >= most:
+            if code < least:
                 continue
             for x in range(TILE):
                 k, column = np.uint64(x), np.int32(x)
                 inside = (column >= first) & (column <= last)
-                weight = np.float32(weights[at + k]) if inside else _ZERO
+                weight = scale * np.float32(weights[at + k]) if inside else _ZERO
                 residual[line + k] -= weight * red
                 residual[line + k + _GREEN] -= weight * green
                 residual[line + k + _BLUE] -= weight * blue
@@ -276,21 +314,21 @@ def _subtract(pairs, ends, rows, weights, most, colours, row, start, residual):
 
 
 @kernel
-def _add_up(pairs, ends, rows, weights, most, residual, row, start, by_column, sums):
+def _add_up(pairs, ends, rows, weights, least, residual, row, start, by_column, sums):
     """Add the pairs of a tile to ``sums (V, 4)``."""
     for pair in range(len(pairs)):
         by_column[:] = _ZERO
         while row < ends[pair]:
             code = rows[row]
-            first, last, line, at = _unpack(code, start)
+            first, last, line, at, scale = _unpack(code, start)
             start += last - first + 1
             row += 1
-            if code >= most:
+            if code < least:
                 continue
             for x in range(TILE):
                 k, column = np.uint64(x), np.int32(x)
                 inside = (column >= first) & (column <= last)
-                weight = np.float32(weights[at + k]) if inside else _ZERO
+                weight = scale * np.float32(weights[at + k]) if inside else _ZERO
                 by_column[k] += weight * residual[line + k]
                 by_column[k + _BY_GREEN] += weight * residual[line + k + _GREEN]
                 by_column[k + _BY_BLUE] += weight * residual[line + k + _BLUE]
@@ -303,6 +341,11 @@ def _add_up(pairs, ends, rows, weights, most, residual, row, start, by_column, s
 
 @kernel
 def _unpack(code, start):
-    """First and last column of a row, its start in a plane, and the position of its column 0."""
+    """Unpack a row that starts at `start`.
+
+    Returns its first and last column, its start in a plane, the position of its column 0, and the
+    units of its weights.
+    """
     first, last = np.int32(code >> 4 & 15), np.int32(code >> 8 & 15)
-    return first, last, np.uint64((code & 15) * TILE), np.uint64(start - first)
+    scale = np.float32(1 << max(np.int32(code >> _SCALE) - 1, 0))
+    return first, last, np.uint64((code & 15) * TILE), np.uint64(start - first), scale

@@ -19,16 +19,16 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
-from gs_codec.formats.cells import WORTH, split_cells
+from gs_codec.formats.cells import WORTH, row_means, split_cells
 from gs_codec.formats.codebook import (
     choose_colours,
     choose_levels,
     label_bits,
     make_table,
-    nearest_rows,
 )
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import open_scene
+from gs_codec.formats.sog.nearest_rows import nearest_rows
 from gs_codec.formats.sog.palette import fit_palette
 from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.scene import ANTIALIASED, Scene, sh_bands
@@ -268,14 +268,39 @@ def test_cells_are_split_while_it_pays_off():
     assert len(split_cells(vectors.astype(np.float32), np.full(1000, 1e6), 100).stops) == 100
 
 
-def test_the_nearest_row_is_that_of_the_least_cost():
+@pytest.mark.parametrize("number", [1, 30, 700])
+def test_the_nearest_row_is_that_of_the_least_cost(number):
+    """If all blocks are searched, it is the best of all rows in use."""
     rng = np.random.default_rng(2)
-    vectors, rows = rng.normal(size=(200, 5)).astype("f4"), rng.normal(size=(30, 5)).astype("f4")
-    weights, bits = rng.uniform(0.1, 20, 200), rng.uniform(0, 12, 30)
-    found = nearest_rows(vectors, weights, np.arange(200), rows, bits)
+    rows = rng.normal(size=(number + 5, 9)).astype("f4")
+    vectors = rng.normal(size=(2000, 9)).astype("f4")
+    weights, labels = rng.uniform(0.1, 20, 2000), rng.integers(0, number, 2000).astype("i4")
+    found = nearest_rows(vectors, weights, labels, rows, 10)
+    bits = np.where(np.bincount(labels, minlength=len(rows)) > 0, 0, np.inf)
+    bits += label_bits(np.bincount(labels, minlength=len(rows)))
     costs = weights[:, None] * ((vectors[:, None] - rows) ** 2).sum(2) + WORTH * bits
-    chosen = costs[np.arange(200), found]
-    np.testing.assert_allclose(chosen, costs.min(1), rtol=1e-5)
+    np.testing.assert_allclose(costs[np.arange(2000), found], costs.min(1), rtol=1e-4)
+
+
+def test_a_few_blocks_suffice_for_rows_in_the_order_of_cells():
+    rng = np.random.default_rng(8)
+    vectors = (rng.normal(size=(5000, 3)) @ rng.normal(size=(3, 24))).astype("f4")
+    weights = np.full(5000, 50.0)
+    cells = split_cells(vectors, weights, 2000)
+    labels, number = cells.labels(), len(cells.stops)
+    rows = row_means(vectors, weights, labels, number)[0].astype("f4")
+    assert number == 2000
+    few, all_blocks = (nearest_rows(vectors, weights, labels, rows, n) for n in (4, 16))
+    errors = [((vectors - rows[found]) ** 2).sum() for found in (labels, few, all_blocks)]
+    assert errors[1] - errors[2] < 0.1 * (errors[0] - errors[2])
+
+
+def test_large_cells_are_split_by_a_sample():
+    rng = np.random.default_rng(9)
+    vectors = np.repeat([[0.0, 0.0], [3.0, 9.0]], 9000, axis=0) + rng.normal(0, 0.1, (18_000, 2))
+    shuffled = rng.permutation(18_000)
+    cells = split_cells(vectors[shuffled].astype("f4"), np.ones(18_000), 100)
+    assert cells.sizes().tolist() == [9000, 9000]
 
 
 def test_a_table_contains_few_distinct_values_exactly():
@@ -311,6 +336,14 @@ def test_coarse_steps_take_fewer_bits_at_a_bounded_error():
     coarse = choose_levels(values, np.full(len(values), 16.0), table)
     assert entropy(coarse) < entropy(fine) - 3
     assert ((table[coarse] - values) ** 2).mean() < 0.15 * 16**2
+
+
+def test_colours_with_fine_steps_are_the_nearest():
+    rng = np.random.default_rng(8)
+    values, table = rng.normal(0, 2, (3000, 3, 1)), np.sort(rng.normal(0, 2, 60))
+    levels = choose_colours(values, np.exp(rng.uniform(-9, -5, (3000, 1))), table)
+    nearest = np.abs(values[..., None] - table).min(axis=3)
+    assert (np.abs(table[levels] - values) <= nearest + 0.05).all()
 
 
 def test_colours_are_chosen_for_differences_to_green():

@@ -32,6 +32,9 @@ _OCTAVE_BITS = 1.5
 #: Maximum number of times that the means of the halves of a cell are updated.
 _MOVES = 5
 
+#: Number of vectors of a larger cell that are enough to find its halves.
+_ENOUGH = 1 << 12
+
 #: Number of vectors per task.
 _CHUNK = 1 << 13
 
@@ -46,13 +49,10 @@ class Cells:
         Indices of the vectors, cell by cell.
     stops : ndarray, shape (cells,), int64
         End of each cell in `order`.
-    groups : ndarray, shape (cells,), int64
-        The larger, earlier cell that each cell is part of.
     """
 
     order: NDArray[np.int32]
     stops: NDArray[np.int64]
-    groups: NDArray[np.int64]
 
     def labels(self) -> NDArray[np.int32]:
         """The cell of each vector."""
@@ -66,18 +66,15 @@ class Cells:
 
 
 class _Splits(NamedTuple):
-    """Cells, the best split of each, and its gain; see `Cells` for `groups`."""
+    """Cells, the best split of each, and its gain."""
 
     starts: NDArray[np.int64]
     stops: NDArray[np.int64]
     middles: NDArray[np.int64]
     gains: NDArray[np.float64]
-    groups: NDArray[np.int64]
 
 
-def split_cells(
-    vectors: NDArray[np.float32], weights: NDArray[np.float64], most: int, groups: int = 1
-) -> Cells:
+def split_cells(vectors: NDArray[np.float32], weights: NDArray[np.float64], most: int) -> Cells:
     """Split vectors into cells as long as this reduces the error by more than the bits cost.
 
     Parameters
@@ -87,24 +84,19 @@ def split_cells(
         The inverse square of each step size.
     most : int
         Maximum number of cells.
-    groups : int
-        Approximate number of groups of cells.
     """
     order = np.arange(len(vectors), dtype=np.int32)
     cells = _split_each(vectors, weights, order, np.zeros(1, np.int64), np.array([len(vectors)]))
     while True:
-        if len(cells.starts) < groups:
-            cells = cells._replace(groups=np.arange(len(cells.starts)))
         room = most - len(cells.starts)
         # The best half first, because their parts may gain more than other cells.
         chosen = np.argsort(-cells.gains, kind="stable")[: -(-room // 2)]
         chosen = np.sort(chosen[cells.gains[chosen] > 0])
         if not len(chosen):
-            return Cells(order, cells.stops, cells.groups)
+            return Cells(order, cells.stops)
         ends = cells.starts[chosen], cells.middles[chosen], cells.stops[chosen]
         starts, stops = np.stack(ends[:2], 1).ravel(), np.stack(ends[1:], 1).ravel()
         parts = _split_each(vectors, weights, order, starts, stops)
-        parts = parts._replace(groups=np.repeat(cells.groups[chosen], 2))
         kept = np.ones(len(cells.starts), bool)
         kept[chosen] = False
         sequence = np.argsort(np.concatenate([cells.starts[kept], starts]))
@@ -134,7 +126,7 @@ def _split_each(
         _split(vectors, weights, order, *of_batch)
 
     run_all(run, range(len(cuts) - 1))
-    return _Splits(starts, stops, middles, gains, np.zeros(len(starts), np.int64))
+    return _Splits(starts, stops, middles, gains)
 
 
 @kernel
@@ -146,93 +138,109 @@ def _split(vectors, weights, order, starts, stops, middles, gains):
     depth = vectors.shape[1]
     whole, halves = np.empty(depth + 1), np.empty((2, depth + 1))
     for cell in range(len(starts)):
-        start, stop = starts[cell], stops[cell]
-        members = order[start:stop]
-        if not _start_halves(vectors, weights, members, whole, side):
+        members = order[starts[cell] : stops[cell]]
+        count = len(members)
+        stride = max(count // _ENOUGH, 1)
+        some = upper[: -(-count // stride)]
+        for j in range(len(some)):
+            some[j] = members[j * stride]
+        if not _start_halves(vectors, weights, some, side):
             continue
-        ones = _move_halves(vectors, weights, members, halves, side)
-        if ones in (0, len(members)):
+        for _ in range(_MOVES):
+            ones = _sum_halves(vectors, weights, some, side, halves)
+            if ones in (0, len(some)) or not _move_halves(vectors, some, halves, side):
+                break
+        if stride > 1:
+            _move_halves(vectors, members, halves, side)
+        ones = _sum_halves(vectors, weights, members, side, halves)
+        if ones in (0, count):
             continue
+        for d in range(depth + 1):
+            whole[d] = halves[0, d] + halves[1, d]
         gain = _cost_of(whole) - _cost_of(halves[0]) - _cost_of(halves[1])
-        share = ones / len(members)
-        bits = -ones * np.log2(share) - (len(members) - ones) * np.log2(1 - share)
+        share = ones / count
+        bits = -ones * np.log2(share) - (count - ones) * np.log2(1 - share)
         gains[cell] = gain - WORTH * bits
-        low = high = 0
-        for j in range(len(members)):
-            if side[j]:
-                upper[high] = members[j]
-                high += 1
-            else:
-                members[low] = members[j]
-                low += 1
-        for j in range(high):
-            members[low + j] = upper[j]
-        middles[cell] = start + low
+        middles[cell] = starts[cell] + _sort_halves(members, side, upper)
 
 
 @kernel
-def _start_halves(vectors, weights, members, whole, side):
+def _sort_halves(members, side, upper):
+    """Sort vectors by their half; return the size of the first. `upper` is temporary."""
+    low = high = 0
+    for j in range(len(members)):
+        if side[j]:
+            upper[high] = members[j]
+            high += 1
+        else:
+            members[low] = members[j]
+            low += 1
+    for j in range(high):
+        members[low + j] = upper[j]
+    return low
+
+
+@kernel
+def _start_halves(vectors, weights, members, side):
     """Split vectors at the mean of the axis of largest variance; False if there is none."""
     depth = vectors.shape[1]
-    squares = np.zeros(depth)
-    whole[:] = 0.0
+    sums, squares = np.zeros(depth), np.zeros(depth)
+    total = 0.0
     for i in members:
         weight = weights[i]
-        whole[depth] += weight
+        total += weight
         for d in range(depth):
-            whole[d] += weight * vectors[i, d]
+            sums[d] += weight * vectors[i, d]
             squares[d] += weight * vectors[i, d] * vectors[i, d]
     widest, axis = 0.0, -1
     for d in range(depth):
-        spread = squares[d] - whole[d] * whole[d] / whole[depth]
+        spread = squares[d] - sums[d] * sums[d] / total
         if spread > widest:
             widest, axis = spread, d
     if axis < 0:
         return False
-    cut = whole[axis] / whole[depth]
+    cut = sums[axis] / total
     for j in range(len(members)):
         side[j] = vectors[members[j], axis] > cut
     return True
 
 
 @kernel
-def _move_halves(vectors, weights, members, halves, side):
-    """Move vectors to the half with the nearer mean, repeatedly; return the size of the second.
-
-    ``halves`` receive the weighted sum of each half, and its weight.
-    """
-    depth, count = vectors.shape[1], len(members)
-    normal = np.empty(depth)
+def _sum_halves(vectors, weights, members, side, halves):
+    """The weighted sum of each half, and its weight; return the size of the second."""
+    depth = vectors.shape[1]
+    halves[:] = 0.0
     ones = 0
-    for move in range(_MOVES + 1):
-        halves[:] = 0.0
-        ones = 0
-        for j in range(count):
-            i, half = members[j], side[j]
-            weight = weights[i]
-            ones += half
-            halves[half, depth] += weight
-            for d in range(depth):
-                halves[half, d] += weight * vectors[i, d]
-        if ones in (0, count) or move == _MOVES:
-            break
-        offset = 0.0
+    for j in range(len(members)):
+        i, half = members[j], side[j]
+        weight = weights[i]
+        ones += half
+        halves[half, depth] += weight
         for d in range(depth):
-            first, second = halves[0, d] / halves[0, depth], halves[1, d] / halves[1, depth]
-            normal[d] = second - first
-            offset += 0.5 * (second * second - first * first)
-        moved = False
-        for j in range(count):
-            i = members[j]
-            along = -offset
-            for d in range(depth):
-                along += vectors[i, d] * normal[d]
-            if (along > 0) != side[j]:
-                side[j] = along > 0
-                moved = True
-        if not moved:
-            break
+            halves[half, d] += weight * vectors[i, d]
     return ones
+
+
+@kernel
+def _move_halves(vectors, members, halves, side):
+    """Move vectors to the half with the nearer mean; whether any moved."""
+    depth = vectors.shape[1]
+    normal = np.empty(depth)
+    offset = 0.0
+    for d in range(depth):
+        first, second = halves[0, d] / halves[0, depth], halves[1, d] / halves[1, depth]
+        normal[d] = second - first
+        offset += 0.5 * (second * second - first * first)
+    moved = False
+    for j in range(len(members)):
+        i = members[j]
+        along = -offset
+        for d in range(depth):
+            along += vectors[i, d] * normal[d]
+        if (along > 0) != side[j]:
+            side[j] = along > 0
+            moved = True
+    return moved
 
 
 @kernel

@@ -33,52 +33,6 @@ def weights_of(steps: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.maximum(steps.astype(np.float64), _TINY) ** -2.0
 
 
-def nearest_rows(
-    vectors: NDArray[np.float32],
-    weights: NDArray[np.float64],
-    members: NDArray[np.integer],
-    rows: NDArray[np.float32],
-    bits: NDArray[np.float64],
-) -> NDArray[np.int32]:
-    """Index of the row with the lowest error and bits for each of the vectors `members`.
-
-    Parameters
-    ----------
-    vectors, weights : ndarray
-        As in `split_cells`.
-    members : ndarray, shape (n,), integer
-    rows : ndarray, shape (K, D), float32
-    bits : ndarray, shape (K,), float64
-        Bits of each label.
-    """
-    labels = np.empty(len(members), np.int32)
-    table = np.ascontiguousarray(rows.T)
-    squares = (rows * rows).sum(axis=1)
-    price = (WORTH * bits).astype(np.float32)
-    _find_nearest(vectors, weights, members, table, squares, price, labels)
-    return labels
-
-
-@kernel
-def _find_nearest(vectors, weights, members, table, squares, price, labels):
-    depth, count = table.shape
-    cost = np.empty(count, np.float32)
-    for j in range(len(members)):
-        i = members[j]
-        by_weight = np.float32(1.0 / weights[i])
-        for k in range(count):
-            cost[k] = squares[k] + by_weight * price[k]
-        for d in range(depth):
-            twice = np.float32(-2.0) * vectors[i, d]
-            for k in range(count):
-                cost[k] += twice * table[d, k]
-        best = 0
-        for k in range(count):
-            if cost[k] < cost[best]:
-                best = k
-        labels[j] = best
-
-
 def make_table(
     values: NDArray[np.floating], steps: NDArray[np.floating], most: int = 256
 ) -> NDArray[np.float32]:
@@ -114,11 +68,11 @@ def choose_levels(
     """
     wide, known = values.astype(np.float64), table.astype(np.float64)
     by_step = np.sqrt(weights_of(steps))
-    levels = np.empty(len(wide), np.uint8)
-    _choose(wide, np.full(len(wide), 1 / _TINY), known, np.zeros(len(known)), levels)
+    levels = _nearest(wide, known)
+    above = np.searchsorted(known, wide)
     for _ in range(_ROUNDS):
         counts = np.bincount(levels, minlength=len(known))
-        _choose(wide, by_step, known, WORTH * label_bits(counts), levels)
+        _choose(wide, by_step, known, WORTH * label_bits(counts), above, levels)
     return levels
 
 
@@ -139,7 +93,7 @@ def choose_colours(
     ndarray, shape (n, 3, K), uint8
     """
     known = table.astype(np.float64)
-    near = np.searchsorted((known[1:] + known[:-1]) / 2, values).astype(np.uint8)
+    near = _nearest(values, known)
     levels, by_step = near.copy(), np.sqrt(weights_of(steps))
 
     def run(start: int) -> None:
@@ -154,6 +108,10 @@ def choose_colours(
     return levels
 
 
+def _nearest(values: NDArray[np.floating], table: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return np.searchsorted((table[1:] + table[:-1]) / 2, values).astype(np.uint8)
+
+
 def label_bits(counts: NDArray[np.integer]) -> NDArray[np.float64]:
     """Bits of each label, from its frequency; an unused label has a high price."""
     shares = np.maximum(counts, 0.5) / max(counts.sum(), 1)
@@ -161,13 +119,12 @@ def label_bits(counts: NDArray[np.integer]) -> NDArray[np.float64]:
 
 
 @kernel
-def _choose(values, by_step, table, price, levels):
+def _choose(values, by_step, table, price, near, levels):
     for i in range(len(values)):
         value, scale = values[i], by_step[i]
-        above = np.searchsorted(table, value)
         best, cost = 0, np.inf
         for way in (-1, 1):
-            k = above if way > 0 else above - 1
+            k = near[i] if way > 0 else near[i] - 1
             while 0 <= k < len(table):
                 error = (table[k] - value) * scale
                 error *= error
@@ -187,42 +144,48 @@ def _choose_colours(values, by_step, table, of_green, of_red, of_blue, near, lev
         for k in range(values.shape[2]):
             red, green, blue = levels[i, 0, k], levels[i, 1, k], levels[i, 2, k]
             least = np.inf
-            for j in range(-_REACH, _REACH + 2):
-                g = near[i, 1, k] + _offset(j) if j <= _REACH else common
+            for j in range(2 * _REACH + 2):
+                g = near[i, 1, k] + _offset(j) if j <= 2 * _REACH else common
                 if not 0 <= g < len(table):
                     continue
                 error = (table[g] - values[i, 1, k]) * by_step[i, k]
                 cost = error * error + of_green[g]
                 if cost >= least:
                     continue
-                r, more = _level_of(g, near[i, 0, k], values[i, 0, k], by_step[i, k], table, of_red)
-                cost += more
-                b, more = _level_of(
-                    g, near[i, 2, k], values[i, 2, k], by_step[i, k], table, of_blue
+                r, more = _level_of(
+                    g, near[i, 0, k], values[i, 0, k], by_step[i, k], table, of_red, least - cost
                 )
                 cost += more
-                if cost < least:
+                if r < 0:
+                    continue
+                b, more = _level_of(
+                    g, near[i, 2, k], values[i, 2, k], by_step[i, k], table, of_blue, least - cost
+                )
+                cost += more
+                if b >= 0 and cost < least:
                     red, green, blue = r, g, b
                     least = cost
             levels[i, 0, k], levels[i, 1, k], levels[i, 2, k] = red, green, blue
 
 
 @kernel
-def _level_of(green, near, value, by_step, table, price):
-    """The level of another channel, and its cost."""
-    least, best = np.inf, 0
-    for j in range(-_REACH, _REACH + 2):
-        level = near + _offset(j) if j <= _REACH else green
+def _level_of(green, near, value, by_step, table, price, least):
+    """The level of another channel, and its cost; -1 if none costs less than `least`."""
+    best = np.int64(-1)
+    for j in range(2 * _REACH + 2):
+        level = near + _offset(j) if j <= 2 * _REACH else green
         if not 0 <= level < len(table):
             continue
         error = (table[level] - value) * by_step
-        cost = error * error + price[(level - green) & 255]
-        if cost < least:
-            least, best = cost, level
+        error *= error
+        if error < least:
+            cost = error + price[(level - green) & 255]
+            if cost < least:
+                least, best = cost, level
     return best, least
 
 
 @inlined
 def _offset(j):
-    """Offsets of the levels tried around the nearest: powers of two."""
-    return (1 << (abs(j) - 1)) * (1 if j > 0 else -1) if j else 0
+    """Offsets of the levels tried around the nearest: powers of two, the least first."""
+    return (1 << ((j - 1) >> 1)) * (1 if j & 1 else -1) if j else 0

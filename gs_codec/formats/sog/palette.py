@@ -8,30 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.formats.cells import row_means, split_cells
-from gs_codec.formats.codebook import (
-    choose_colours,
-    label_bits,
-    make_table,
-    nearest_rows,
-    weights_of,
-)
-from gs_codec.runtime.threads import run_all
+from gs_codec.formats.codebook import choose_colours, make_table, weights_of
+from gs_codec.formats.sog.nearest_rows import nearest_rows
 from gs_codec.scene import sh_bands
 
 #: Maximum number of rows with 16-bit labels.
 _MOST = 1 << 16
 
-#: A Gaussian searches its row in one of about this many groups of rows.
-_GROUPS = 64
-
-#: It also searches this many of the most used rows.
-_COMMON = 1 << 10
-
 #: Number of times that rows and labels are updated alternately.
-_ROUNDS = 2
+_ROUNDS = 1
 
-#: Number of Gaussians per task.
-_CHUNK = 1 << 13
+#: Number of blocks of rows that a vector searches; see `nearest_rows`.
+_NEAREST = 4
 
 
 class Palette(NamedTuple):
@@ -40,7 +28,7 @@ class Palette(NamedTuple):
     Attributes
     ----------
     table : ndarray, shape (at most 256,), float32
-        Ascending; 0 is one of its values.
+        Ascending; symmetric about 0, which is one of its values.
     levels : ndarray, shape (rows, 3 * K), uint8
         The rows, most used first; at least one.
     labels : ndarray, shape (N,), int32
@@ -66,21 +54,20 @@ def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Pal
     vectors = np.empty((count, depth), np.float32)
     np.divide(f_rest.T, ratios, out=vectors)
     weights = weights_of(steps[0])
-    cells = split_cells(vectors, weights, _MOST, _GROUPS)
-    labels, groups = cells.labels(), cells.groups
+    cells = split_cells(vectors, weights, _MOST)
+    labels, number = cells.labels(), len(cells.stops)
     for _ in range(_ROUNDS):
-        rows, _ = row_means(vectors, weights, labels, len(groups))
-        labels = _relabelled(vectors, weights, labels, rows.astype(np.float32), groups)
-    rows, total = row_means(vectors, weights, labels, len(groups))
+        rows, _ = row_means(vectors, weights, labels, number)
+        labels = nearest_rows(vectors, weights, labels, rows.astype(np.float32), _NEAREST)
+    rows, total = row_means(vectors, weights, labels, number)
     used = np.flatnonzero(total > 0) if count else np.zeros(1, np.int64)
     row_steps = np.maximum(total[used], 1e-300)[:, None] ** -0.5 * ratios
     values = rows[used] * ratios
-    table = make_table(values.ravel(), row_steps.ravel())
-    table[np.argmin(np.abs(table))] = 0.0
-    levels = np.zeros((len(groups), depth), np.uint8)
+    table = _make_table(values.ravel(), row_steps.ravel())
+    levels = np.zeros((number, depth), np.uint8)
     by_channel = choose_colours(values.reshape(len(used), 3, -1), row_steps[:, : depth // 3], table)
     levels[used] = by_channel.reshape(-1, depth)
-    labels = _relabelled(vectors, weights, labels, table[levels] / ratios, groups)
+    labels = nearest_rows(vectors, weights, labels, table[levels] / ratios, _NEAREST)
     return _by_use(table, levels, labels)
 
 
@@ -92,32 +79,11 @@ def _ratios(steps: NDArray[np.floating], coefficients: int) -> NDArray[np.float3
     return np.tile(np.array(by_band, np.float32), 3)
 
 
-def _relabelled(
-    vectors: NDArray[np.float32],
-    weights: NDArray[np.float64],
-    labels: NDArray[np.int32],
-    rows: NDArray[np.float32],
-    groups: NDArray[np.int64],
-) -> NDArray[np.int32]:
-    """The best row of each vector, among those of its row's group and the most used."""
-    counts = np.bincount(labels, minlength=len(rows))
-    bits = label_bits(counts)
-    common = np.argsort(-counts, kind="stable")[:_COMMON]
-    of_vectors = groups[labels]
-    found = np.empty_like(labels)
-    jobs = []
-    for group in np.unique(of_vectors):
-        known = np.union1d(np.flatnonzero((groups == group) & (counts > 0)), common)
-        members = np.flatnonzero(of_vectors == group)
-        jobs += [(known, members[at : at + _CHUNK]) for at in range(0, len(members), _CHUNK)]
-
-    def run(job: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
-        known, members = job
-        nearest = nearest_rows(vectors, weights, members, rows[known], bits[known])
-        found[members] = known[nearest]
-
-    run_all(run, jobs)
-    return found
+def _make_table(values: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float32]:
+    """A table made from magnitudes, whose least value becomes 0."""
+    upper = make_table(np.abs(values), steps, 128)
+    upper[0] = 0.0
+    return np.concatenate([-upper[:0:-1], upper])
 
 
 def _by_use(

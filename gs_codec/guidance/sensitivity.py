@@ -34,11 +34,9 @@ from gs_codec.rendering.tiles_float32 import (
     BEHIND,
     LEAST_LEFT,
     MOST_ALPHA,
-    PIXELS,
     draw_tile,
     open_tile,
     put_tile,
-    total_of,
     turn_back,
     uncover,
     walk_back,
@@ -46,6 +44,7 @@ from gs_codec.rendering.tiles_float32 import (
 from gs_codec.rendering.tiles_float64 import tile_bounds
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import repeated, total, where
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
 
@@ -61,47 +60,50 @@ _ZERO = np.float32(0)
 def sum_moments(fields, splats, starts, columns, background, colour, sums):
     """Draw all tiles of a view into an image ``(H, W, 3)``, and add them to ``sums (V, 10)``."""
     height, width, _ = colour.shape
-    light, ends = np.empty(BEHIND, np.float32), np.empty(PIXELS, np.int32)
-    by_column = np.empty((SQUARED_WEIGHT + 1) * TILE, np.float32)
+    light, drawn = np.empty(BEHIND, np.float32), np.empty((len(splats), TILE), np.uint16)
+    zero = repeated(_ZERO)
+    none = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
     for tile in range(len(starts) - 1):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        open_tile(x0, x1, y0, y1, light, ends)
+        open_tile(x0, x1, y0, y1, light)
         start, stop = starts[tile], starts[tile + 1]
-        reached = draw_tile(fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, ends)
+        reached = draw_tile(fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, drawn)
         put_tile(light, x0, x1, y0, y1, background, colour)
         turn_back(background, light)
         walk_back(
-            _take_moments, _total_moments, fields, splats, start, reached, x0, y0, height, light,
-            ends, by_column, sums,
+            _take_moments, _total_moments, none, fields, splats, start, reached, x0, y0, height,
+            light, drawn, sums,
         )  # fmt: skip
 
 
 @inlined
-def _take_moments(row, x, alpha, red, green, blue, place, columns):
+def _take_moments(light, at, alpha, red, green, blue, place, sums):
     e, f, ff, _ = place
-    weight, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
+    weight, by_red, by_green, by_blue = uncover(light, at, alpha, red, green, blue)
     g = by_red * by_red + by_green * by_green + by_blue * by_blue
     # An alpha at its limit does not change.
-    g = g if alpha < MOST_ALPHA else _ZERO
+    g = where(alpha < MOST_ALPHA, g, repeated(_ZERO))
     ge, gf = g * e, g * f
     gee, gef, gff = ge * e, ge * f, gf * f
-    columns[x] += g
-    columns[x + G_EE * TILE] += gee
-    columns[x + G_EF * TILE] += gef
-    columns[x + G_FF * TILE] += gff
-    columns[x + G_EEEE * TILE] += gee * e * e
-    columns[x + G_EEEF * TILE] += gee * e * f
-    columns[x + G_EEFF * TILE] += gee * ff
-    columns[x + G_EFFF * TILE] += gef * ff
-    columns[x + G_FFFF * TILE] += gff * ff
-    columns[x + SQUARED_WEIGHT * TILE] += weight * weight
+    return (
+        sums[G] + g,
+        sums[G_EE] + gee,
+        sums[G_EF] + gef,
+        sums[G_FF] + gff,
+        sums[G_EEEE] + gee * e * e,
+        sums[G_EEEF] + gee * e * f,
+        sums[G_EEFF] + gee * ff,
+        sums[G_EFFF] + gef * ff,
+        sums[G_FFFF] + gff * ff,
+        sums[SQUARED_WEIGHT] + weight * weight,
+    )
 
 
 @inlined
-def _total_moments(pair, splat, u, columns, sums):
-    total = sums[splat]
+def _total_moments(pair, splat, u, sums, results):
+    row = results[splat]
     for k in range(SQUARED_WEIGHT + 1):
-        total[k] += total_of(columns, k)
+        row[k] += np.float64(total(sums[k]))
 
 
 @inlined

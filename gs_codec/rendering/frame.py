@@ -88,7 +88,7 @@ class Frame(NamedTuple):
         tiles = self.columns * self.rows
         state = (
             np.empty((tiles, TILE * TILE), np.float32),
-            np.empty((tiles, TILE * TILE), np.int32),
+            np.empty((self.pairs, TILE), np.uint16),
             np.empty(tiles, np.int64),
         )
         colour = np.empty((self.camera.height, self.camera.width, 3), np.float32)

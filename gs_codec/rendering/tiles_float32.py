@@ -1,8 +1,7 @@
 """Tiles rendered in float32, a row of 16 pixels at a time: for optimisation, not for measuring.
 
-Measurements use `tiles_float64`; this is several times faster. Pixels do not depend on one another,
-and sums are kept by column until a splat is done, so the results do not depend on the vector width
-of the processor.
+Measurements use `tiles_float64`; this is several times faster. Rows are processed as `simd` lanes,
+and sums are kept by column until a splat is done, so the results do not depend on the processor.
 """
 
 from __future__ import annotations
@@ -27,6 +26,17 @@ from gs_codec.rendering.project import (
 )
 from gs_codec.rendering.tiles_float64 import MAX_ALPHA, MIN_TRANSMITTANCE, tile_bounds, whole
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import (
+    bits_of,
+    columns,
+    load,
+    mask_of,
+    repeated,
+    store,
+    total,
+    where,
+    wide,
+)
 
 #: Columns of the sums over a splat's pixels: the derivative by its colour, then moments of s =
 #: alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's centre to
@@ -42,16 +52,11 @@ LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
 #: The same for leave-one-out errors: removing an opaque splat reveals what it hid.
 _LEAST_HIDDEN = np.float32(1e-6)
 
-#: Planes of a tile, consecutive in one array, so that the compiler knows that they do not overlap:
-#: transmittance (negative if a pixel is done); red, green and blue, or derivatives by them; and the
-#: light behind the splats not yet processed backwards, times these derivatives.
+#: Planes of a tile, one after another in an array: transmittance (negative if a pixel is done);
+#: red, green and blue, or derivatives by them; and the light behind the splats not yet processed
+#: backwards, times these derivatives.
 PIXELS = TILE * TILE
 RED_PLANE, GREEN_PLANE, BLUE_PLANE, BEHIND, _PLANES = (k * PIXELS for k in range(1, 6))
-
-#: Sums by column of the tile: by red, green, blue; s, s dy, s dy^2.
-_BY_COLUMN = 6 * TILE
-
-_NEVER = np.int32(2**31 - 1)
 
 #: Coefficients of exp(-x) for 0 <= x < 0.7, after the constant 1.
 _SERIES = tuple(
@@ -68,27 +73,16 @@ def _exp_minus_half(q):
     x = _SIXTEENTH * q
     c1, c2, c3, c4, c5, c6 = _SERIES
     root = _ONE + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * (c5 + x * c6)))))
-    root *= root
-    root *= root
+    root = root * root
+    root = root * root
     return root * root
 
 
 @inlined
-def alpha_at(x, slope, offset, across, reach, opacity):
-    """Alpha of a splat in column `x` of a row, and whether the splat is drawn there."""
-    along = slope * np.float32(x) + offset
-    q = along * along + across
-    alpha = min(MOST_ALPHA, opacity * _exp_minus_half(min(q, reach)))
-    return alpha, (q <= reach) & (alpha >= _LEAST_ALPHA)
-
-
-@inlined
-def splat_of(field):
-    """Values common to all rows: slope of the offset, largest q, opacity, and colour."""
-    return (
-        np.float32(field[FACTOR_XX]), np.float32(field[REACH]), np.float32(field[OPACITY]),
-        np.float32(field[RED]), np.float32(field[GREEN]), np.float32(field[BLUE]),
-    )  # fmt: skip
+def _alpha_of(q, opacity):
+    """Alpha of a splat at distances q."""
+    alpha = opacity * _exp_minus_half(q)
+    return where(alpha < MOST_ALPHA, alpha, repeated(MOST_ALPHA))
 
 
 @inlined
@@ -101,75 +95,100 @@ def place_in_tile(field, x0, y0, height):
 
 
 @inlined
-def row_of(field, u, v, y):
-    """Values of a row for `alpha_at`: offset, q across; from float64, to avoid cancellation."""
-    dy = y - v
-    across = (field[FACTOR_YY] * dy) ** 2
-    return np.float32(field[FACTOR_XY] * dy - field[FACTOR_XX] * u), np.float32(across)
+def splat_of(field):
+    """Factors of the conic, largest q, and opacity of a splat."""
+    factors = field[FACTOR_XX], field[FACTOR_XY], field[FACTOR_YY]
+    return factors, np.float32(field[REACH]), np.float32(field[OPACITY])
 
 
 @inlined
-def cover(row, x, alpha, drawn, least):
-    """Composite a splat onto pixel `x`; return its weight, and whether the pixel was done before.
+def colour_of(field):
+    """Red, green and blue of a splat."""
+    return np.float32(field[RED]), np.float32(field[GREEN]), np.float32(field[BLUE])
 
-    A pixel is done before its transmittance would fall below `least`.
+
+@inlined
+def _row_of(splat, u, v, y):
+    """Offsets a and b of a row from the centre, and b squared; q is a squared + b squared."""
+    (fxx, fxy, fyy), _, _ = splat
+    # In float64, to avoid cancellation.
+    down = fyy * (y - v)
+    offset = np.float32(fxy * (y - v) - fxx * u)
+    return np.float32(fxx) * columns() + offset, np.float32(down), np.float32(down**2)
+
+
+@inlined
+def cover(splat, u, v, y, left, least):
+    """Composite a splat onto a row of transmittances `left`, negative where a pixel is done.
+
+    Returns the weights of the splat, where it is drawn, and the transmittances after it. A pixel is
+    done before its transmittance would fall below `least`.
     """
-    left = row[x]
-    after = left * (_ONE - alpha)
-    drawn &= left > _ZERO
-    last = drawn & (after < least)
-    drawn &= after >= least
-    row[x] = -left if last else (after if drawn else left)
-    return alpha * left if drawn else _ZERO, last
+    _, reach, opacity = splat
+    along, _, across = _row_of(splat, u, v, y)
+    q, weight = along * along + across, repeated(_ZERO)
+    drawn = (q <= reach) & (left > _ZERO)
+    if bits_of(drawn) != 0:
+        alpha = _alpha_of(q, opacity)
+        drawn = drawn & (alpha >= _LEAST_ALPHA)
+        after = left * (_ONE - alpha)
+        last, drawn = drawn & (after < least), drawn & (after >= least)
+        weight = where(drawn, alpha * left, weight)
+        left = where(last, -_ONE * left, where(drawn, after, left))
+    return weight, drawn, left
 
 
 @inlined
-def lift(row, x, alpha):
-    """Remove a splat from pixel `x`; return its weight, and its ratio to the light it hides."""
+def lift(light, at, alpha):
+    """Remove a splat from a row; return its weight, and its ratio to the light it hides."""
     over = _ONE / (_ONE - alpha)
-    row[x] *= over
-    return alpha * row[x], alpha * over
+    left = load(light, at) * over
+    store(light, at, left)
+    return alpha * left, alpha * over
 
 
 @inlined
-def uncover(row, x, alpha, red, green, blue):
-    """Remove a splat from pixel `x`, and add it to the light behind the next.
+def uncover(light, at, alpha, red, green, blue):
+    """Remove a splat from a row, and add it to the light behind the next.
 
-    Returns its weight, and the change of red, green and blue of the pixel without it.
+    Returns its weight, and the change of red, green and blue of the pixels without it.
     """
-    weight, uncovered = lift(row, x, alpha)
-    by_red = row[x + RED_PLANE] * uncovered - weight * red
-    by_green = row[x + GREEN_PLANE] * uncovered - weight * green
-    by_blue = row[x + BLUE_PLANE] * uncovered - weight * blue
-    row[x + RED_PLANE] += weight * red
-    row[x + GREEN_PLANE] += weight * green
-    row[x + BLUE_PLANE] += weight * blue
-    return weight, by_red, by_green, by_blue
+    weight, uncovered = lift(light, at, alpha)
+    old_red, old_green = load(light, at + RED_PLANE), load(light, at + GREEN_PLANE)
+    old_blue = load(light, at + BLUE_PLANE)
+    own_red, own_green, own_blue = weight * red, weight * green, weight * blue
+    store(light, at + RED_PLANE, old_red + own_red)
+    store(light, at + GREEN_PLANE, old_green + own_green)
+    store(light, at + BLUE_PLANE, old_blue + own_blue)
+    return (
+        weight,
+        old_red * uncovered - own_red,
+        old_green * uncovered - own_green,
+        old_blue * uncovered - own_blue,
+    )
 
 
 @kernel
-def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
+def draw_tile(fields, splats, start, end, x0, y0, height, least, light, drawn):
     """Render a tile front to back; return the end of the pairs that its pixels need.
 
-    A pixel is done before its transmittance falls below `least`; ``ends (256,)`` receives the
-    number of the pair at which each pixel is done.
+    A pixel is done before its transmittance falls below `least`; ``drawn (pairs, 16)`` receives
+    the pixels that each pair draws, as bits of each of its rows.
     """
     still_open = 0
     for pair in range(start, end):
-        field, number = fields[splats[pair]], np.int32(pair - start)
-        slope, reach, opacity, red, green, blue = splat_of(field)
+        field = fields[splats[pair]]
+        splat, (red, green, blue) = splat_of(field), colour_of(field)
         top, bottom, u, v = place_in_tile(field, x0, y0, height)
         for y in range(top, bottom):
-            offset, across = row_of(field, u, v, y)
-            row = light[y * TILE : y * TILE + BEHIND]
-            done = ends[y * TILE : y * TILE + TILE]
-            for x in range(TILE):
-                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                weight, last = cover(row, x, alpha, drawn, least)
-                row[x + RED_PLANE] += weight * red
-                row[x + GREEN_PLANE] += weight * green
-                row[x + BLUE_PLANE] += weight * blue
-                done[x] = number if last else done[x]
+            at = y * TILE
+            weight, seen, left = cover(splat, u, v, y, load(light, at), least)
+            store(light, at, left)
+            drawn[pair, y] = bits_of(seen)
+            if bits_of(seen) != 0:
+                store(light, at + RED_PLANE, load(light, at + RED_PLANE) + weight * red)
+                store(light, at + GREEN_PLANE, load(light, at + GREEN_PLANE) + weight * green)
+                store(light, at + BLUE_PLANE, load(light, at + BLUE_PLANE) + weight * blue)
         while still_open < PIXELS and light[still_open] <= _ZERO:
             still_open += 1
         if still_open == PIXELS:
@@ -178,111 +197,95 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
 
 
 @inlined
-def walk_back(take, total, fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
+def walk_back(
+    take, add_up, none, fields, splats, start, end, x0, y0, height, light, drawn, results
+):
     """Go over the splats of a tile, back to front.
 
-    For each pixel, ``take(row, x, alpha, red, green, blue, place, columns)`` removes a splat and
-    adds to the sums by column; `alpha` is 0 where the splat is not drawn. `place` is the offset
-    from its centre: a, b, b squared, and rows, with q = a squared + b squared. ``total(pair, splat,
-    u, columns, sums)`` sums the columns.
+    For each row, ``take(light, at, alpha, red, green, blue, place, sums)`` removes a splat, and
+    returns the sums by column with the row added, `none` at first; `alpha` is 0 where the splat is
+    not drawn. `place` is the offset from its centre: a, b, b squared, and rows, with q = a squared
+    + b squared. ``add_up(pair, splat, u, sums, results)`` adds up the columns.
     """
     for pair in range(end - 1, start - 1, -1):
-        splat, number = splats[pair], np.int32(pair - start)
-        field = fields[splat]
-        slope, reach, opacity, red, green, blue = splat_of(field)
+        field = fields[splats[pair]]
+        splat, (red, green, blue) = splat_of(field), colour_of(field)
         top, bottom, u, v = place_in_tile(field, x0, y0, height)
-        columns[:] = _ZERO
+        sums = none
         for y in range(top, bottom):
-            offset, across = row_of(field, u, v, y)
-            down, dy = np.float32(field[FACTOR_YY] * (y - v)), np.float32(y - v)
-            row = light[y * TILE : y * TILE + BEHIND + TILE]
-            done = ends[y * TILE : y * TILE + TILE]
-            for x in range(TILE):
-                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                alpha = alpha if drawn & (done[x] > number) else _ZERO
-                place = slope * np.float32(x) + offset, down, across, dy
-                take(row, x, alpha, red, green, blue, place, columns)
-        total(pair, splat, u, columns, sums)
+            seen = np.int64(drawn[pair, y])
+            if seen == 0:
+                continue
+            along, down, across = _row_of(splat, u, v, y)
+            alpha = _alpha_of(along * along + across, splat[2])
+            alpha = where(mask_of(seen), alpha, repeated(_ZERO))
+            place = along, down, across, np.float32(y - v)
+            sums = take(light, y * TILE, alpha, red, green, blue, place, sums)
+        add_up(pair, splats[pair], u, sums, results)
 
 
 @inlined
-def _take_gradient(row, x, alpha, red, green, blue, place, columns):
-    _, _, _, dy = place
-    weight, uncovered = lift(row, x, alpha)
-    own = weight * (
-        row[x + RED_PLANE] * red + row[x + GREEN_PLANE] * green + row[x + BLUE_PLANE] * blue
-    )
-    behind = row[x + BEHIND]
-    change = own - behind * uncovered
+def _take_gradient(light, at, alpha, red, green, blue, place, sums):
+    weight, uncovered = lift(light, at, alpha)
+    by_red, by_green = load(light, at + RED_PLANE), load(light, at + GREEN_PLANE)
+    by_blue = load(light, at + BLUE_PLANE)
+    own = weight * (by_red * red + by_green * green + by_blue * blue)
+    behind = load(light, at + BEHIND)
     # An alpha at its limit does not change.
-    change = change if alpha < MOST_ALPHA else _ZERO
-    row[x + BEHIND] = behind + own
-    columns[x] += weight * row[x + RED_PLANE]
-    columns[x + TILE] += weight * row[x + GREEN_PLANE]
-    columns[x + 2 * TILE] += weight * row[x + BLUE_PLANE]
-    columns[x + 3 * TILE] += change
-    columns[x + 4 * TILE] += change * dy
-    columns[x + 5 * TILE] += change * dy * dy
+    change = where(alpha < MOST_ALPHA, own - behind * uncovered, repeated(_ZERO))
+    store(light, at + BEHIND, behind + own)
+    dy = place[3]
+    return (
+        sums[0] + weight * by_red,
+        sums[1] + weight * by_green,
+        sums[2] + weight * by_blue,
+        sums[3] + change,
+        sums[4] + change * dy,
+        sums[5] + change * dy * dy,
+    )
 
 
 @inlined
-def _total_gradient(pair, splat, u, columns, sums):
-    total = sums[pair]
-    total[:] = 0.0
-    for x in range(TILE):
-        dx = x - u
-        total[BY_RED] += columns[x]
-        total[BY_GREEN] += columns[x + TILE]
-        total[BY_BLUE] += columns[x + 2 * TILE]
-        moment, moment_y = np.float64(columns[x + 3 * TILE]), np.float64(columns[x + 4 * TILE])
-        total[MOMENT] += moment
-        total[MOMENT_X] += moment * dx
-        total[MOMENT_Y] += moment_y
-        total[MOMENT_XX] += moment * dx * dx
-        total[MOMENT_XY] += moment_y * dx
-        total[MOMENT_YY] += columns[x + 5 * TILE]
+def _total_gradient(pair, splat, u, sums, results):
+    row, dx = results[pair], wide(columns()) - u
+    by_moment, by_moment_y = wide(sums[3]) * dx, wide(sums[4]) * dx
+    row[BY_RED] = total(wide(sums[0]))
+    row[BY_GREEN] = total(wide(sums[1]))
+    row[BY_BLUE] = total(wide(sums[2]))
+    row[MOMENT] = total(wide(sums[3]))
+    row[MOMENT_X] = total(by_moment)
+    row[MOMENT_Y] = total(wide(sums[4]))
+    row[MOMENT_XX] = total(by_moment * dx)
+    row[MOMENT_XY] = total(by_moment_y)
+    row[MOMENT_YY] = total(wide(sums[5]))
 
 
 @inlined
-def total_of(columns, number):
-    """Total of a sum by column, added in the same order everywhere."""
-    a = b = c = d = _ZERO
-    for x in range(number * TILE, (number + 1) * TILE, 4):
-        a += columns[x]
-        b += columns[x + 1]
-        c += columns[x + 2]
-        d += columns[x + 3]
-    return np.float64((a + b) + (c + d))
-
-
-@inlined
-def open_tile(x0, x1, y0, y1, light, ends):
+def open_tile(x0, x1, y0, y1, light):
     """Prepare the planes of a tile for `draw_tile`; pixels outside the image count as done."""
     light[:] = _ZERO
-    ends[:] = np.int32(-1)
     for y in range(y1 - y0):
         light[y * TILE : y * TILE + x1 - x0] = _ONE
-        ends[y * TILE : y * TILE + x1 - x0] = _NEVER
 
 
 @kernel
 def draw_float32(
-    fields, splats, starts, first, end, columns, background, colour, left, ends, reached
+    fields, splats, starts, first, end, columns, background, colour, left, drawn, reached
 ):
     """Render tiles `first` to `end` into an image ``(H, W, 3)``, float32.
 
-    ``left (tiles, 256)`` and ``ends (tiles, 256)`` receive the transmittance behind all splats, and
-    the number of the pair at which a pixel is done; ``reached (tiles,)`` the end of the pairs that
+    ``left (tiles, 256)`` receives the transmittance behind all splats; ``drawn (pairs, 16)`` the
+    pixels that each pair draws, as in `draw_tile`; ``reached (tiles,)`` the end of the pairs that
     were drawn.
     """
     height, width, _ = colour.shape
     light = np.empty(_PLANES, np.float32)
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        open_tile(x0, x1, y0, y1, light, ends[tile])
+        open_tile(x0, x1, y0, y1, light)
         start, stop = starts[tile], starts[tile + 1]
         reached[tile] = draw_tile(
-            fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, ends[tile]
+            fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, drawn
         )
         for pixel in range(PIXELS):
             left[tile, pixel] = abs(light[pixel])
@@ -302,7 +305,7 @@ def put_tile(light, x0, x1, y0, y1, background, colour):
 
 @kernel
 def sum_gradients(
-    fields, splats, starts, first, end, columns, background, by_colour, left, ends, reached, sums
+    fields, splats, starts, first, end, columns, background, by_colour, left, drawn, reached, sums
 ):  # fmt: skip
     """Fill ``sums (pairs, 9)`` for tiles `first` to `end`, from the results of `draw_float32`.
 
@@ -310,7 +313,8 @@ def sum_gradients(
     """
     height, width, _ = by_colour.shape
     light = np.empty(_PLANES, np.float32)
-    by_column = np.empty(_BY_COLUMN, np.float32)
+    zero = repeated(_ZERO)
+    none = zero, zero, zero, zero, zero, zero
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
         light[:] = _ZERO
@@ -328,8 +332,8 @@ def sum_gradients(
         start, stop = starts[tile], reached[tile]
         sums[stop : starts[tile + 1]] = 0.0
         walk_back(
-            _take_gradient, _total_gradient, fields, splats, start, stop, x0, y0, height, light,
-            ends[tile], by_column, sums,
+            _take_gradient, _total_gradient, none, fields, splats, start, stop, x0, y0, height,
+            light, drawn, sums,
         )  # fmt: skip
 
 
@@ -338,18 +342,19 @@ def sum_errors_without(
     fields, splats, starts, first, end, columns, width, height, background, errors
 ):
     """Squared error of tiles `first` to `end` without each single splat: ``errors (pairs, 1)``."""
-    light, ends = np.empty(BEHIND, np.float32), np.empty(PIXELS, np.int32)
-    by_column = np.empty(TILE, np.float32)
+    light, drawn = np.empty(BEHIND, np.float32), np.empty((len(splats), TILE), np.uint16)
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        open_tile(x0, x1, y0, y1, light, ends)
+        open_tile(x0, x1, y0, y1, light)
         start, stop = starts[tile], starts[tile + 1]
-        reached = draw_tile(fields, splats, start, stop, x0, y0, height, _LEAST_HIDDEN, light, ends)
+        reached = draw_tile(
+            fields, splats, start, stop, x0, y0, height, _LEAST_HIDDEN, light, drawn
+        )
         turn_back(background, light)
         errors[reached:stop] = 0.0
         walk_back(
-            _take_error, _total_error, fields, splats, start, reached, x0, y0, height, light, ends,
-            by_column, errors,
+            _take_error, _total_error, repeated(_ZERO), fields, splats, start, reached, x0, y0,
+            height, light, drawn, errors,
         )  # fmt: skip
 
 
@@ -364,11 +369,11 @@ def turn_back(background, light):
 
 
 @inlined
-def _take_error(row, x, alpha, red, green, blue, place, columns):
-    _, by_red, by_green, by_blue = uncover(row, x, alpha, red, green, blue)
-    columns[x] += by_red * by_red + by_green * by_green + by_blue * by_blue
+def _take_error(light, at, alpha, red, green, blue, place, sums):
+    _, by_red, by_green, by_blue = uncover(light, at, alpha, red, green, blue)
+    return sums + (by_red * by_red + by_green * by_green + by_blue * by_blue)
 
 
 @inlined
-def _total_error(pair, splat, u, columns, errors):
-    errors[pair, 0] = total_of(columns, 0)
+def _total_error(pair, splat, u, sums, errors):
+    errors[pair, 0] = np.float64(total(sums))

@@ -13,15 +13,24 @@ from gs_codec.rendering.project import TILE
 from gs_codec.rendering.tiles_float32 import (
     LEAST_LEFT,
     PIXELS,
-    alpha_at,
     cover,
     place_in_tile,
-    row_of,
     splat_of,
-    total_of,
 )
 from gs_codec.rendering.tiles_float64 import tile_bounds
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import (
+    between,
+    cut_off,
+    first_of,
+    largest,
+    last_of,
+    load,
+    repeated,
+    store,
+    total,
+    where,
+)
 from gs_codec.scene import Scene
 
 #: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
@@ -32,7 +41,7 @@ SQUARED = 3
 _UNITS = 65535.0
 
 #: Largest weight of 8 bits.
-_LEVELS = np.int32(255)
+_LEVELS = np.float32(255)
 
 #: The same values, typed for the kernels.
 _UNIT = np.float32(1 / _UNITS)
@@ -40,7 +49,6 @@ _MOST = np.float32(_UNITS)
 _HALF = np.float32(0.5)
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
-_WIDTH = np.int32(TILE)
 
 #: A row is faint if all its weights are below this, in units.
 _FAINT = np.int32(_UNITS / 512)
@@ -48,20 +56,10 @@ _FAINT = np.int32(_UNITS / 512)
 #: First bit of a row's scale: 0 is faint; from 1 up, the weights are in 1, 2, 4, ... units.
 _SCALE = 12
 
-#: Offsets of the planes of a tile, after red. Unsigned, because numba tests whether signed indices
-#: are negative.
-_GREEN = np.uint64(PIXELS)
-_BLUE = np.uint64(2 * PIXELS)
-
-#: Offsets of the column sums, after red.
-_BY_GREEN = np.uint64(TILE)
-_BY_BLUE = np.uint64(2 * TILE)
-_BY_SQUARE = np.uint64(3 * TILE)
-
-#: Initial length of the row buffer; one splat in a tile needs 16.
+#: Initial length of the row buffer; a splat in a tile needs up to 16.
 _FIRST_ROWS = 1 << 14
 
-#: Initial length of the weight buffer; one splat in a tile needs 272.
+#: Initial length of the weight buffer; a splat in a tile needs up to 256.
 _FIRST_WEIGHTS = 1 << 16
 
 
@@ -182,81 +180,104 @@ def trace_view(
 @kernel
 def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends, rows, weights):
     """Fill the outputs; return `rows` and `weights`, enlarged if needed, and the end of weights."""
-    light, row_weights = np.empty(PIXELS, np.float32), np.zeros(2 * TILE, np.int32)
+    light, levels_of = np.empty(PIXELS, np.float32), np.empty(_FIRST_WEIGHTS, np.uint8)
     # What rounding has taken from the weights of a pixel so far.
-    owed = np.empty(PIXELS, np.int32)
-    used, used_rows = TILE, 0
+    owed = np.empty(PIXELS, np.float32)
+    used, end_row = np.int64(TILE), np.int64(0)
     for tile in range(len(tiles)):
         x0, x1, y0, y1 = tile_bounds(tiles[tile], columns, width, height)
         light[:] = _ZERO
-        owed[:] = 0
+        owed[:] = _ZERO
         for y in range(y1 - y0):
             light[y * TILE : y * TILE + x1 - x0] = _ONE
-        still_open = 0
-        for pair in range(starts[tile], starts[tile + 1]):
-            if used_rows + TILE > len(rows):
-                rows = np.concatenate((rows, np.empty_like(rows)))
-            if used + PIXELS + TILE > len(weights):
-                weights = np.concatenate((weights, np.empty_like(weights)))
-            while still_open < PIXELS and light[still_open] <= _ZERO:
-                still_open += 1
-            if still_open < PIXELS:
-                field = fields[splats[pair]]
-                slope, reach, opacity, _, _, _ = splat_of(field)
-                top, bottom, u, v = place_in_tile(field, x0, y0, height)
-                for y in range(top, bottom):
-                    offset, across = row_of(field, u, v, y)
-                    row = light[y * TILE : y * TILE + TILE]
-                    first_column, last_column, largest = _WIDTH, np.int32(-1), np.int32(0)
-                    for x in range(TILE):
-                        alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
-                        weight, _ = cover(row, x, alpha, drawn, LEAST_LEFT)
-                        units, column = np.int32(weight * _MOST + _HALF), np.int32(x)
-                        row_weights[x] = units
-                        first_column = min(first_column, column if units > 0 else _WIDTH)
-                        last_column = max(last_column, column if units > 0 else np.int32(-1))
-                        largest = max(largest, units)
-                    if last_column >= 0:
-                        scale = _scale_of(largest)
-                        rows[used_rows] = y | first_column << 4 | last_column << 8 | scale << _SCALE
-                        used_rows += 1
-                        _round_row(row_weights, owed[y * TILE : y * TILE + TILE], scale)
-                        at, begin = np.uint64(used), np.uint64(first_column)
-                        for x in range(TILE):
-                            weights[at + np.uint64(x)] = row_weights[begin + np.uint64(x)]
-                        used += last_column - first_column + 1
-            ends[pair] = used_rows
+        pairs, first_row = (starts[tile], starts[tile + 1]), end_row
+        most = TILE * (pairs[1] - pairs[0])
+        rows = _enlarged(rows, first_row + most)
+        levels_of = _enlarged(levels_of, TILE * (most + 1))
+        end_row = _trace_tile(
+            fields, splats, *pairs, x0, y0, height, light, owed, ends, rows, first_row, levels_of
+        )
+        weights = _enlarged(weights, used + TILE * (end_row - first_row + 1))
+        used = _pack_weights(rows, first_row, end_row, levels_of, weights, used)
         for pixel in range(PIXELS):
             left_of[tile, pixel] = abs(light[pixel])
     return rows, weights, used
 
 
+@kernel
+def _enlarged(array, least):
+    """An array of at least some length, with its values."""
+    while len(array) < least:
+        array = np.concatenate((array, np.empty_like(array)))
+    return array
+
+
+@kernel
+def _trace_tile(
+    fields, splats, start, end, x0, y0, height, light, owed, ends, rows, end_row, levels_of
+):
+    """Fill the rows of a tile, and their weights in all columns; return the end of the rows."""
+    first_row, still_open = end_row, 0
+    for pair in range(start, end):
+        field = fields[splats[pair]]
+        splat = splat_of(field)
+        top, bottom, u, v = place_in_tile(field, x0, y0, height)
+        for y in range(top, bottom):
+            weight, _, left = cover(splat, u, v, y, load(light, y * TILE), LEAST_LEFT)
+            store(light, y * TILE, left)
+            units = cut_off(weight * _MOST + _HALF)
+            first, last = first_of(units > _ZERO), last_of(units > _ZERO)
+            if first <= last:
+                scale = _scale_of(np.int32(largest(units)))
+                rows[end_row] = y | first << 4 | last << 8 | scale << _SCALE
+                levels, left = _round_row(units, load(owed, y * TILE), scale)
+                store(owed, y * TILE, left)
+                store(levels_of, (end_row - first_row) * TILE, levels)
+                end_row += 1
+        ends[pair] = end_row
+        while still_open < PIXELS and light[still_open] <= _ZERO:
+            still_open += 1
+        if still_open == PIXELS:
+            for hidden in range(pair + 1, end):
+                ends[hidden] = end_row
+            break
+    return end_row
+
+
 @inlined
-def _scale_of(largest):
+def _scale_of(most):
     """Scale of a row by its largest weight, in units."""
-    if largest < _FAINT:
+    if most < _FAINT:
         return 0
     scale = 1
-    while (largest + ((1 << scale) >> 2)) >> (scale - 1) > _LEVELS:
+    while (most + ((1 << scale) >> 2)) >> (scale - 1) > _LEVELS:
         scale += 1
     return scale
 
 
 @inlined
-def _round_row(weights, owed, scale):
-    """Round a row's weights, from units to units of its scale.
+def _round_row(units, owed, scale):
+    """Round a row's weights, from units to units of its scale; also return what is owed then.
 
     A pixel's error goes to its next weights, at most half a step to each, so that their sum stays.
     """
-    shift = max(scale - 1, 0)
-    half = np.int32(1 << shift >> 1)
-    for x in range(TILE):
-        weight = weights[x]
-        wanted = weight + min(max(owed[x], -half), half)
-        level = min(max(wanted + half, np.int32(0)) >> shift, _LEVELS)
-        level = level if weight > 0 else np.int32(0)
-        owed[x] += weight - (level << shift)
-        weights[x] = level
+    step = np.int64(1) << max(scale - 1, 0)
+    half = np.float32(step >> 1)
+    wanted = units + where(owed < half, where(owed > -half, owed, repeated(-half)), repeated(half))
+    levels = cut_off(where(wanted > -half, wanted + half, repeated(_ZERO)) * np.float32(1 / step))
+    levels = where(levels < _LEVELS, levels, repeated(_LEVELS))
+    levels = where(units > _ZERO, levels, repeated(_ZERO))
+    return levels, owed + units - levels * np.float32(step)
+
+
+@kernel
+def _pack_weights(rows, first_row, end_row, levels_of, weights, used):
+    """Append the weights of rows from their first to their last column; return their end."""
+    for row in range(first_row, end_row):
+        first, last = np.int64(rows[row]) >> 4 & 15, np.int64(rows[row]) >> 8 & 15
+        store(weights, used, load(levels_of, (row - first_row) * TILE + first))
+        used += last - first + 1
+    return used
 
 
 @kernel
@@ -268,7 +289,6 @@ def _residual(
     height, width = target.shape[:2]
     # Red, green and blue, one after another.
     residual = np.zeros(3 * PIXELS, np.float32)
-    by_column = np.zeros((SQUARED + 1) * TILE, np.float32)
     error, row, start, least = 0.0, 0, TILE, 0 if faint else 1 << _SCALE
     for tile in range(len(tiles)):
         x0, x1, y0, y1 = tile_bounds(tiles[tile], columns, width, height)
@@ -279,73 +299,62 @@ def _residual(
                 for channel in range(3):
                     behind = left[tile, pixel] * background[channel]
                     residual[pixel + channel * PIXELS] = target[y, x, channel] - behind
-        own, place = slice(starts[tile], starts[tile + 1]), (row, start)
-        row, start = _subtract(
-            pairs[own], ends[own], rows, weights, least, colours, *place, residual
-        )
+        own, place = (starts[tile], starts[tile + 1]), (row, start)
+        row, start = _subtract(*own, pairs, ends, rows, weights, least, colours, *place, residual)
         for value in residual:
             error += np.float64(value) * value
         if len(sums) > 0:
-            _add_up(pairs[own], ends[own], rows, weights, least, residual, *place, by_column, sums)
+            _add_up(*own, pairs, ends, rows, weights, least, residual, *place, sums)
     return error
 
 
 @kernel
-def _subtract(pairs, ends, rows, weights, least, colours, row, start, residual):
-    """Subtract the pairs of a tile from its residual; return the start of the next tile's pairs."""
-    for pair in range(len(pairs)):
+def _subtract(first, end, pairs, ends, rows, weights, least, colours, row, start, residual):
+    """Subtract pairs `first` to `end` from the residual of their tile.
+
+    Returns the start of the rows and weights of the next tile.
+    """
+    for pair in range(first, end):
         colour = colours[pairs[pair]]
         red, green, blue = _UNIT * colour[0], _UNIT * colour[1], _UNIT * colour[2]
         while row < ends[pair]:
-            code = rows[row]
-            first, last, line, at, scale = _unpack(code, start)
-            start += last - first + 1
+            code = np.int64(rows[row])
+            weight, line, start = _weights_of(code, weights, start)
             row += 1
             if code < least:
                 continue
-            for x in range(TILE):
-                k, column = np.uint64(x), np.int32(x)
-                inside = (column >= first) & (column <= last)
-                weight = scale * np.float32(weights[at + k]) if inside else _ZERO
-                residual[line + k] -= weight * red
-                residual[line + k + _GREEN] -= weight * green
-                residual[line + k + _BLUE] -= weight * blue
+            store(residual, line, load(residual, line) - weight * red)
+            store(residual, line + PIXELS, load(residual, line + PIXELS) - weight * green)
+            store(residual, line + 2 * PIXELS, load(residual, line + 2 * PIXELS) - weight * blue)
     return row, start
 
 
 @kernel
-def _add_up(pairs, ends, rows, weights, least, residual, row, start, by_column, sums):
-    """Add the pairs of a tile to ``sums (V, 4)``."""
-    for pair in range(len(pairs)):
-        by_column[:] = _ZERO
+def _add_up(first, end, pairs, ends, rows, weights, least, residual, row, start, sums):
+    """Add pairs `first` to `end` of a tile to ``sums (V, 4)``."""
+    for pair in range(first, end):
+        red = green = blue = square = repeated(_ZERO)
         while row < ends[pair]:
-            code = rows[row]
-            first, last, line, at, scale = _unpack(code, start)
-            start += last - first + 1
+            code = np.int64(rows[row])
+            weight, line, start = _weights_of(code, weights, start)
             row += 1
             if code < least:
                 continue
-            for x in range(TILE):
-                k, column = np.uint64(x), np.int32(x)
-                inside = (column >= first) & (column <= last)
-                weight = scale * np.float32(weights[at + k]) if inside else _ZERO
-                by_column[k] += weight * residual[line + k]
-                by_column[k + _BY_GREEN] += weight * residual[line + k + _GREEN]
-                by_column[k + _BY_BLUE] += weight * residual[line + k + _BLUE]
-                by_column[k + _BY_SQUARE] += weight * weight
-        total = sums[pairs[pair]]
-        for channel in range(3):
-            total[channel] += total_of(by_column, channel) / _UNITS
-        total[SQUARED] += total_of(by_column, SQUARED) / _UNITS**2
+            red += weight * load(residual, line)
+            green += weight * load(residual, line + PIXELS)
+            blue += weight * load(residual, line + 2 * PIXELS)
+            square += weight * weight
+        sum_of = sums[pairs[pair]]
+        sum_of[0] += np.float64(total(red)) / _UNITS
+        sum_of[1] += np.float64(total(green)) / _UNITS
+        sum_of[2] += np.float64(total(blue)) / _UNITS
+        sum_of[SQUARED] += np.float64(total(square)) / _UNITS**2
 
 
-@kernel
-def _unpack(code, start):
-    """Unpack a row that starts at `start`.
-
-    Returns its first and last column, its start in a plane, the position of its column 0, and the
-    units of its weights.
-    """
-    first, last = np.int32(code >> 4 & 15), np.int32(code >> 8 & 15)
-    scale = np.float32(1 << max(np.int32(code >> _SCALE) - 1, 0))
-    return first, last, np.uint64((code & 15) * TILE), np.uint64(start - first), scale
+@inlined
+def _weights_of(code, weights, start):
+    """Weights of a row, 0 outside its columns; its start in a plane, and that of the next row."""
+    first, last = code >> 4 & 15, code >> 8 & 15
+    scale = np.float32(1 << max((code >> _SCALE) - 1, 0))
+    units = where(between(first, last), scale * load(weights, start - first), repeated(_ZERO))
+    return units, (code & 15) * TILE, start + last - first + 1

@@ -13,7 +13,8 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.balance import ADDED, Balance, profile_steps
-from gs_codec.preparation.pipeline import choose_views, prepare_scene
+from gs_codec.preparation.pipeline import prepare_scene
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.rate.allocate import step_error_for
 from gs_codec.scene import Scene
 from samples.generate import generate

@@ -37,8 +37,8 @@ from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.formats.spz.scene import pack_spz
 from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.plan import Plan, Steps
-from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.runtime.optional import is_available
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate

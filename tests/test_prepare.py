@@ -26,10 +26,11 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
 from gs_codec.plan import Steps
-from gs_codec.preparation import optimise, pipeline
-from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
+from gs_codec.preparation import optimise, view_selection
+from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prepare_report import LABELS, centres_checksum
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene
 
@@ -186,7 +187,7 @@ def test_a_third_as_many_views_between_cameras_as_photographs(
 
 @pytest.mark.parametrize(("megabytes", "number"), [(1000, 11), (6, 5), (0, 2)])
 def test_refinement_fits_as_many_views_as_memory_holds(scene, monkeypatch, megabytes, number):
-    monkeypatch.setattr(pipeline, "_TARGET_BYTES", megabytes << 20)
+    monkeypatch.setattr(view_selection, "_TARGET_BYTES", megabytes << 20)
     wide = [camera(f"{i}", 0.1 * i).resized(350, 250) for i in range(9)]
     views = choose_views(scene, Plan(Steps(refine=1), wide, views=2))
     assert len(views.targets.cameras) == number

@@ -35,8 +35,8 @@ from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.plan import Plan, Steps
-from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import draw_reference_views
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.rate import search as searching
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import RateReport, RenderedLoss

@@ -24,8 +24,8 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
 from gs_codec.plan import Plan, Steps
-from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.reference_views import photographed
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.rendering.renderer import render, write_views
 from gs_codec.views.find import find_cameras
 

@@ -19,10 +19,10 @@ from gs_codec.edit.clouds import on_clouds
 from gs_codec.errors import InvalidInput
 from gs_codec.merging.pairs import Blobs, blobs_of, cheapest, colours_of, contrast, merge_pairs
 from gs_codec.plan import Plan, Steps
-from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import GROUPS, Scene
 

@@ -118,7 +118,7 @@ class Check:
         windows = choose_windows(sample, scene.count)
         if plan is None or plan.estimates:
             return cls.of(scene, windows.checking)
-        from gs_codec.preparation.pipeline import checking_cameras
+        from gs_codec.preparation.view_selection import checking_cameras
 
         given = windows_of(checking_cameras(scene, plan))
         return replace(cls.of(scene, windows.checking, given), telling=windows.telling)

@@ -194,7 +194,7 @@ def encode_to_rate(
     if the target is unreachable; the error gives the range.
     """
     from gs_codec.plan import Plan
-    from gs_codec.preparation.pipeline import choose_views, guiding_views
+    from gs_codec.preparation.view_selection import choose_views, guiding_views
     from gs_codec.rate.allocate import meet_rate
     from gs_codec.rate.search import RateSearch, Seen
 
@@ -251,7 +251,7 @@ def _guiding_views(
     fixed = config.profile not in ADAPTIVE_PROFILES or config.scene_format.is_exact
     if plan is None or fixed or not scene.count:
         return None
-    from gs_codec.preparation.pipeline import guiding_views
+    from gs_codec.preparation.view_selection import guiding_views
 
     return guiding_views(scene, plan, references, progress)
 

@@ -11,7 +11,7 @@ from gs_codec.codecs.encode import Encoded, encode_scene
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.plan import Plan
-from gs_codec.preparation.pipeline import choose_views
+from gs_codec.preparation.view_selection import choose_views
 from gs_codec.report import EncodeReport, Progress, RateReport
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene

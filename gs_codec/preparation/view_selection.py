@@ -1,0 +1,192 @@
+"""The views of a plan: those that guide its steps, are fitted by refinement, or measure quality."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import NamedTuple
+
+from gs_codec.cameras.camera import Camera
+from gs_codec.plan import Plan, Steps
+from gs_codec.preparation.likely_views import cameras_between
+from gs_codec.preparation.reference_views import (
+    Origin,
+    ReferenceViews,
+    ViewSplit,
+    draw_reference_views,
+    draw_targets,
+    evenly,
+    photographed,
+    read_photographs,
+)
+from gs_codec.report import Progress
+from gs_codec.scene import Scene
+from gs_codec.views.estimate import guiding_cameras
+from gs_codec.views.find import find_cameras
+
+log = logging.getLogger(__name__)
+
+#: Refinement fits this many times as many views as other steps use; its time does not depend on
+#: their number.
+_TARGETS = 4
+
+#: Approximate maximum bytes of the images of these extra views.
+_TARGET_BYTES = 1 << 30
+
+#: Maximum number of views between cameras for each missing camera.
+_BETWEEN = 4
+
+#: Number of photographs for each view between cameras that refinement fits too. Such a view shows
+#: the faults of the scene itself.
+_PHOTOGRAPHS = 3
+
+#: If no cameras are marked, refinement holds out every n-th one, as 3DGS does.
+_EVERY = 8
+
+
+def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:
+    """Render or read the views that guide a plan's steps, and those that measure quality.
+
+    Raises InvalidInput if there are no cameras, none has a photograph, or a photograph is damaged.
+    """
+    known = _split(scene, plan, progress)
+    rest, test, _ = known
+    cameras = _enough(known, plan.views)
+    renders = draw_reference_views(scene, cameras, plan.background, progress)
+    renders = replace(renders, origin=known.origin)
+    photographs = targets = None
+    most = plan.views
+    if plan.steps.refine:
+        taken = max(12 * camera.width * camera.height for camera in cameras)
+        most = max(most, min(_TARGETS * most, _TARGET_BYTES // taken))
+    if plan.gt_images is not None:
+        found = evenly(photographed(rest, plan.gt_images), most)
+        photographs = read_photographs(found, plan.background)
+    if plan.steps.refine:
+        targets = _targets(scene, known, most, photographs, plan, progress)
+    if test == rest:
+        held_out = photographs or renders.first(len(rest))
+    elif plan.gt_images is not None:
+        held_out = read_photographs(photographed(test, plan.gt_images), plan.background)
+    else:
+        held_out = draw_reference_views(scene, test, plan.background, progress)
+    return ViewSplit(renders, photographs, held_out, targets)
+
+
+def _targets(
+    scene: Scene,
+    known: _Split,
+    most: int,
+    photographs: ReferenceViews | None,
+    plan: Plan,
+    progress: Progress | None,
+) -> ReferenceViews:
+    """Photographs, renders of the scene from cameras without one, and some from between cameras.
+
+    With few photographs, a scene would overfit to them; on bonsai, renders from the other cameras
+    avoid a third of that loss.
+    """
+    between = None if photographs is None else len(photographs.cameras) // _PHOTOGRAPHS
+    cameras = _enough(known, most, between)
+    if photographs is None:
+        return draw_targets(scene, cameras, plan.background, plan.device, progress)
+    taken = {camera.name: camera for camera in photographs.cameras}
+    scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
+    others = [
+        c.resized(max(1, round(scale * c.width)), max(1, round(scale * c.height)))
+        for c in cameras
+        if c.name not in taken
+    ]
+    renders = draw_targets(scene, others, plan.background, plan.device, progress)
+    return replace(
+        photographs,
+        cameras=photographs.cameras + renders.cameras,
+        images=photographs.images + renders.images,
+    )
+
+
+def guiding_views(
+    scene: Scene,
+    plan: Plan,
+    references: ReferenceViews | None = None,
+    progress: Progress | None = None,
+) -> ReferenceViews | None:
+    """The reference views of a plan that guide the encoder.
+
+    If the scene was optimised or not prepared, they have no images, and `guide` renders the scene
+    itself. Otherwise they are `references`, by default the renders of `choose_views`. Returns None
+    if no cameras are given and they cannot be estimated: guessed ones would mislead.
+    """
+    known = references or _split(scene, plan, progress)
+    if known.origin == "anywhere":
+        log.warning(
+            "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
+        )
+        return None
+    if isinstance(known, ReferenceViews):
+        own = plan.steps.refine or known.source is scene
+        return replace(known, images=(), source=scene) if own else known
+    cameras = tuple(_enough(known, plan.views))
+    return ReferenceViews(cameras, (), False, plan.background, scene, known.origin)
+
+
+def checking_cameras(scene: Scene, plan: Plan) -> list[Camera]:
+    """Given cameras that do not guide the encoder, or views between those that do."""
+    known = _split(scene, replace(plan, steps=Steps()), None)
+    if known.test != known.rest:
+        return known.test
+    return cameras_between(known.rest) or known.rest
+
+
+def _enough(known: _Split, most: int, between: int | None = None) -> list[Camera]:
+    """At most this many given cameras; if there are fewer, views between them are added.
+
+    At most four are added for each missing one, even if cameras are few, and at most `between`.
+    """
+    cameras = known.rest
+    if known.origin != "given":
+        return cameras
+    if len(cameras) >= most:
+        return evenly(cameras, most)
+    added = _BETWEEN * (most - len(cameras))
+    if between is not None:
+        added = min(added, between)
+    return [*cameras, *evenly(cameras_between(cameras), added)]
+
+
+class _Split(NamedTuple):
+    """Cameras that guide the steps, held-out cameras, and their origin."""
+
+    rest: list[Camera]
+    test: list[Camera]
+    origin: Origin
+
+
+def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
+    """Find the cameras of a plan.
+
+    If none or all are marked, the same cameras guide and measure. Refinement, which would fit the
+    views it is measured by, then holds out every 8th.
+    """
+    origin: Origin = "given"
+    if plan.estimates:
+        found = guiding_cameras(scene, plan.views, plan.width, progress)
+        cameras, origin = found.cameras, "estimated" if found.telling else "anywhere"
+    else:
+        cameras = find_cameras(plan.cameras, scene, "all", plan.width)
+    known = cameras
+    if plan.gt_images is not None:
+        known = [camera for camera, _ in photographed(cameras, plan.gt_images)]
+    test = [camera for camera in cameras if camera.split == "test"]
+    rest = [camera for camera in cameras if camera.split != "test"]
+    if rest and test:
+        return _Split(rest, test, origin)
+    if plan.steps.refine and len(cameras) > 1:
+        if origin == "given":
+            log.warning(
+                "cameras: none or all are marked 'test', so every 8th is held out from refinement"
+            )
+        test = known[::_EVERY]
+        rest = [camera for camera in cameras if all(camera is not out for out in test)]
+        return _Split(rest, test, origin)
+    return _Split(cameras, cameras, origin)

@@ -65,8 +65,8 @@ class Steps:
         Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`, this is
         the only limit.
     refine : int
-        Iterations of Adam on all attributes of the remaining Gaussians. Discarded, with a warning,
-        if held-out views get worse, unless `keep_refined`.
+        Iterations of Adam on all attributes of the remaining Gaussians. If held-out views get
+        worse, a warning says so and the result is that without `refine`, unless `keep_refined`.
     keep_refined : bool
         Keep the refined scene even if held-out views get worse, as the paper does; no effect
         without `refine`.

@@ -148,34 +148,55 @@ def _encode_edited(
         encoded = meet_by_count(
             encode_as_planned, scene, ply_bytes, config, rate, request.plan, progress
         )
-    elif request.prepares:
-        encoded = _prepare(scene, request, progress, ply_bytes)
     else:
-        encoded = encode_to_rate(scene, scene, request, progress, ply_bytes)
+        encoded = _encode_planned(scene, request, progress, ply_bytes)
     return _check_whole(scene, request, *encoded)
 
 
 def _prepare(scene: Scene, request: Request, progress: Progress | None, ply_bytes: int) -> Encoded:
     """Prepare a scene according to its plan, and encode the result."""
+    from gs_codec.encoding.unrefined import better_of
     from gs_codec.preparation.balance import profile_steps
-    from gs_codec.preparation.pipeline import prepare_scene
-    from gs_codec.rate.allocate import step_error_for
+    from gs_codec.preparation.pipeline import prepare_scene, without_refinement
+    from gs_codec.rate.allocate import OutOfReach, step_error_for
 
     config, plan, rate, times = request.config, request.plan, request.rate, StageTimes()
     assert plan is not None
-    steps_of = profile_steps(config)
+    steps_of, at_size = profile_steps(config), False
     if rate is not None:
         steps_of = partial(step_error_for, scene, ply_bytes, config, rate, progress=progress)
+        at_size = rate.psnr_drop is None
     with times.stage("prepare"):
-        prepared, done = prepare_scene(scene, plan, progress, steps_of)
+        prepared, done = prepare_scene(scene, plan, progress, steps_of, keep_pruned=at_size)
+    unrefined = replace(request, plan=without_refinement(plan))
+    encode_unrefined = partial(_encode_planned, scene, unrefined, progress, ply_bytes)
+    chosen = unrefined if done.rejected else request
     if rate is None:
-        parts, report = encode_prepared(prepared, request, progress, done.views.renders)
+        parts, report = encode_prepared(prepared, chosen, progress, done.views.renders)
     else:
-        parts, report = encode_to_rate(prepared, scene, request, progress, ply_bytes, done.views)
+        try:
+            parts, report = encode_to_rate(prepared, scene, chosen, progress, ply_bytes, done.views)
+        except OutOfReach as error:
+            if at_size or not plan.steps.balanced:
+                raise
+            log.warning("refine: skipped; with it, %s", error)
+            return encode_unrefined()
     times.seconds |= report.seconds
     with times.stage("measure"):
         done = done.coded(prepared, config, b"".join(parts), report)
-    return parts, replace(report, seconds=times.seconds, prepared=done.as_dict())
+    encoded = parts, replace(report, seconds=times.seconds, prepared=done.as_dict())
+    return (
+        better_of(encoded, encode_unrefined, scene, request, done, progress) if at_size else encoded
+    )
+
+
+def _encode_planned(
+    scene: Scene, request: Request, progress: Progress | None, ply_bytes: int
+) -> Encoded:
+    """Encode a scene to a target, after the steps of its plan if there are any."""
+    if request.prepares:
+        return _prepare(scene, request, progress, ply_bytes)
+    return encode_to_rate(scene, scene, request, progress, ply_bytes)
 
 
 def encode_to_rate(

@@ -85,7 +85,7 @@ def prepare_file(
     from gs_codec.encoding.loss import Check
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.balance import profile_steps
-    from gs_codec.preparation.pipeline import prepare_scene
+    from gs_codec.preparation.pipeline import prepare_scene, without_refinement
     from gs_codec.preparation.prepare_report import save_report
 
     with using_threads(config.threads):
@@ -96,6 +96,8 @@ def prepare_file(
             original = scene
             scene, prepared = prepare_scene(scene, plan, progress, profile_steps(config))
             views = prepared.views
+            if prepared.rejected:
+                plan = without_refinement(plan)
             request = Request(config, plan if coded else None)
             parts, report = encode_prepared(scene, request, progress, views.renders)
             data = b"".join(parts)

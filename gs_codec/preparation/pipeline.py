@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import Config
 from gs_codec.plan import Plan, Steps
-from gs_codec.preparation.balance import Balance, StepsOf, profile_steps
+from gs_codec.preparation.balance import ADDED, Balance, StepsOf, profile_steps
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.prepare_report import LABELS, PrepareReport, StepReport, centres_checksum
@@ -54,21 +54,48 @@ def prepare_scene(
     plan: Plan,
     progress: Progress | None = None,
     steps_of: StepsOf | None = None,
+    *,
+    keep_pruned: bool = False,
 ) -> tuple[Scene, PrepareReport]:
-    """Run the steps of a plan on a scene.
+    """Run the steps of a plan on a scene; if refinement is rejected, those of `without_refinement`.
 
     `steps_of` returns the step sizes that decide how much a balanced plan prunes; by default those
-    of profile `m`. Raises InvalidInput if there are no cameras, no Gaussian would be left, or an
-    image is damaged. Raises MissingTool if refinement needs a device, and there is none.
+    of profile `m`. With `keep_pruned`, a scene whose refinement is rejected stays pruned for it.
+    Raises InvalidInput if there are no cameras, no Gaussian would be left, or an image is damaged.
+    Raises MissingTool if refinement needs a device, and there is none.
     """
     if plan.steps.refine:
         is_chosen(plan.device)
+    chosen = steps_of or profile_steps(Config())
+    prepared, report = _run(scene, plan, progress, chosen)
+    if report.rejected and not keep_pruned:
+        plan = without_refinement(plan)
+        prepared, report = _run(scene, plan, progress, chosen, report.rejected)
+    return prepared, report
+
+
+def without_refinement(plan: Plan) -> Plan:
+    """A plan without refinement, and thus without the pruning that only refinement makes pay."""
+    return replace(plan, steps=replace(plan.steps, refine=0), checkpoint=None)
+
+
+def _run(
+    scene: Scene,
+    plan: Plan,
+    progress: Progress | None,
+    steps_of: StepsOf,
+    rejected: StepReport | None = None,
+) -> tuple[Scene, PrepareReport]:
+    """Run the steps of a plan on a scene; report a step that was rejected before in its place."""
     views = choose_views(scene, plan, progress)
-    context = _Context(plan, views, progress, steps_of or profile_steps(Config()))
+    context = _Context(plan, views, progress, steps_of)
     kept, centres = np.arange(scene.count), centres_checksum(scene.positions)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
     for step in _STEPS:
+        if rejected is not None and step.name == rejected.name:
+            last, seconds = reports[-1], rejected.seconds
+            reports.append(replace(last, name=step.name, seconds=seconds, details=rejected.details))
         if not step.is_wanted(plan.steps):
             continue
         start = time.perf_counter()
@@ -113,6 +140,9 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
         fits_photographs, error = views.photographs is not None, context.steps_of(views)
         balance = Balance(scene, views.renders, fits_photographs, steps.refine, error, progress)
     stay, details = prune_leave_one_out(scene, views, steps, progress, balance)
+    if balance is not None:
+        # Mean squared error of the step sizes that need no pruning.
+        details["unpruned"] = ADDED * balance.step_error(1.0, 0.0)
     return stay, scene.take(stay), details
 
 

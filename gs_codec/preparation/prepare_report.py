@@ -92,6 +92,11 @@ class PrepareReport:
     centres: int = 0
 
     @property
+    def rejected(self) -> StepReport | None:
+        """The optimisation, if its result was rejected."""
+        return next((step for step in self.steps if "left_out" in step.details), None)
+
+    @property
     def removed(self) -> dict[str, int]:
         """Number of Gaussians removed for each reason, in the order of the steps."""
         counts = np.bincount(self.labels, minlength=len(LABELS))

@@ -108,11 +108,11 @@ def step_error_for(
     return error
 
 
-class _OutOfReach(InvalidInput):
+class OutOfReach(InvalidInput):
     """No step sizes meet a target."""
 
 
-class _TooLarge(_OutOfReach):
+class _TooLarge(OutOfReach):
     """All files are too large, but one with fewer Gaussians may be small enough."""
 
 
@@ -122,13 +122,13 @@ def _meet_pruning(scene: Scene, job: RateSearch, seen: Seen) -> Trials:
     Each round removes the Gaussians of lowest leave-one-out error, as long as this pays off.
     """
     best: Trials | None = None
-    refused: _OutOfReach | None = None
+    refused: OutOfReach | None = None
     least, octaves = math.inf, 0.0
     for part in range(1, _MOST_PARTS + 1):
         trials = Trials(scene, job)
         try:
             _meet(trials, octaves)
-        except _OutOfReach as refusal:
+        except OutOfReach as refusal:
             refused, cost = refusal, math.inf
             if not isinstance(refusal, _TooLarge):
                 break
@@ -187,7 +187,7 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
-            kind = _TooLarge if least > limit else _OutOfReach
+            kind = _TooLarge if least > limit else OutOfReach
             raise kind(_beyond(trials.job.target, limit, least, most))
     trials.at_end = found is None
 
@@ -239,7 +239,7 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         if most > limit:
-            raise _OutOfReach(
+            raise OutOfReach(
                 f"target {limit:g} dB: unreachable, expected {least:.4f} to {most:.4f} dB"
             )
     else:

@@ -208,6 +208,17 @@ def test_progress_and_report_count_iterations():
     assert report["seconds"] == report["curve"][-1]["seconds"] > 0
 
 
+def test_the_expected_time_is_announced(monkeypatch, caplog):
+    caplog.set_level("INFO")
+    expected, _ = refit(4)
+    assert not caplog.text
+    monkeypatch.setattr(module, "_ANNOUNCED", 4)
+    assert_same_floats(refit(4)[0], expected)
+    assert "refine: 4 iterations, about 1 second" in caplog.text
+    assert module._announcement(2000, 0.061) == "refine: 2,000 iterations, about 2 minutes"
+    assert module._announcement(1, 40.0) == "refine: 1 iteration, about 40 seconds"
+
+
 # Checkpoints
 
 

@@ -38,7 +38,7 @@ def set_loudness(quiet: bool = False, verbose: bool = False, results: bool = Tru
     _Loudness.status, _Loudness.verbose = not quiet, verbose
     _Loudness.results = results or not quiet
     logging.getLogger("gs_codec").setLevel(logging.DEBUG if verbose else logging.NOTSET)
-    _show_compiling(not quiet)
+    _show_waits(not quiet)
 
 
 def is_quiet() -> bool:
@@ -82,15 +82,16 @@ def log_to_stderr(program: str) -> None:
     for level in (logging.WARNING, logging.INFO, logging.DEBUG):
         logging.addLevelName(level, logging.getLevelName(level).lower())
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
-    _show_compiling(True)
+    _show_waits(True)
     log_warnings()
 
 
-def _show_compiling(shown: bool) -> None:
-    """Show or hide the progress of compiling kernels."""
+def _show_waits(shown: bool) -> None:
+    """Show or hide messages about what takes long: compiling kernels, and refinement."""
     shown = shown and os.environ.get("GS_CODEC_PROGRESS") != "0"
-    logger = logging.getLogger("gs_codec.runtime.compiling")
-    logger.setLevel(logging.INFO if shown else logging.WARNING)
+    for module in ("runtime.compiling", "preparation.optimise"):
+        logger = logging.getLogger(f"gs_codec.{module}")
+        logger.setLevel(logging.INFO if shown else logging.WARNING)
 
 
 def print_table(table: Table, file: TextIO | None = None) -> None:

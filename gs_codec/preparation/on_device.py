@@ -20,7 +20,7 @@ from gs_codec.rendering.gsplat_backend import differentiate, to_device
 class DeviceSteps:
     """Steps of Adam by views; ``values``, ``first`` and ``second`` are those of `AdamState`."""
 
-    def __init__(self, state: AdamState, views: ReferenceViews, antialiased: bool) -> None:
+    def __init__(self, views: ReferenceViews, antialiased: bool, state: AdamState) -> None:
         self.values, self.first, self.second = (to_device(plane) for plane in state)
         self.views, self.antialiased = views, antialiased
         self.images = [to_device(image) for image in views.images]

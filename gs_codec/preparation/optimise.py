@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,7 @@ from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, Scene
 
 #: Number of Gaussians that one task updates, so that they stay in the cache from one view to the
@@ -52,6 +54,14 @@ _VIEWS = 16
 
 #: Iterations between checkpoints.
 _CHECKPOINT_EVERY = 500
+
+#: Minimum number of iterations whose expected time is announced.
+_ANNOUNCED = 200
+
+#: Pairs of iterations that measure the time of one; the first does not count.
+_TRIALS = 4
+
+log = logging.getLogger(__name__)
 
 
 def optimise(
@@ -108,12 +118,14 @@ def optimise(
     sizes *= share
     iterations = iterations if share > 0 else 0
 
+    make_steps: Callable[[AdamState], Any] = partial(_Steps, scene, views)
     if on_device and iterations:
         from gs_codec.preparation.on_device import DeviceSteps
 
-        steps: Any = DeviceSteps(run.state, views, scene.antialiased)
-    else:
-        steps = _Steps(scene, run.state, views)
+        make_steps = partial(DeviceSteps, views, scene.antialiased)
+    if (left := iterations - len(run.errors)) >= _ANNOUNCED:
+        log.info("%s", _announcement(left, _seconds_each(make_steps, values, len(views.cameras))))
+    steps = make_steps(run.state)
 
     def step(start: int, stop: int) -> list[float]:
         order = [view_of(i, len(views.cameras)) for i in range(start, stop)]
@@ -133,7 +145,7 @@ def optimise(
 class _Steps:
     """Steps of Adam on the CPU, several views at once; the same interface as `DeviceSteps`."""
 
-    def __init__(self, scene: Scene, state: AdamState, views: ReferenceViews) -> None:
+    def __init__(self, scene: Scene, views: ReferenceViews, state: AdamState) -> None:
         self._state, self._views = state, views
         self._fitted = with_values(scene, state.values.T)
 
@@ -152,6 +164,29 @@ class _Steps:
     def state(self) -> AdamState:
         """The current state, which the next step overwrites."""
         return self._state
+
+
+def _seconds_each(
+    make_steps: Callable[[AdamState], Any], values: NDArray[np.float32], views: int
+) -> float:
+    """Measure the seconds of an iteration, with steps of size 0 from a state of its own."""
+    trial, still = make_steps(new_state(values)), [np.zeros(len(values))] * _TOGETHER
+    seconds = []
+    for i in range(_TRIALS):
+        start = time.perf_counter()
+        trial.take([view_of(k, views) for k in range(i, i + _TOGETHER)], 1, still)
+        seconds.append((time.perf_counter() - start) / _TOGETHER)
+    # The first compiles or loads kernels.
+    return float(np.median(seconds[1:]))
+
+
+def _announcement(iterations: int, seconds_each: float) -> str:
+    """What a person reads before the iterations start."""
+    seconds = max(round(iterations * seconds_each), 1)
+    expected = counted(seconds, "second")
+    if seconds >= 90:
+        expected = counted(round(seconds / 60), "minute")
+    return f"refine: {counted(iterations, 'iteration')}, about {expected}"
 
 
 def _rates(

@@ -20,6 +20,7 @@ from gs_codec.preparation.sh_weights import (
 )
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import LANES
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, sh_bands
 
@@ -128,13 +129,13 @@ def _round_all(
 def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
     """Round the SH ``(N, 3, 1 + K)`` of Gaussians `start` to `stop` in place."""
     views, size = len(weights), sh.shape[2]
-    rows, seen = np.empty((views, size)), np.empty(views)
-    form, lean, step = np.empty((size, size)), np.empty(size), np.empty(size)
+    rows, seen = np.zeros((views, LANES)), np.empty(views)
+    form, lean, step = np.empty((LANES, LANES)), np.empty(size), np.empty(size)
     for i in range(start, stop):
-        count = list_views(positions, i, weights, centres, rows, seen)
+        count = list_views(positions, i, weights, centres, size, rows, seen)
         if count == 0:
             continue
-        fill_matrix(rows[:count], seen, form)
+        fill_matrix(rows[:count], seen, size, form)
         _leave_out_dc(form, lean)
         for k in range(1, size):
             step[k] = steps[band_of[k], i]
@@ -148,7 +149,7 @@ def _leave_out_dc(form, lean):
 
     ``lean[k]`` becomes the change of SH-DC per unit that coefficient k decreases.
     """
-    size = len(form)
+    size = len(lean)
     # The basis is orthonormal: over all directions, every function has the same mean square as the
     # first.
     elsewhere = _ELSEWHERE * form[0, 0]

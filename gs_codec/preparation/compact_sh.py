@@ -21,6 +21,7 @@ from gs_codec.preparation.sh_weights import (
 )
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import LANES, load, repeated, store, total
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -137,15 +138,13 @@ def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
 def _compact(positions, before, weights, centres, penalty, smallest, after, start, stop):
     """Solve for Gaussians `start` to `stop`; return how many are unseen, and unsolved."""
     views, size = len(weights), before.shape[2]
-    rows = np.empty((views, size))
-    seen = np.empty(views)
-    shared = np.empty((size, size))
-    solution = np.empty((3, size))
+    rows, seen = np.zeros((views, LANES)), np.empty(views)
+    shared, solution = np.empty((LANES, LANES)), np.zeros((3, LANES))
     unseen = unsolved = 0
     for i in range(start, stop):
-        count = list_views(positions, i, weights, centres, rows, seen)
+        count = list_views(positions, i, weights, centres, size, rows, seen)
         unseen += count == 0
-        fill_matrix(rows[:count], seen, shared)
+        fill_matrix(rows[:count], seen, size, shared)
         finite, any_ac = True, False
         for channel in range(3):
             for k in range(size):
@@ -158,7 +157,7 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
             for channel in range(3):
                 for k in range(1, size):
                     after[i, channel, k] = 0.0
-        elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
+        elif any_ac and _sparsify(rows[:count], seen, shared, size, penalty, smallest[i], solution):
             for channel in range(3):
                 for k in range(size):
                     after[i, channel, k] = solution[channel, k]
@@ -168,15 +167,15 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
 
 
 @kernel
-def _sparsify(rows, seen, shared, penalty, smallest, solution):
+def _sparsify(rows, seen, shared, size, penalty, smallest, solution):
     """Solve for Y, Co and Cg in place; return whether all solutions were found.
 
     `shared` is the matrix of all views. Where R, G or B is clamped at black in a view, the target
     of each round is the previous solution's value, if that is also below black.
     """
-    count, size = rows.shape
-    matrix, right, used = np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
-    sums, targets = np.empty((3, size)), np.full((count, 3), np.inf)
+    count = len(rows)
+    matrix, right, used = np.zeros((LANES, LANES)), np.empty(size), np.empty(size, np.int64)
+    sums, targets = np.empty((3, LANES)), np.full((count, 3), np.inf)
     dark, inertia = _sum_up(rows, seen, solution, targets, sums), 0.0
     if dark:
         _darken(rows, targets, solution)
@@ -188,7 +187,7 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
             _sum_up(rows, seen, solution, targets, sums)
         least, moved = _least(turn) * smallest, 0.0
         for channel in range(3):
-            now, number = solution[channel], 0
+            now, number = solution[channel], np.int64(0)
             for k in range(size):
                 if k == 0 or turn == 0 or now[k] != 0.0:
                     used[number] = k
@@ -196,7 +195,7 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
             _set_up(
                 shared, sums[channel], now, used[:number], inertia, penalty, smallest, matrix, right
             )
-            if not solve(matrix[:number, :number], right[:number]):
+            if not solve(matrix, right, number):
                 return False
             for n in range(number):
                 k = used[n]
@@ -219,17 +218,17 @@ def _least(turn):
 
 @kernel
 def _sum_up(rows, seen, solution, targets, sums):
-    """Fill right-hand sides ``sums (3, 1 + K)``; return whether a colour is clamped at black.
+    """Fill right-hand sides ``sums (3, 16)``; return whether a colour is clamped at black.
 
     ``targets (views, 3)`` are R, G, B; infinite ones become the solution's colours.
     """
     dark = False
-    sums[:] = 0.0
+    by_y = by_o = by_g = repeated(0.0)
+    y, o, g = load(solution, 0), load(solution, LANES), load(solution, 2 * LANES)
     aims = np.empty(3)
     for j in range(len(rows)):
-        colour = red_green_blue(
-            _dot(rows[j], solution[0]), _dot(rows[j], solution[1]), _dot(rows[j], solution[2])
-        )
+        row = load(rows, j * LANES)
+        colour = red_green_blue(total(row * y), total(row * o), total(row * g))
         for channel in range(3):
             if targets[j, channel] == np.inf:
                 targets[j, channel] = max(colour[channel], -0.5)
@@ -238,9 +237,12 @@ def _sum_up(rows, seen, solution, targets, sums):
             if aims[channel] == -0.5:
                 aims[channel] = min(colour[channel], -0.5)
         aims[0], aims[1], aims[2] = luma_chroma(aims[0], aims[1], aims[2])
-        for channel in range(3):
-            for k in range(len(sums[channel])):
-                sums[channel, k] += seen[j] * aims[channel] * rows[j, k]
+        by_y += (seen[j] * aims[0]) * row
+        by_o += (seen[j] * aims[1]) * row
+        by_g += (seen[j] * aims[2]) * row
+    store(sums, 0, by_y)
+    store(sums, LANES, by_o)
+    store(sums, 2 * LANES, by_g)
     return dark
 
 
@@ -279,11 +281,11 @@ def _darken(rows, targets, solution):
 
 @kernel
 def _set_up(shared, sums, solution, used, inertia, penalty, smallest, matrix, right):
-    """Fill the system of the coefficients in use; `solve` reads the matrix's lower half."""
+    """Fill the system of the coefficients in use; `solve` reads the matrix's upper half."""
     for n in range(len(used)):
         k = used[n]
         right[n] = sums[k] + inertia * solution[k]
-        for m in range(n + 1):
+        for m in range(n, len(used)):
             matrix[n, m] = shared[k, used[m]]
         matrix[n, n] += inertia
         if k > 0:

@@ -15,6 +15,7 @@ from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import LANES, load, repeated, store
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_C0, Scene
 
@@ -25,44 +26,51 @@ _CHUNK = 1 << 13
 
 
 @kernel
-def fill_matrix(rows, evidence, matrix):
-    """Fill ``matrix (1 + K, 1 + K)`` with the sum of ``evidence * row row^T``."""
-    size = rows.shape[1]
-    matrix[:] = 0.0
-    for j in range(len(rows)):
-        if evidence[j] == 0.0:
-            continue
-        for k in range(size):
-            weight = evidence[j] * rows[j, k]
-            for m in range(k + 1):
-                matrix[k, m] += weight * rows[j, m]
-    for k in range(size):
-        for m in range(k):
-            matrix[m, k] = matrix[k, m]
+def fill_matrix(rows, evidence, size, matrix):
+    """Fill the first `size` rows of a matrix with the sum of ``evidence * row row^T``.
+
+    ``rows (views, 16)`` and ``matrix (16, 16)`` are 0 in columns from `size` on.
+    """
+    # Four rows at a time, because additions wait for one another.
+    for k in range(0, size, 4):
+        a = b = c = d = repeated(0.0)
+        for j in range(len(rows)):
+            row, weight = load(rows, j * LANES), evidence[j]
+            a += (weight * rows[j, k]) * row
+            b += (weight * rows[j, k + 1]) * row
+            c += (weight * rows[j, k + 2]) * row
+            d += (weight * rows[j, k + 3]) * row
+        store(matrix, k * LANES, a)
+        store(matrix, (k + 1) * LANES, b)
+        store(matrix, (k + 2) * LANES, c)
+        store(matrix, (k + 3) * LANES, d)
 
 
 @kernel
-def solve(matrix, right):
-    """Solve in place by Cholesky; False if not positive definite or the result is not finite."""
-    size = len(right)
+def solve(matrix, right, size):
+    """Solve for the first `size` unknowns in place, by Cholesky.
+
+    Reads the upper half of ``matrix (16, 16)``. Returns False if it is not positive definite, or
+    the result is not finite.
+    """
     for k in range(size):
         if not matrix[k, k] > 0.0:
             return False
         root = math.sqrt(matrix[k, k])
+        row = load(matrix, k * LANES) / root
+        store(matrix, k * LANES, row)
         matrix[k, k] = root
         right[k] /= root
         for m in range(k + 1, size):
-            matrix[m, k] /= root
-            factor = matrix[m, k]
+            factor = matrix[k, m]
             right[m] -= factor * right[k]
-            for n in range(k + 1, m + 1):
-                matrix[m, n] -= factor * matrix[n, k]
+            store(matrix, m * LANES, load(matrix, m * LANES) - factor * row)
     finite = True
     for k in range(size - 1, -1, -1):
         right[k] /= matrix[k, k]
         finite = finite and abs(right[k]) < np.inf
         for n in range(k):
-            right[n] -= matrix[k, n] * right[k]
+            right[n] -= matrix[n, k] * right[k]
     return finite
 
 
@@ -168,12 +176,15 @@ def sh_row(positions, i, camera, row):
 
 
 @kernel
-def list_views(positions, i, weights, centres, rows, seen):
-    """List SH basis and weight of the views in which Gaussian i is visible; return their number."""
+def list_views(positions, i, weights, centres, size, rows, seen):
+    """List SH basis and weight of the views in which Gaussian i is visible; return their number.
+
+    The first `size` functions are written to ``rows (views, 16)``.
+    """
     count = 0
     for view in range(len(weights)):
         if weights[view, i] > 0.0:
-            sh_row(positions, i, centres[view], rows[count])
+            sh_row(positions, i, centres[view], rows[count, :size])
             seen[count] = weights[view, i]
             count += 1
     return count

@@ -75,7 +75,7 @@ def _operation(function: Callable) -> Any:
 
 @_operation
 def load(typing: Any, array: Any, at: Any) -> Any:
-    """The 16 values of a contiguous array from ``array[at]``; whole numbers become float32."""
+    """The 16 values of a C-contiguous array from its value number `at`; integers become float32."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         kind = signature.args[0].dtype
@@ -87,7 +87,7 @@ def load(typing: Any, array: Any, at: Any) -> Any:
 
 @_operation
 def store(typing: Any, array: Any, at: Any, lanes: Any) -> Any:
-    """Store lanes in a contiguous array from ``array[at]``; whole numbers are cut off."""
+    """Store lanes in a C-contiguous array from its value number `at`; integers are cut off."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         kind, values = signature.args[0].dtype, given[2]
@@ -105,7 +105,7 @@ def _place(context: Any, builder: Any, signature: Any, given: Any) -> Any:
     kind, at = signature.args[0], given[1]
     array = context.make_array(kind)(context, builder, given[0])
     if context.enable_boundscheck:
-        length = builder.extract_value(array.shape, 0)
+        length = array.nitems
         for index in (at, builder.add(at, at.type(LANES - 1))):
             cgutils.do_boundscheck(context, builder, index, length, 0)
     return builder.bitcast(builder.gep(array.data, [at]), _vector(kind.dtype).as_pointer())

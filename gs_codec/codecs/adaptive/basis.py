@@ -51,8 +51,8 @@ _NOISE = 5.0
 #: Gaussians that are turned at once, so that planes are read a few cache lines at a time.
 _AT_ONCE = 64
 
-#: One in this many groups of `_AT_ONCE` Gaussians is in the sample that a basis is judged by.
-_STRIDE = 4
+#: Approximate number of Gaussians in the sample of a block that a basis is judged by.
+_JUDGED = 2048
 
 
 class Bases(NamedTuple):
@@ -229,9 +229,11 @@ def _back(matrix: NDArray[np.float64]) -> NDArray[np.float32]:
 def _bits(values: NDArray[np.float32], matrices: NDArray[np.floating]) -> float:
     """Approximate bits of values, turned by the matrix ``(K, K)`` of their run."""
     counts = np.zeros((values.shape[1], ALPHABET), np.int64)
-    ends = bounds(len(matrices), values.shape[2])
-    sampled = _count_levels(values, ends, np.ascontiguousarray(matrices, np.float32), counts)
-    return _entropy(counts) * values.shape[2] / max(sampled, 1)
+    count = values.shape[2]
+    ends, stride = bounds(len(matrices), count), max(count // _JUDGED, 1) * _AT_ONCE
+    turning = np.ascontiguousarray(matrices, np.float32)
+    sampled = _count_levels(values, ends, stride, turning, counts)
+    return _entropy(counts) * count / max(sampled, 1)
 
 
 @kernel
@@ -286,13 +288,16 @@ def _turn(values, first, last, matrix, turned):
 
 
 @kernel
-def _count_levels(values, ends, matrices, counts):
-    """Count tokens ``(K, tokens)`` of components of a sample; return its size."""
+def _count_levels(values, ends, stride, matrices, counts):
+    """Count tokens ``(K, tokens)`` of components of a sample; return its size.
+
+    The sample has the first few Gaussians of each `stride`.
+    """
     coefficients, sampled = values.shape[1], 0
     total = np.empty((coefficients, _AT_ONCE), np.float32)
     for run in range(len(matrices)):
         matrix = matrices[run]
-        for begin in range(ends[run], ends[run + 1], _STRIDE * _AT_ONCE):
+        for begin in range(ends[run], ends[run + 1], stride):
             size = min(_AT_ONCE, ends[run + 1] - begin)
             sampled += size
             for channel in range(3):

@@ -27,8 +27,10 @@ _LEVEL = 10
 _FORMAT = 4
 _CONSECUTIVE = 1
 
-#: Number of values that are coded both ways to decide whether to code differences.
-_SAMPLE = 8192
+#: Number of values of a column that are coded both ways, to decide whether to code differences.
+TRIED = 2048
+
+#: Values as they are, and differences of consecutive ones.
 _DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
 
 Bits = NDArray[np.uint32]
@@ -46,12 +48,17 @@ def from_ordered(ordered: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return np.where(ordered & _SIGN, ordered ^ _SIGN, ~ordered)
 
 
-def write_integers(values: NDArray[np.uint32]) -> bytes:
-    """Code values ``(n,)``, n >= 1, or their differences, whichever takes fewer bytes."""
-    middle = max(values.size - _SAMPLE, 0) // 2
-    written = [_write(values[middle : middle + _SAMPLE], delta) for delta in _DELTAS]
+def write_integers(values: NDArray[np.uint32], tried: int = TRIED) -> bytes:
+    """Code values ``(n,)``, n >= 1, or their differences, whichever takes fewer bytes.
+
+    To find out, `tried` of the values are coded both ways; 0 means that differences do not pay.
+    """
+    if not tried:
+        return _write(values, _DELTAS[0])
+    middle = max(values.size - tried, 0) // 2
+    written = [_write(values[middle : middle + tried], delta) for delta in _DELTAS]
     smallest = written.index(min(written, key=len))
-    return written[smallest] if values.size <= _SAMPLE else _write(values, _DELTAS[smallest])
+    return written[smallest] if values.size <= tried else _write(values, _DELTAS[smallest])
 
 
 def _write(values: NDArray[np.uint32], delta: DeltaSpec) -> bytes:
@@ -97,7 +104,7 @@ def _classes(guide: Bits) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def write_mask(mask: Bits) -> bytes:
     """Code small integers ``(n,)``."""
-    return _pack(_code([mask]))
+    return _pack(_code([mask], TRIED))
 
 
 def read_mask(reader: ByteReader, count: int, top: int) -> Bits:
@@ -108,9 +115,9 @@ def read_mask(reader: ByteReader, count: int, top: int) -> Bits:
     return mask
 
 
-def write_stack(columns: Bits) -> bytes:
-    """Code the bit patterns ``(C, n)`` of floats column by column."""
-    return _pack(_code(to_ordered(columns)))
+def write_stack(columns: Bits, tried: int) -> bytes:
+    """Code the bit patterns ``(C, n)`` of floats column by column; see `write_integers`."""
+    return _pack(_code(to_ordered(columns), tried))
 
 
 def read_stack(reader: ByteReader, shape: tuple[int, ...]) -> Bits:
@@ -118,11 +125,11 @@ def read_stack(reader: ByteReader, shape: tuple[int, ...]) -> Bits:
     return from_ordered(_read_columns(reader, shape))
 
 
-def write_guided(columns: Bits, guide: Bits) -> bytes:
-    """Code ``(C, n)`` given ``guide (C, n)``, which the decoder already has."""
+def write_guided(columns: Bits, guide: Bits, tried: int) -> bytes:
+    """Code ``(C, n)`` given ``guide (C, n)``, which the decoder already has; like `write_stack`."""
     order, sizes = _classes(guide.ravel())
     grouped = to_ordered(columns).ravel()[order]
-    return _pack(_code(np.split(grouped, np.cumsum(sizes)[:-1])))
+    return _pack(_code(np.split(grouped, np.cumsum(sizes)[:-1]), tried))
 
 
 def read_guided(reader: ByteReader, guide: Bits) -> Bits:
@@ -133,11 +140,11 @@ def read_guided(reader: ByteReader, guide: Bits) -> Bits:
     return from_ordered(values.reshape(guide.shape))
 
 
-def write_quaternions(columns: Bits) -> bytes:
-    """Code the components ``(4, n)`` w, x, y, z."""
+def write_quaternions(columns: Bits, tried: int) -> bytes:
+    """Code the components ``(4, n)`` w, x, y, z; see `write_integers`."""
     ordered = to_ordered(columns)
     residual = ordered[0] - to_ordered(_unit_w(columns[1:])) + _SIGN
-    w, of_unit, *rest = _code([ordered[0], residual, *ordered[1:]])
+    w, of_unit, *rest = _code([ordered[0], residual, *ordered[1:]], tried)
     if len(of_unit) < len(w):
         return bytes([_UNIT]) + _pack([of_unit, *rest])
     return bytes([_PLAIN]) + _pack([w, *rest])
@@ -163,8 +170,8 @@ def _unit_w(columns: Bits) -> Bits:
     return w.astype(np.float32).view(np.uint32)
 
 
-def _code(parts: Iterable[Bits]) -> list[bytes]:
-    return [write_integers(part) if part.size else b"" for part in parts]
+def _code(parts: Iterable[Bits], tried: int) -> list[bytes]:
+    return [write_integers(part, tried) if part.size else b"" for part in parts]
 
 
 def _pack(coded: list[bytes]) -> bytes:

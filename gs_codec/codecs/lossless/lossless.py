@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.lossless.columns import (
+    TRIED,
     Bits,
     read_guided,
     read_mask,
@@ -46,6 +48,10 @@ _BANDS = {
     SectionId.of_stream(stream): slice(band.start, band.stop)
     for stream, band in zip(SH_STREAMS, sh_bands(), strict=True)
 }
+
+#: Exceptions to `TRIED` in larger blocks: none where differences of consecutive Gaussians do not pay,
+#: all where a few values often mislead.
+_TRIED = {SectionId.OPACITY: 0, SectionId.SH2: 0, SectionId.SH3: 0, SectionId.SH_DC: sys.maxsize}
 
 #: Green is coded first, because it predicts red and blue best.
 _RED, _GREEN, _BLUE = range(3)
@@ -118,9 +124,8 @@ def lossless_order(scene: Scene) -> NDArray[np.int64]:
 
 def _extent(scene: Scene, members: NDArray[np.int64]) -> NDArray[np.float32]:
     """Bounding boxes of the Gaussians of a block."""
-    return block_extent(
-        scene.positions[:, members], scene.log_scale[:, members], scene.rot[:, members]
-    )
+    planes = scene.positions, scene.log_scale, scene.rot
+    return block_extent(*(_taken(plane, members) for plane in planes))
 
 
 def _encode_blocks(
@@ -130,11 +135,17 @@ def _encode_blocks(
     progress: Progress | None,
 ) -> list[Section]:
     """Sections of all blocks, block by block."""
+    colours = scene.f_rest.view(np.uint32).reshape(3, len(scene.f_rest) // 3, scene.count)
+    there = np.stack(run_all(partial(np.any, axis=0), colours))
 
     def encode(section_id: SectionId, block: int) -> Section:
-        plane = getattr(scene, _GROUP_OF.get(section_id, "f_rest"))
         members = order[slice(*header.block_range(block))]
-        data = _encode_section(section_id, plane.view(np.uint32)[:, members])
+        if section_id in _BANDS:
+            columns = colours[:, _BANDS[section_id]]
+            data = _encode_band(section_id, _taken(columns, members), _taken(there, members))
+        else:
+            columns = getattr(scene, _GROUP_OF[section_id]).view(np.uint32)
+            data = _encode_section(section_id, _taken(columns, members))
         return Section.kept(section_id, block, data)
 
     jobs = [
@@ -145,30 +156,42 @@ def _encode_blocks(
     return run_all(lambda job: job(), jobs, advance=step_counter(progress, "code", len(jobs)))
 
 
+def _taken(columns: NDArray, members: NDArray[np.int64]) -> NDArray:
+    """Columns of some Gaussians; as `members` are in range, clipping is only a faster check."""
+    return np.take(columns, members, axis=-1, mode="clip")
+
+
+def _tried(section_id: SectionId, count: int) -> int:
+    """Number of values to code both ways in a block of `count` Gaussians."""
+    return TRIED if count <= TRIED else _TRIED.get(section_id, TRIED)
+
+
 def _encode_section(section_id: SectionId, columns: Bits) -> bytes:
-    """The section of a block, given the columns ``(C, n)`` of its attribute."""
-    if section_id in _BANDS:
-        return _encode_band(section_id, columns)
+    """The section of a block, except SH-AC, given the columns ``(C, n)`` of its attribute."""
+    tried = _tried(section_id, columns.shape[1])
     if section_id == SectionId.SH_DC:
-        return _encode_colours(columns[:, None], np.ones(columns.shape, bool))
-    return write_quaternions(columns) if section_id == SectionId.ROTATION else write_stack(columns)
+        return _encode_colours(columns[:, None], np.ones(columns.shape, bool), tried)
+    write = write_quaternions if section_id == SectionId.ROTATION else write_stack
+    return write(columns, tried)
 
 
-def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
-    """Code a band of SH-AC; band 1 includes the mask of colours that are not all zero."""
-    colours = f_rest.reshape(3, -1, f_rest.shape[1])
-    there = np.any(colours, axis=1)
+def _encode_band(section_id: SectionId, band: Bits, there: NDArray[np.bool_]) -> bytes:
+    """Code a band of SH-AC ``(3, C, n)``; band 1 includes the mask of present colours.
+
+    ``there (3, n)`` marks the colours whose SH-AC, of all bands, are not all zero.
+    """
     mask = b""
     if section_id == SectionId.SH1:
         mask = write_mask(np.packbits(there, axis=0, bitorder="little")[0].astype(np.uint32))
-    return mask + _encode_colours(colours[:, _BANDS[section_id]], there)
+    return mask + _encode_colours(band, there, _tried(section_id, band.shape[2]))
 
 
-def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
+def _encode_colours(colours: Bits, there: NDArray[np.bool_], tried: int) -> bytes:
     """Code coefficients ``(3, C, n)``; ``there (3, n)`` marks the colours that are not all zero."""
     green = colours[_GREEN]
-    parts = [write_stack(green[:, there[_GREEN]])]
-    parts += [write_guided(colours[c][:, there[c]], green[:, there[c]]) for c in (_RED, _BLUE)]
+    parts = [write_stack(green[:, there[_GREEN]], tried)]
+    for c in (_RED, _BLUE):
+        parts.append(write_guided(colours[c][:, there[c]], green[:, there[c]], tried))
     return b"".join(parts)
 
 

@@ -62,8 +62,8 @@ def code_bit(state, data, contexts, context, bit):
 
 
 @inlined
-def code_raw(bits, position, width, value, encoding):
-    """Code the `width` low bits of `value`, most significant first, starting at bit `position`."""
+def read_raw(bits, position, width):
+    """Read `width` bits, most significant first, starting at bit `position`."""
     at = position
     left = width
     read = 0
@@ -71,9 +71,7 @@ def code_raw(bits, position, width, value, encoding):
         take = min(8 - (at & 7), left)
         shift = 8 - (at & 7) - take
         field = (1 << take) - 1
-        if encoding:
-            bits[at >> 3] |= ((value >> (left - take)) & field) << shift
-        elif at >> 3 < bits.size:
+        if at >> 3 < bits.size:
             read = (read << take) | ((np.int64(bits[at >> 3]) >> shift) & field)
         else:
             read <<= take

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.binary import code_raw
+from gs_codec.coding.binary import read_raw
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.mapped import FileBytes
@@ -47,18 +47,29 @@ class ByteReader:
 
 @kernel
 def _write_raw(values, widths, position, bits):
+    at, filled = position >> 3, position & 7
+    # The last bits written, of which `filled` are not in a whole byte.
+    last = np.int64(bits[at]) >> (8 - filled) if filled else 0
     for i in range(len(values)):
-        width = np.int64(widths[i])
-        if width:
-            code_raw(bits, position, width, abs(values[i]), True)
-            position += width
-    return position
+        left, value = np.int64(widths[i]), abs(values[i])
+        while left > 0:
+            take = min(left, 32)
+            left -= take
+            last = (last & 255) << take | ((value >> left) & ((1 << take) - 1))
+            filled += take
+            while filled >= 8:
+                filled -= 8
+                bits[at] = (last >> filled) & 255
+                at += 1
+    if filled:
+        bits[at] = (last << (8 - filled)) & 255
+    return 8 * at + filled
 
 
 @kernel
 def _read_fields(widths, position, bits, values):
     for i in range(len(widths)):
-        values[i] = code_raw(bits, position, widths[i], 0, False)
+        values[i] = read_raw(bits, position, widths[i])
         position += widths[i]
     return position
 

@@ -42,17 +42,34 @@ MOST_FAR_BITS = 62
 
 def to_fixed(values: NDArray[np.floating], limit: float) -> tuple[NDArray[np.int64], int]:
     """Convert to fixed-point values; count how many were clamped to `limit`."""
-    clamped = np.clip(values.astype(np.float64), -limit, limit)
-    fixed = np.floor(clamped * (1 << FRACTION_BITS) + 0.5).astype(np.int64)
-    return fixed, int(np.count_nonzero(np.abs(values) > limit))
+    fixed = np.empty(values.shape, np.int64)
+    return fixed, _to_fixed(np.ravel(values).astype(np.float64, copy=False), limit, fixed.ravel())
+
+
+@kernel
+def _to_fixed(values, limit, fixed):
+    clamped = 0
+    for i in range(len(values)):
+        value = min(max(values[i], -limit), limit)
+        fixed[i] = np.int64(np.floor(value * (1 << FRACTION_BITS) + 0.5))
+        clamped += np.int64(abs(values[i]) > limit)
+    return clamped
 
 
 def to_lattice(
     fixed: NDArray[np.int64], centre: int, unit: int, shifts: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Nearest levels ``(n,)`` of fixed-point values ``(n,)``; inverse of `from_lattice`."""
-    steps = unit << shifts
-    return (2 * (fixed - centre) + steps) // (2 * steps)
+    levels = np.empty(len(fixed), np.int64)
+    _to_lattice(fixed, centre, unit, shifts, levels)
+    return levels
+
+
+@kernel
+def _to_lattice(fixed, centre, unit, shifts, levels):
+    for i in range(len(levels)):
+        step = unit << shifts[i]
+        levels[i] = (2 * (fixed[i] - centre) + step) // (2 * step)
 
 
 def from_lattice(

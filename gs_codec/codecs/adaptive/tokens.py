@@ -79,11 +79,24 @@ def read_token(words, position, states, symbol, spans, slots, row, bits, used, r
 
 
 @kernel
-def _tokenise(values, tokens, widths):
+def _tokenise(values, tokens):
+    """Fill ``tokens (n,)``; return the number of integers with raw bits."""
+    number = 0
     for i in range(len(values)):
         token = token_of(np.int64(values[i]))
         tokens[i] = token
-        widths[i] = RAW_WIDTHS[token]
+        number += np.int64(token >= 2 * DIRECT)
+    return number
+
+
+@kernel
+def _list_raw(values, tokens, symbols, levels, widths):
+    found = 0
+    for i in range(len(values)):
+        if tokens[i] >= 2 * DIRECT:
+            symbols[found], levels[found] = i, values[i]
+            widths[found] = RAW_WIDTHS[tokens[i]]
+            found += 1
 
 
 def tokenise(
@@ -94,7 +107,9 @@ def tokenise(
     The other three arrays describe the integers with raw bits: their indices, ascending; the
     integers themselves; and their numbers of raw bits.
     """
-    tokens, widths = np.empty((2, len(values)), np.uint8)
-    _tokenise(values, tokens, widths)
-    raw = np.flatnonzero(widths)
-    return tokens, raw, values[raw].astype(np.int64), widths[raw]
+    tokens = np.empty(len(values), np.uint8)
+    number = _tokenise(values, tokens)
+    raw, levels = np.empty((2, number), np.int64)
+    widths = np.empty(number, np.uint8)
+    _list_raw(values, tokens, raw, levels, widths)
+    return tokens, raw, levels, widths

@@ -102,9 +102,16 @@ def dot(a: NDArray, b: NDArray) -> float:
 def combine(coefficients: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum ``(n,)`` of ``rows (K, n)`` times ``coefficients (K,)``."""
     total = np.zeros(rows.shape[1])
-    for coefficient, row in zip(coefficients, rows, strict=True):
-        total += coefficient * row
+    _combine(np.ascontiguousarray(coefficients), np.ascontiguousarray(rows, np.float64), total)
     return total
+
+
+@kernel
+def _combine(coefficients, rows, total):
+    for k in range(len(coefficients)):
+        coefficient, row = coefficients[k], rows[k]
+        for i in range(len(total)):
+            total[i] += coefficient * row[i]
 
 
 @kernel

@@ -115,3 +115,34 @@ def fill_colours(
     2**33. Return whether all are below `limit`. The operations are those of `from_ycocg`.
     """
     return _fill(levels, units.astype(np.float64), 2.0 ** (shifts - 20), limit, out, first)
+
+
+@kernel
+def _round(planes, rows, start, steps, out):
+    stop = start + len(steps)
+    for k in range(rows[0], rows[1]):
+        reds, greens, blues = (
+            planes[0, k, start:stop],
+            planes[1, k, start:stop],
+            planes[2, k, start:stop],
+        )
+        red, green, blue = out[0, k, start:stop], out[1, k, start:stop], out[2, k, start:stop]
+        for i in range(len(steps)):
+            y, o, g = luma_chroma(np.float64(reds[i]), np.float64(greens[i]), np.float64(blues[i]))
+            step = steps[i]
+            y, o, g = step * np.rint(y / step), step * np.rint(o / step), step * np.rint(g / step)
+            red[i], green[i], blue[i] = red_green_blue(y, o, g)
+
+
+def round_colours(
+    planes: NDArray[np.float32],
+    rows: range,
+    start: int,
+    steps: NDArray[np.floating],
+    out: NDArray[np.float32],
+) -> None:
+    """Round some of R, G, B ``planes (3, K, N)`` to `out` so that Y, Co, Cg are whole steps.
+
+    They are those of coefficients `rows` and of n Gaussians from `start` on; ``steps (n,)``.
+    """
+    _round(planes, (rows.start, rows.stop), start, steps, out)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,8 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_conversion import wanted_steps
 from gs_codec.codecs.adaptive.step_sizes import SH_RATIO, StepSizes, blind_coefficients
 from gs_codec.coding.axes import sort_axes
-from gs_codec.coding.ycocg import from_ycocg, to_ycocg
+from gs_codec.coding.ycocg import round_colours
 from gs_codec.config import ADAPTIVE_PROFILES, Config, options_of
-from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.guidance.windows import (
     ENOUGH,
     MOST_LEFT,
@@ -137,9 +135,11 @@ def _octaves(shown: Scene, parts: list[Part], sample: Scene, progress: Progress 
         return 0.0
     _, scales, _ = sort_axes(sample.log_scale, sample.rot)
     octaves = 0.0
+    coded = replace(shown, **{group: np.empty_like(getattr(shown, group)) for group in GROUPS})
     for _ in range(_ROUNDS):
         rules = blind_coefficients(scales, ADAPTIVE_PROFILES["m"].fineness * 2.0**octaves)
-        rounded = draw_parts(_rounded(shown, rules), [part for part, _ in telling])
+        _round(shown, rules, coded)
+        rounded = draw_parts(coded, [part for part, _ in telling])
         errors = [
             np.mean((before - after) ** 2, dtype=np.float64)
             for (_, before), (after, _) in zip(telling, rounded, strict=True)
@@ -153,40 +153,25 @@ def _octaves(shown: Scene, parts: list[Part], sample: Scene, progress: Progress 
     return _OCTAVE * round(octaves / _OCTAVE)
 
 
-def _rounded(scene: Scene, rules: dict[str, NDArray[np.float64]]) -> Scene:
-    """A scene with attributes at whole multiples of the step sizes of rules."""
+def _round(scene: Scene, rules: dict[str, NDArray[np.float64]], out: Scene) -> None:
+    """Fill `out` with the attributes of a scene at whole multiples of the step sizes of rules."""
 
-    def work(start: int) -> Scene:
+    def work(start: int) -> None:
         part = scene.between(start, min(start + _AT_ONCE, scene.count))
         none = np.zeros(part.count, np.uint8)
-        return _to_steps(part, wanted_steps(part, StepSizes(none, none, rules, (SH_RATIO,) * 3)))
+        steps = wanted_steps(part, StepSizes(none, none, rules, (SH_RATIO,) * 3))
+        norm = np.sqrt(np.sum(part.rot**2, axis=0))
+        for group, values in {
+            "positions": part.positions,
+            "opacity": part.opacity,
+            "log_scale": part.log_scale,
+            "rot": part.rot / norm,
+        }.items():
+            step = getattr(steps, group)
+            getattr(out, group)[:, start : start + part.count] = step * np.rint(values / step)
+        round_colours(scene.f_dc[:, None], range(1), start, steps.f_dc, out.f_dc[:, None])
+        f_rest, rounded = (of.f_rest.reshape(3, -1, of.count) for of in (scene, out))
+        for band, step in zip(sh_bands(f_rest.shape[1]), steps.f_rest, strict=False):
+            round_colours(f_rest, band, start, step, rounded)
 
-    done = run_all(work, range(0, scene.count, _AT_ONCE))
-    planes: dict[str, Any] = {
-        g: np.concatenate([getattr(part, g) for part in done], axis=1) for g in GROUPS
-    }
-    return replace(scene, **planes)
-
-
-def _to_steps(scene: Scene, steps: AttributeSteps) -> Scene:
-    """A scene with attributes at whole multiples of their step sizes."""
-
-    def rounded(values: NDArray, step: NDArray) -> NDArray[np.float32]:
-        return (step * np.rint(values / step)).astype(np.float32)
-
-    def coloured(values: NDArray, step: NDArray) -> NDArray[np.float32]:
-        return from_ycocg(rounded(to_ycocg(values), step).astype(np.float64))
-
-    f_rest = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count).copy()
-    for band, step in zip(sh_bands(f_rest.shape[1]), steps.f_rest, strict=False):
-        f_rest[:, band] = coloured(f_rest[:, band], step)
-    norm = np.sqrt(np.sum(scene.rot**2, axis=0))
-    return replace(
-        scene,
-        positions=rounded(scene.positions, steps.positions),
-        f_dc=coloured(scene.f_dc, steps.f_dc),
-        f_rest=f_rest.reshape(scene.f_rest.shape),
-        opacity=rounded(scene.opacity, steps.opacity),
-        log_scale=rounded(scene.log_scale, steps.log_scale),
-        rot=rounded(scene.rot / norm, steps.rot),
-    )
+    run_all(work, range(0, scene.count, _AT_ONCE))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from gs_codec.cameras.camera import Camera
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
-from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.frame import draw_few
 from gs_codec.rendering.project import NEAR
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
@@ -63,8 +62,11 @@ MOST_LEFT = 0.3
 #: Approximate size of the sample for choosing windows.
 _SAMPLE = 20_000
 
-#: Number of Gaussians tested at once.
+#: Number of Gaussians whose radii are computed at once.
 _CHUNK = 1 << 18
+
+#: Number of Gaussians tested together.
+_AT_ONCE = 2048
 
 
 class Windows(NamedTuple):
@@ -149,7 +151,8 @@ def _crop(
     view: Camera, points: NDArray[np.float32], count: int, rng: np.random.Generator
 ) -> Camera:
     """A random square crop of a view with about `_SHOWN` of `count` Gaussians."""
-    shown = count * float(_inside(points, np.zeros_like(points[0]), view).mean())
+    inside = _find_inside(points, np.zeros_like(points[0]), view, np.empty(0, np.int64))
+    shown = count * inside / points.shape[1]
     area = _SHOWN / max(shown, 1) * view.width * view.height
     side = min(math.sqrt(area), view.height)
     corner = rng.uniform(0, [view.width - side, view.height - side])
@@ -177,15 +180,10 @@ def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64
     if not windows:
         return []
     reaches = _reaches(scene)
-    chunks = list(pairwise([*range(0, scene.count, _CHUNK), scene.count]))
 
     def find(window: Camera) -> NDArray[np.int64]:
-        found = [
-            first
-            + np.flatnonzero(_inside(scene.positions[:, first:end], reaches[first:end], window))
-            for first, end in chunks
-        ]
-        return np.concatenate([np.empty(0, np.int64), *found])[: MOST_SHOWN + 1]
+        found = np.empty(MOST_SHOWN + 1, np.int64)
+        return found[: _find_inside(scene.positions, reaches, window, found)]
 
     return run_all(find, windows)
 
@@ -199,7 +197,7 @@ def parts_of(windows: Sequence[Camera], sizes: Sequence[int]) -> list[Part]:
 
 @kernel
 def _mark(x, y, z, reaches, rotation, position, slopes, inside):
-    """Set ``inside (N,)`` where a Gaussian reaches into a window; in float32, for speed."""
+    """Set ``inside (n,)`` where a Gaussian reaches into a window; in float32, for speed."""
     (right_x, right_y, right_z), (down_x, down_y, down_z), (ahead_x, ahead_y, ahead_z) = rotation
     left, right, top, bottom, near = slopes
     for i in range(len(x)):
@@ -218,10 +216,36 @@ def _mark(x, y, z, reaches, rotation, position, slopes, inside):
         )
 
 
-def _inside(
-    positions: NDArray[np.float32], reaches: NDArray[np.float32], window: Camera
-) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` reach into a window."""
+@kernel
+def _list_inside(x, y, z, reaches, rotation, position, slopes, found):
+    """Count the Gaussians that reach into a window; list the first of them in `found`."""
+    inside, count = np.zeros(_AT_ONCE, np.bool_), 0
+    eights = inside.view(np.uint64)
+    for first in range(0, len(x), _AT_ONCE):
+        end = min(first + _AT_ONCE, len(x))
+        inside[end - first :] = False
+        _mark(
+            x[first:end], y[first:end], z[first:end], reaches[first:end],
+            rotation, position, slopes, inside,
+        )  # fmt: skip
+        for j in range(len(eights)):
+            if eights[j] == 0:
+                continue
+            for i in range(8 * j, 8 * j + 8):
+                if inside[i]:
+                    if count < len(found):
+                        found[count] = first + i
+                    count += 1
+    return count
+
+
+def _find_inside(
+    positions: NDArray[np.float32],
+    reaches: NDArray[np.float32],
+    window: Camera,
+    found: NDArray[np.int64],
+) -> int:
+    """Count the Gaussians that reach into a window; list the first of them in `found`."""
     slopes = (
         -window.cx / window.fx, (window.width - window.cx) / window.fx,
         -window.cy / window.fy, (window.height - window.cy) / window.fy, NEAR,
@@ -229,9 +253,8 @@ def _inside(
     rotation = tuple(tuple(np.float32(v) for v in row) for row in window.rotation)
     with np.errstate(over="ignore"):  # an infinitely distant Gaussian is not in a window
         position = tuple(np.float32(v) for v in window.position)
-    inside = np.empty(positions.shape[1], np.bool_)
-    _mark(*positions, reaches, rotation, position, tuple(np.float32(s) for s in slopes), inside)
-    return inside
+    edges = tuple(np.float32(slope) for slope in slopes)
+    return _list_inside(*positions, reaches, rotation, position, edges, found)
 
 
 def _reaches(scene: Scene) -> NDArray[np.float32]:
@@ -251,8 +274,7 @@ def draw_parts(scene: Scene, parts: Sequence[Part]) -> list[tuple[NDArray[np.flo
     """Colour ``(H, W, 3)``, clamped to 1 (also NaN), and mean transmittance of each window."""
 
     def draw(part: Part) -> tuple[NDArray[np.float32], float]:
-        frame = make_frame(scene.between(part.start, part.stop), part.window)
-        colour, (left, _, _) = frame.draw_float32((0.0, 0.0, 0.0))
-        return np.fmin(colour, 1), float(np.mean(np.abs(left)))
+        colour, left = draw_few(scene, part.window, part.start, part.stop)
+        return np.fmin(colour, 1), float(np.mean(left))
 
     return run_all(draw, parts)

@@ -220,3 +220,36 @@ def _sum_pairs(gaussians, splats, values, totals):
         total = totals[gaussians[splats[pair]]]
         for k in range(values.shape[1]):
             total[k] += values[pair, k]
+
+
+def draw_few(
+    scene: Scene, camera: Camera, start: int, stop: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Render Gaussians `start` to `stop` on black, with few calls, for views of few pixels.
+
+    Returns what `make_frame` and `draw_float32` would: colour ``(H, W, 3)``, and the transmittance
+    behind all splats ``(tiles, 256)``.
+    """
+    splats = project(scene, camera, scene.antialiased, start, stop)
+    order = _nearest_first(splats.fields[:, DEPTH])
+    fields, boxes = (np.take(part, order, 0, mode="clip") for part in splats[:2])
+    colour = np.empty((camera.height, camera.width, 3), np.float32)
+    columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
+    left = np.empty((columns * rows, TILE * TILE), np.float32)
+    _draw_few(fields, boxes, columns, np.zeros(3), colour, left)
+    return colour, left
+
+
+@kernel
+def _draw_few(fields, boxes, columns, background, colour, left):
+    tiles, first = len(left), np.int64(0)
+    starts = np.zeros(tiles + 1, np.int64)
+    _count(fields, boxes, columns, first, len(fields), starts[1:])
+    for tile in range(tiles):
+        starts[tile + 1] += starts[tile]
+    splats = np.empty(starts[tiles], np.int32)
+    _fill(fields, boxes, columns, first, len(fields), starts[:-1].copy(), splats)
+    drawn, reached = np.empty((len(splats), TILE), np.uint16), np.empty(tiles, np.int64)
+    draw_float32(
+        fields, splats, starts, first, tiles, columns, background, colour, left, drawn, reached
+    )

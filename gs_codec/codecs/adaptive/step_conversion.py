@@ -107,16 +107,14 @@ def wanted_steps(scene: Scene, steps: StepSizes) -> AttributeSteps:
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     known = features(scene.opacity[0].astype(np.float64), scales)
 
-    # Camera-guided step sizes are whole octaves apart. Without this dither, writers that round to
-    # powers of two would switch all of them at once, and file sizes would jump.
-    between = np.arange(scene.count) * _GOLDEN % 1 - 0.5
-
     def wanted(rule: str, more: NDArray | float = 0.0) -> NDArray[np.float64]:
         octaves = steps.colour_class if rule == "colour" else steps.shape_class
         row = steps.coefficients[rule]
         whole = octaves + combine(row, known) + more
         if octaves.any() and not row[1:].any():
-            whole += between
+            # Camera-guided step sizes are whole octaves apart. Without this dither, writers that
+            # round to powers of two would switch all of them at once, and file sizes would jump.
+            whole += np.arange(scene.count) * _GOLDEN % 1 - 0.5
         return np.exp2(np.clip(whole, _FINEST, _COARSEST[rule]))
 
     alike = likeness(to_fixed(scales, LARGEST)[0])

@@ -49,8 +49,8 @@ _BANDS = {
     for stream, band in zip(SH_STREAMS, sh_bands(), strict=True)
 }
 
-#: Exceptions to `TRIED` in larger blocks: none where differences of consecutive Gaussians do not pay,
-#: all where a few values often mislead.
+#: Exceptions to `TRIED` in larger blocks: none where differences of consecutive Gaussians do not
+#: pay, all where a few values often mislead.
 _TRIED = {SectionId.OPACITY: 0, SectionId.SH2: 0, SectionId.SH3: 0, SectionId.SH_DC: sys.maxsize}
 
 #: Green is coded first, because it predicts red and blue best.

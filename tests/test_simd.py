@@ -17,6 +17,7 @@ from gs_codec.runtime.simd import (
     last_of,
     load,
     mask_of,
+    prefetch,
     repeated,
     store,
     total,
@@ -93,6 +94,7 @@ def test_masks_have_ends_and_bits(values, first, last):
 def test_whole_numbers_are_loaded_and_cut_off():
     @kernel
     def double(values, out):
+        prefetch(values, np.int64(16))
         store(out, np.int64(0), load(values, np.int64(1)) * np.float32(2.5))
 
     values, out = np.arange(17, dtype=np.uint16) * 1000, np.empty(LANES, np.uint16)

@@ -24,7 +24,14 @@ from gs_codec.rendering.project import (
     RED,
     TILE,
 )
-from gs_codec.rendering.tiles_float64 import MAX_ALPHA, MIN_TRANSMITTANCE, tile_bounds, whole
+from gs_codec.rendering.tiles_float64 import (
+    AHEAD,
+    MAX_ALPHA,
+    MIN_TRANSMITTANCE,
+    request_fields,
+    tile_bounds,
+    whole,
+)
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.simd import (
     bits_of,
@@ -177,6 +184,7 @@ def draw_tile(fields, splats, start, end, x0, y0, height, least, light, drawn):
     """
     still_open = 0
     for pair in range(start, end):
+        request_fields(fields, splats[min(pair + AHEAD, end - 1)])
         field = fields[splats[pair]]
         splat, (red, green, blue) = splat_of(field), colour_of(field)
         top, bottom, u, v = place_in_tile(field, x0, y0, height)
@@ -208,6 +216,7 @@ def walk_back(
     + b squared. ``add_up(pair, splat, u, sums, results)`` adds up the columns.
     """
     for pair in range(end - 1, start - 1, -1):
+        request_fields(fields, splats[max(pair - AHEAD, start)])
         field = fields[splats[pair]]
         splat, (red, green, blue) = splat_of(field), colour_of(field)
         top, bottom, u, v = place_in_tile(field, x0, y0, height)

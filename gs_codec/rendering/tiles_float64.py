@@ -25,6 +25,7 @@ from gs_codec.rendering.project import (
     TILE,
 )
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import prefetch
 
 #: Maximum alpha of one splat in one pixel.
 MAX_ALPHA = 0.99
@@ -114,6 +115,20 @@ def _exp_minus(x):
     return _EXPONENTIALS[step] * series
 
 
+#: Number of pairs between the one whose values are requested from memory and the one processed.
+AHEAD = 8
+
+#: Values of a splat.
+_FIELDS = DEPTH + 1
+
+
+@inlined
+def request_fields(fields, splat):
+    """Let the values of a splat come nearer while earlier pairs are processed."""
+    prefetch(fields, splat * _FIELDS)
+    prefetch(fields, splat * _FIELDS + DEPTH)
+
+
 #: Columns of the sums of each splat-tile pair, over its pixels.
 WEIGHT, SQUARED_WEIGHT, TRANSMITTANCE, PIXELS = range(4)
 
@@ -133,6 +148,7 @@ def draw_tiles(fields, splats, starts, first, end, columns, background, colour, 
         left[:] = 1.0
         still_open = (x1 - x0) * (y1 - y0)
         for pair in range(starts[tile], starts[tile + 1]):
+            request_fields(fields, splats[min(pair + AHEAD, starts[tile + 1] - 1)])
             field = fields[splats[pair]]
             count, done = trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before)
             red, green, blue, far = field[RED], field[GREEN], field[BLUE], field[DEPTH]

@@ -17,7 +17,7 @@ from gs_codec.rendering.tiles_float32 import (
     place_in_tile,
     splat_of,
 )
-from gs_codec.rendering.tiles_float64 import tile_bounds
+from gs_codec.rendering.tiles_float64 import AHEAD, request_fields, tile_bounds
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.simd import (
     between,
@@ -26,6 +26,7 @@ from gs_codec.runtime.simd import (
     largest,
     last_of,
     load,
+    prefetch,
     repeated,
     store,
     total,
@@ -219,6 +220,7 @@ def _trace_tile(
     """Fill the rows of a tile, and their weights in all columns; return the end of the rows."""
     first_row, still_open = end_row, 0
     for pair in range(start, end):
+        request_fields(fields, splats[min(pair + AHEAD, end - 1)])
         field = fields[splats[pair]]
         splat = splat_of(field)
         top, bottom, u, v = place_in_tile(field, x0, y0, height)
@@ -315,6 +317,7 @@ def _subtract(first, end, pairs, ends, rows, weights, least, colours, row, start
     Returns the start of the rows and weights of the next tile.
     """
     for pair in range(first, end):
+        prefetch(colours, 3 * pairs[min(pair + AHEAD, end - 1)])
         colour = colours[pairs[pair]]
         red, green, blue = _UNIT * colour[0], _UNIT * colour[1], _UNIT * colour[2]
         while row < ends[pair]:
@@ -333,6 +336,7 @@ def _subtract(first, end, pairs, ends, rows, weights, least, colours, row, start
 def _add_up(first, end, pairs, ends, rows, weights, least, residual, row, start, sums):
     """Add pairs `first` to `end` of a tile to ``sums (V, 4)``."""
     for pair in range(first, end):
+        prefetch(sums, 4 * pairs[min(pair + AHEAD, end - 1)])
         red = green = blue = square = repeated(_ZERO)
         while row < ends[pair]:
             code = np.int64(rows[row])

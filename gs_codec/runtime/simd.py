@@ -26,6 +26,7 @@ _INT = ir.IntType(32)
 _ORDER = ir.VectorType(_INT, LANES)
 _BITS = ir.IntType(LANES)
 _NO = ir.IntType(1)(0)
+_BYTES = ir.IntType(8).as_pointer()
 
 
 class _Lanes(types.Type):
@@ -98,6 +99,21 @@ def store(typing: Any, array: Any, at: Any, lanes: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp, _lanes_of(array.dtype)), generate
+
+
+@_operation
+def prefetch(typing: Any, array: Any, at: Any) -> Any:
+    """Bring the cache line of value number `at` of a C-contiguous array nearer."""
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, given[0])
+        place = builder.bitcast(builder.gep(array.data, [given[1]]), _BYTES)
+        kind = ir.FunctionType(ir.VoidType(), [_BYTES, _INT, _INT, _INT])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+        builder.call(function, [place, _INT(0), _INT(3), _INT(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
 
 
 def _place(context: Any, builder: Any, signature: Any, given: Any) -> Any:

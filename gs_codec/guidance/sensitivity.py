@@ -41,7 +41,7 @@ from gs_codec.rendering.tiles_float32 import (
     uncover,
     walk_back,
 )
-from gs_codec.rendering.tiles_float64 import tile_bounds
+from gs_codec.rendering.tiles_float64 import AHEAD, request_fields, tile_bounds
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.simd import repeated, total, where
@@ -57,8 +57,11 @@ _ZERO = np.float32(0)
 
 
 @kernel
-def sum_moments(fields, splats, starts, columns, background, colour, sums):
-    """Draw all tiles of a view into an image ``(H, W, 3)``, and add them to ``sums (V, 10)``."""
+def sum_moments(fields, splats, starts, columns, background, colour, places, sums):
+    """Draw all tiles of a view into an image ``(H, W, 3)``, and add them to ``sums (V, 10)``.
+
+    A row of `sums` is a place of `Frame.places`.
+    """
     height, width, _ = colour.shape
     light, drawn = np.empty(BEHIND, np.float32), np.empty((len(splats), TILE), np.uint16)
     zero = repeated(_ZERO)
@@ -72,7 +75,7 @@ def sum_moments(fields, splats, starts, columns, background, colour, sums):
         turn_back(background, light)
         walk_back(
             _take_moments, _total_moments, none, fields, splats, start, reached, x0, y0, height,
-            light, drawn, sums,
+            light, drawn, (places, sums),
         )  # fmt: skip
 
 
@@ -101,7 +104,8 @@ def _take_moments(light, at, alpha, red, green, blue, place, sums):
 
 @inlined
 def _total_moments(pair, splat, u, sums, results):
-    row = results[splat]
+    places, totals = results
+    row = totals[places[splat]]
     for k in range(SQUARED_WEIGHT + 1):
         row[k] += np.float64(total(sums[k]))
 
@@ -192,12 +196,15 @@ def sensitivity(scene: Scene, views: ReferenceViews, progress: Progress | None =
 def _look(
     scene: Scene, camera: Camera, background: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]:
-    """Visible Gaussians ``(V,)`` of a view, their contributions ``(V, 9)``, and the image."""
+    """Visible Gaussians ``(V,)``, ascending, their contributions ``(V, 9)``, and the image."""
     frame = make_frame(scene, camera)
-    fields, gaussians = frame.splats.fields, frame.splats.gaussians
+    fields, places, gaussians = frame.splats.fields, frame.places, frame.seen
     sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
     image = np.empty((camera.height, camera.width, 3), np.float32)
-    sum_moments(fields, *frame.lists, frame.columns, np.array(background, np.float64), image, sums)
+    behind = np.array(background, np.float64)
+    sum_moments(fields, *frame.lists, frame.columns, behind, image, places, sums)
+    splats = np.empty_like(places)
+    splats[places] = np.arange(len(places))
     found = np.zeros((len(fields), _COLUMNS))
     _to_attributes(
         scene.positions,
@@ -207,6 +214,7 @@ def _look(
         *camera_arguments(camera),
         scene.antialiased,
         fields,
+        splats,
         gaussians,
         sums,
         found,
@@ -226,15 +234,19 @@ def _add_up(gaussians, found, totals, weights):
 @kernel
 def _to_attributes(
     positions, opacity, log_scale, rot, rotation, position, intrinsics, width, height,
-    antialiased, fields, gaussians, sums, found,
+    antialiased, fields, splats, gaussians, sums, found,
 ):  # fmt: skip
-    """Fill ``found (V, 9)``, initially 0, from the sums over the pixels of each splat."""
+    """Fill ``found (V, 9)``, initially 0, from the sums over the pixels of each splat.
+
+    Rows, and `splats`, are in the scene's order.
+    """
     fx, fy, cx, cy = intrinsics
     variances, axes = np.empty(3), np.empty((3, 2))
     units, offsets = np.empty((3, 2)), np.empty((3, 2))
-    for splat in range(len(gaussians)):
-        i = gaussians[splat]
-        field, total, row = fields[splat], sums[splat], found[splat]
+    for place in range(len(gaussians)):
+        request_fields(fields, splats[min(place + AHEAD, len(splats) - 1)])
+        i = gaussians[place]
+        field, total, row = fields[splats[place]], sums[place], found[place]
         if total[SQUARED_WEIGHT] == 0.0:
             continue
         x, y, z = rotated(

@@ -24,8 +24,9 @@ from gs_codec.rendering.project import (
     to_tile,
 )
 from gs_codec.rendering.tiles_float32 import draw_float32
-from gs_codec.rendering.tiles_float64 import draw_tiles
+from gs_codec.rendering.tiles_float64 import AHEAD, draw_tiles
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import prefetch
 from gs_codec.runtime.threads import available_threads, run_all, using_threads
 from gs_codec.scene import Scene
 
@@ -40,10 +41,15 @@ class TileLists(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Splats, nearest first, and the splats of each tile."""
+    """Splats, nearest first, and the splats of each tile.
+
+    ``places (V,)`` are the places of the splats in the scene's order: the Gaussian of splat i is
+    ``seen[places[i]]``.
+    """
 
     camera: Camera
     splats: Splats
+    places: NDArray[np.int64]
     lists: TileLists
     columns: int
     rows: int
@@ -52,6 +58,13 @@ class Frame(NamedTuple):
     def pairs(self) -> int:
         """Number of splat-tile pairs."""
         return len(self.lists.splats)
+
+    @property
+    def seen(self) -> NDArray[np.int64]:
+        """The Gaussians of the splats, ascending."""
+        seen = np.empty_like(self.splats.gaussians)
+        seen[self.places] = self.splats.gaussians
+        return seen
 
     def over_tiles(self, function: Callable, *arguments: Any) -> None:
         """Run a kernel over all tiles, in threads.
@@ -95,10 +108,10 @@ class Frame(NamedTuple):
         self.over_tiles(draw_float32, np.array(background, np.float64), colour, *state)
         return colour, state
 
-    def sum_pairs(self, count: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum ``values (pairs, K)`` over the pairs of each of `count` Gaussians: ``(count, K)``."""
-        totals = np.zeros((count, values.shape[1]))
-        _sum_pairs(self.splats.gaussians, self.lists.splats, values, totals)
+    def sum_pairs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sum ``values (pairs, K)`` over the pairs of each Gaussian in `seen`: ``(V, K)``."""
+        totals = np.zeros((len(self.places), values.shape[1]))
+        _sum_pairs(self.places, self.lists.splats, values, totals)
         return totals
 
 
@@ -107,10 +120,10 @@ def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) ->
     if antialiased is None:
         antialiased = scene.antialiased
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
-    splats = _sorted_splats(scene, camera, antialiased)
+    splats, places = _sorted_splats(scene, camera, antialiased)
     with using_threads(None, len(splats.fields)):
         lists = _list_tiles(splats, columns, rows)
-    return Frame(camera, splats, lists, columns, rows)
+    return Frame(camera, splats, places, lists, columns, rows)
 
 
 def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]:
@@ -122,14 +135,20 @@ def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]
     return [*parts, project(scene, camera, antialiased, 0, 0)]
 
 
-def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
-    """Visible splats, nearest first; equal depths keep the scene's order."""
+def _sorted_splats(
+    scene: Scene, camera: Camera, antialiased: bool
+) -> tuple[Splats, NDArray[np.int64]]:
+    """Visible splats, nearest first, and their places in the scene's order.
+
+    Equal depths keep the scene's order.
+    """
     parts = project_all(scene, camera, antialiased)
     order = _nearest_first(np.concatenate([part.fields[:, DEPTH] for part in parts]))
     # Indices are in range, so clipping changes nothing; it is faster than checking.
-    return Splats(
+    splats = Splats(
         *(np.take(np.concatenate(x), order, 0, mode="clip") for x in zip(*parts, strict=True))
     )
+    return splats, order
 
 
 def _nearest_first(depths: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -215,10 +234,14 @@ def _span(ellipse, box, row):
 
 
 @kernel
-def _sum_pairs(gaussians, splats, values, totals):
+def _sum_pairs(places, splats, values, totals):
+    columns = values.shape[1]
     for pair in range(len(splats)):
-        total = totals[gaussians[splats[pair]]]
-        for k in range(values.shape[1]):
+        ahead = places[splats[min(pair + AHEAD, len(splats) - 1)]] * columns
+        prefetch(totals, ahead)
+        prefetch(totals, ahead + columns - 1)
+        total = totals[places[splats[pair]]]
+        for k in range(columns):
             total[k] += values[pair, k]
 
 

@@ -56,7 +56,7 @@ def differentiate_gaussians(
 ):  # fmt: skip
     """Fill ``slopes (stop - start, 14 + 3 K)``, with columns in the order of `GROUPS`.
 
-    They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
+    They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (M, 9)`` of
     `sum_gradients`.
     """
     fx, fy, cx, cy = intrinsics
@@ -67,7 +67,7 @@ def differentiate_gaussians(
     after = _F_REST + len(f_rest)
     for j in range(stop - start):
         i = chosen[start + j]
-        total, slope = sums[i], slopes[j]
+        total, slope = sums[start + j], slopes[j]
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
@@ -185,8 +185,8 @@ def _differentiate_turn(rot, i, quaternion, columns, slope):
 class Differentiated(NamedTuple):
     """A view of a scene, its mean squared error, and the derivatives of its loss by splat.
 
-    ``sums (N, 9)`` are the sums of `sum_gradients`. ``chosen (M,)`` lists, ascending, the visible
-    Gaussians: those whose sums are not all 0.
+    ``chosen (M,)`` lists, ascending, the visible Gaussians: those whose sums are not all 0.
+    ``sums (M, 9)`` are their sums of `sum_gradients`.
     """
 
     scene: Scene
@@ -245,20 +245,22 @@ def differentiate(
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
     behind = np.array(background, np.float64)
     frame.over_tiles(sum_gradients, behind, by_colour, *state, pairs)
-    sums = frame.sum_pairs(scene.count, pairs)
-    chosen = np.empty(len(frame.splats.gaussians), np.int64)
-    count = _choose(sums, chosen)
-    return Differentiated(scene, camera, squared_error, sums, chosen[:count])
+    sums, chosen = frame.sum_pairs(pairs), frame.seen
+    count = _keep_changing(sums, chosen)
+    return Differentiated(scene, camera, squared_error, sums[:count], chosen[:count])
 
 
 @kernel
-def _choose(sums, chosen):
-    """List the rows that are not all 0; return their number."""
+def _keep_changing(sums, gaussians):
+    """Move rows that are not all 0, and their Gaussians, to the front; return their number."""
     count = 0
     for i in range(len(sums)):
+        changing = False
         for value in sums[i]:
-            if value != 0.0:
-                chosen[count] = i
-                count += 1
-                break
+            changing |= value != 0.0
+        if changing:
+            for k in range(sums.shape[1]):
+                sums[count, k] = sums[i, k]
+            gaussians[count] = gaussians[i]
+            count += 1
     return count

@@ -109,7 +109,9 @@ def render(
     images = frame.draw(background, np.float32, sums)
     accumulations = None
     if accumulate:
-        weight, squared, transmittance, pixels = frame.sum_pairs(scene.count, sums).T
+        totals = np.zeros((scene.count, sums.shape[1]))
+        totals[frame.seen] = frame.sum_pairs(sums)
+        weight, squared, transmittance, pixels = totals.T
         accumulations = Accumulations(weight, squared, transmittance, pixels.astype(np.int64))
     return Rendering(*images, accumulations, frame.pairs)
 

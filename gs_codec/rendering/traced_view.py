@@ -160,13 +160,10 @@ def trace_view(
     chosen = (rows + columns) % every == first % every
     counts = np.diff(starts)
     splats, starts = splats[np.repeat(chosen, counts)], np.append(0, np.cumsum(counts[chosen]))
-    gaussians = frame.splats.gaussians
-    used = np.zeros(len(gaussians), bool)
-    used[splats] = True
-    order = np.flatnonzero(used)
-    order = order[np.argsort(gaussians[order])]
-    rank = np.empty(len(gaussians), np.int32)
-    rank[order] = np.arange(len(order), dtype=np.int32)
+    places = frame.places[splats]
+    used = np.zeros(len(frame.places), bool)
+    used[places] = True
+    rank = np.cumsum(used, dtype=np.int32) - 1
     tiles = np.flatnonzero(chosen)
     ends, left = np.zeros(len(splats), np.int32), np.zeros((len(tiles), PIXELS), np.float32)
     if buffers is None:
@@ -174,7 +171,8 @@ def trace_view(
     size = (frame.columns, camera.width, camera.height)
     *buffers, end = _trace(frame.splats.fields, splats, starts, tiles, *size, left, ends, *buffers)
     own = buffers[0][: ends.max(initial=0)].copy(), buffers[1][: end + TILE].copy()
-    traced = TracedView(camera, gaussians[order], tiles, rank[splats], starts, ends, *own, left)
+    seen, pairs = frame.seen[used], rank[places]
+    traced = TracedView(camera, seen, tiles, pairs, starts, ends, *own, left)
     return traced, (buffers[0], buffers[1])
 
 

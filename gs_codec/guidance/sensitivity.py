@@ -44,7 +44,7 @@ from gs_codec.rendering.tiles_float32 import (
 from gs_codec.rendering.tiles_float64 import AHEAD, request_fields, tile_bounds
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
-from gs_codec.runtime.simd import repeated, total, where
+from gs_codec.runtime.simd import prefetch, repeated, total, where
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
 
@@ -52,6 +52,9 @@ from gs_codec.scene import Scene
 #: (e, f) is the offset from the centre, in axes where q = e^2 + f^2. Columns: g, g e^2, g e f,
 #: g f^2, g e^4, g e^3 f, g e^2 f^2, g e f^3, g f^4, and (alpha T)^2.
 G, G_EE, G_EF, G_FF, G_EEEE, G_EEEF, G_EEFF, G_EFFF, G_FFFF, SQUARED_WEIGHT = range(10)
+
+#: Number of these columns.
+_SUMS = SQUARED_WEIGHT + 1
 
 _ZERO = np.float32(0)
 
@@ -73,6 +76,9 @@ def sum_moments(fields, splats, starts, columns, background, colour, places, sum
         reached = draw_tile(fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, drawn)
         put_tile(light, x0, x1, y0, y1, background, colour)
         turn_back(background, light)
+        for pair in range(start, reached):
+            prefetch(sums, places[splats[pair]] * _SUMS)
+            prefetch(sums, places[splats[pair]] * _SUMS + SQUARED_WEIGHT)
         walk_back(
             _take_moments, _total_moments, none, fields, splats, start, reached, x0, y0, height,
             light, drawn, (places, sums),
@@ -106,7 +112,7 @@ def _take_moments(light, at, alpha, red, green, blue, place, sums):
 def _total_moments(pair, splat, u, sums, results):
     places, totals = results
     row = totals[places[splat]]
-    for k in range(SQUARED_WEIGHT + 1):
+    for k in range(_SUMS):
         row[k] += np.float64(total(sums[k]))
 
 
@@ -199,7 +205,7 @@ def _look(
     """Visible Gaussians ``(V,)``, ascending, their contributions ``(V, 9)``, and the image."""
     frame = make_frame(scene, camera)
     fields, places, gaussians = frame.splats.fields, frame.places, frame.seen
-    sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
+    sums = np.zeros((len(fields), _SUMS))
     image = np.empty((camera.height, camera.width, 3), np.float32)
     behind = np.array(background, np.float64)
     sum_moments(fields, *frame.lists, frame.columns, behind, image, places, sums)
@@ -241,14 +247,13 @@ def _to_attributes(
     Rows, and `splats`, are in the scene's order.
     """
     fx, fy, cx, cy = intrinsics
-    variances, axes = np.empty(3), np.empty((3, 2))
-    units, offsets = np.empty((3, 2)), np.empty((3, 2))
     for place in range(len(gaussians)):
         request_fields(fields, splats[min(place + AHEAD, len(splats) - 1)])
         i = gaussians[place]
-        field, total, row = fields[splats[place]], sums[place], found[place]
-        if total[SQUARED_WEIGHT] == 0.0:
+        if sums[place, SQUARED_WEIGHT] == 0.0:
             continue
+        # Tuples, because views of arrays count their references.
+        total, factors = _moments_of(sums, place), _factors_of(fields, splats[place])
         x, y, z = rotated(
             rotation,
             positions[0, i] - position[0],
@@ -257,54 +262,85 @@ def _to_attributes(
         )
         x /= z
         y /= z
-        row[_POSITIONS] = _by_position(total, field, rotation, x, y, fx / z, fy / z)
+        pixels = fx / z, fy / z
+        found[place, _POSITIONS] = _by_position(total, factors, rotation, x, y, pixels)
         x, y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
         _, turn = quaternion_turn(rot, i)
-        for k in range(3):
-            scale = math.exp(np.float64(log_scale[k, i]))
-            qx, qy, qz = rotated(rotation, turn[0][k], turn[1][k], turn[2][k])
-            units[k, 0] = fx / z * (qx - x * qz)
-            units[k, 1] = fy / z * (qy - y * qz)
-            axes[k, 0], axes[k, 1] = scale * units[k, 0], scale * units[k, 1]
-            offsets[k, 0], offsets[k, 1] = _offset(field, units[k, 0], units[k, 1])
-            variances[k] = scale * scale
+        units = (
+            _unit_axis(rotation, turn, 0, x, y, pixels),
+            _unit_axis(rotation, turn, 1, x, y, pixels),
+            _unit_axis(rotation, turn, 2, x, y, pixels),
+        )
+        offsets = (
+            _offset(factors, units[0][0], units[0][1]),
+            _offset(factors, units[1][0], units[1][1]),
+            _offset(factors, units[2][0], units[2][1]),
+        )
+        scales = (
+            math.exp(np.float64(log_scale[0, i])),
+            math.exp(np.float64(log_scale[1, i])),
+            math.exp(np.float64(log_scale[2, i])),
+        )
         for k in range(3):
             m = (k + 1) % 3
-            stretched = _by_covariance(total, axes, units, offsets, k, k, antialiased)
-            turned = _by_covariance(total, axes, units, offsets, k, m, antialiased)
-            row[_LOG_SCALE + k] = variances[k] ** 2 * stretched
+            variance, other = scales[k] * scales[k], scales[m] * scales[m]
+            stretched = _by_covariance(total, scales, units, offsets, k, k, antialiased)
+            turned = _by_covariance(total, scales, units, offsets, k, m, antialiased)
+            found[place, _LOG_SCALE + k] = variance**2 * stretched
             # A turn in the plane of two axes is a turn about the third.
-            row[_ROT + (k + 2) % 3] = (variances[k] - variances[m]) ** 2 * turned
-        row[_OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
-        row[_COLOUR] = total[SQUARED_WEIGHT]
+            found[place, _ROT + (k + 2) % 3] = (variance - other) ** 2 * turned
+        found[place, _OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
+        found[place, _COLOUR] = total[SQUARED_WEIGHT]
         for column in range(_COLUMNS):
             # Products of very large values may overflow, and rounding may make moments negative.
-            if not 0.0 <= row[column] < np.inf:
-                row[column] = 0.0
+            if not 0.0 <= found[place, column] < np.inf:
+                found[place, column] = 0.0
 
 
 @inlined
-def _by_position(total, field, rotation, x, y, pixels_x, pixels_y):
+def _moments_of(sums, place):
+    """A row of sums as a tuple."""
+    return (
+        sums[place, 0], sums[place, 1], sums[place, 2], sums[place, 3], sums[place, 4],
+        sums[place, 5], sums[place, 6], sums[place, 7], sums[place, 8], sums[place, 9],
+    )  # fmt: skip
+
+
+@inlined
+def _factors_of(fields, splat):
+    """Factors of the conic of a splat."""
+    return fields[splat, FACTOR_XX], fields[splat, FACTOR_XY], fields[splat, FACTOR_YY]
+
+
+@inlined
+def _unit_axis(rotation, turn, axis, x, y, pixels):
+    """An axis of a Gaussian, of length 1, projected to pixels."""
+    qx, qy, qz = rotated(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
+    return pixels[0] * (qx - x * qz), pixels[1] * (qy - y * qz)
+
+
+@inlined
+def _by_position(total, factors, rotation, x, y, pixels):
     """Sensitivity to position, averaged over the axes; (x, y) are slopes to the optical axis."""
     mean = 0.0
     for k in range(3):
         step = _offset(
-            field,
-            pixels_x * (rotation[0, k] - x * rotation[2, k]),
-            pixels_y * (rotation[1, k] - y * rotation[2, k]),
+            factors,
+            pixels[0] * (rotation[0, k] - x * rotation[2, k]),
+            pixels[1] * (rotation[1, k] - y * rotation[2, k]),
         )
         mean += second_moment(total, step, step) / 3.0
     return mean
 
 
 @inlined
-def _offset(field, x, y):
+def _offset(factors, x, y):
     """Transform an image vector to the axes in which q is a sum of squares."""
-    return field[FACTOR_XX] * x + field[FACTOR_XY] * y, field[FACTOR_YY] * y
+    return factors[0] * x + factors[1] * y, factors[2] * y
 
 
 @inlined
-def _by_covariance(total, axes, units, offsets, k, m, antialiased):
+def _by_covariance(total, scales, units, offsets, k, m, antialiased):
     """Sensitivity to a change of the covariance by ``u_k u_m^T + u_m u_k^T``.
 
     u are the Gaussian's axes of length 1, projected to pixels. ln alpha changes by
@@ -313,16 +349,20 @@ def _by_covariance(total, axes, units, offsets, k, m, antialiased):
     fourth = fourth_moment(total, offsets[k], offsets[m])
     if not antialiased:
         return fourth
+    axes = (
+        (scales[0] * units[0][0], scales[0] * units[0][1]),
+        (scales[1] * units[1][0], scales[1] * units[1][1]),
+        (scales[2] * units[2][0], scales[2] * units[2][1]),
+    )
     xx, _, yy, sharp = covariance(axes)
     determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
     if not sharp / determinant > 0.000025:
         return fourth
     by_sharp = 0.0
     for j in range(3):
-        by_sharp += (axes[j, 0] * units[k, 1] - axes[j, 1] * units[k, 0]) * (
-            axes[j, 0] * units[m, 1] - axes[j, 1] * units[m, 0]
-        )
-    along = units[k, 0] * units[m, 0] + units[k, 1] * units[m, 1]
+        x, y = axes[j]
+        by_sharp += (x * units[k][1] - y * units[k][0]) * (x * units[m][1] - y * units[m][0])
+    along = units[k][0] * units[m][0] + units[k][1] * units[m][1]
     added = by_sharp / sharp - (by_sharp + LOW_PASS * along) / determinant
     second = second_moment(total, offsets[k], offsets[m])
     return fourth + 2.0 * added * second + added * added * total[G]

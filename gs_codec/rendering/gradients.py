@@ -62,7 +62,6 @@ def differentiate_gaussians(
     fx, fy, cx, cy = intrinsics
     to_world = rotation.T
     basis, weights = np.zeros(15), np.zeros(15)
-    turned, axes, by_axes = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2))
     by_turn = np.empty((3, 3))
     after = _F_REST + len(f_rest)
     for j in range(stop - start):
@@ -79,24 +78,30 @@ def differentiate_gaussians(
         y /= z
         near_x, near_y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
         quaternion, turn = quaternion_turn(rot, i)
-        for k in range(3):
-            scale = math.exp(np.float64(log_scale[k, i])) / z
-            qx, qy, qz = rotated(rotation, turn[0][k], turn[1][k], turn[2][k])
-            turned[k, 0], turned[k, 1], turned[k, 2] = fx * scale, fy * scale, qz
-            axes[k, 0] = fx * scale * (qx - near_x * qz)
-            axes[k, 1] = fy * scale * (qy - near_y * qz)
-        by_u, by_v = _differentiate_conic(axes, total, antialiased, by_axes)
+        pixels = fx, fy, near_x, near_y
+        scales = (
+            math.exp(np.float64(log_scale[0, i])) / z,
+            math.exp(np.float64(log_scale[1, i])) / z,
+            math.exp(np.float64(log_scale[2, i])) / z,
+        )
+        (first, depth_0), (second, depth_1), (third, depth_2) = (
+            _screen_axis(rotation, turn, 0, scales[0], pixels),
+            _screen_axis(rotation, turn, 1, scales[1], pixels),
+            _screen_axis(rotation, turn, 2, scales[2], pixels),
+        )
+        axes, depths = (first, second, third), (depth_0, depth_1, depth_2)
+        (by_u, by_v), by_axes = _differentiate_conic(axes, total, antialiased)
         by_x, by_y, by_z = fx * by_u, fy * by_v, 0.0
         for k in range(3):
-            along = axes[k, 0] * by_axes[k, 0] + axes[k, 1] * by_axes[k, 1]
+            along = axes[k][0] * by_axes[k][0] + axes[k][1] * by_axes[k][1]
             slope[after + 1 + k] = along
             by_z -= along / z
-            by_qx = turned[k, 0] * by_axes[k, 0]
-            by_qy = turned[k, 1] * by_axes[k, 1]
+            by_qx = fx * scales[k] * by_axes[k][0]
+            by_qy = fy * scales[k] * by_axes[k][1]
             if near_x == x:
-                by_x -= turned[k, 2] * by_qx
+                by_x -= depths[k] * by_qx
             if near_y == y:
-                by_y -= turned[k, 2] * by_qy
+                by_y -= depths[k] * by_qy
             by_qz = -near_x * by_qx - near_y * by_qy
             by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = rotated(to_world, by_qx, by_qy, by_qz)
         by_z -= (x * by_x + y * by_y) / z
@@ -104,6 +109,14 @@ def differentiate_gaussians(
         slope[0], slope[1], slope[2] = by_dx + world_x, by_dy + world_y, by_dz + world_z
         slope[after] = total[MOMENT] / (1.0 + math.exp(np.float64(opacity[0, i])))
         _differentiate_turn(rot, i, quaternion, by_turn, slope[after + 4 :])
+
+
+@inlined
+def _screen_axis(rotation, turn, axis, scale, pixels):
+    """An axis of a Gaussian in the image, and its direction's component along the optical axis."""
+    fx, fy, x, y = pixels
+    qx, qy, qz = rotated(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
+    return (fx * scale * (qx - x * qz), fy * scale * (qy - y * qz)), qz
 
 
 @inlined
@@ -134,8 +147,8 @@ def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, sl
 
 
 @inlined
-def _differentiate_conic(axes, total, antialiased, by_axes):
-    """Fill ``by_axes (3, 2)``, derivatives by the projected axes; return those by the centre."""
+def _differentiate_conic(axes, total, antialiased):
+    """Derivatives by the centre, and by the projected axes."""
     xx, xy, yy, sharp = covariance(axes)
     determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
     a = (yy + LOW_PASS) / determinant
@@ -152,11 +165,22 @@ def _differentiate_conic(axes, total, antialiased, by_axes):
         by_xx += by_sharp * yy + LOW_PASS * by_determinant
         by_xy -= 2.0 * by_sharp * xy
         by_yy += by_sharp * xx + LOW_PASS * by_determinant
-    for k in range(3):
-        by_axes[k, 0] = 2.0 * axes[k, 0] * by_xx + axes[k, 1] * by_xy
-        by_axes[k, 1] = 2.0 * axes[k, 1] * by_yy + axes[k, 0] * by_xy
+    by_axes = (
+        (
+            2.0 * axes[0][0] * by_xx + axes[0][1] * by_xy,
+            2.0 * axes[0][1] * by_yy + axes[0][0] * by_xy,
+        ),
+        (
+            2.0 * axes[1][0] * by_xx + axes[1][1] * by_xy,
+            2.0 * axes[1][1] * by_yy + axes[1][0] * by_xy,
+        ),
+        (
+            2.0 * axes[2][0] * by_xx + axes[2][1] * by_xy,
+            2.0 * axes[2][1] * by_yy + axes[2][0] * by_xy,
+        ),
+    )
     x, y = total[MOMENT_X], total[MOMENT_Y]
-    return a * x + b * y, b * x + c * y
+    return (a * x + b * y, b * x + c * y), by_axes
 
 
 @inlined

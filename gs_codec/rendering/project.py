@@ -96,7 +96,6 @@ def _project(
     fx, fy, cx, cy = intrinsics
     columns = (width + TILE - 1) // TILE
     rows = (height + TILE - 1) // TILE
-    axes = np.empty((3, 2))
     seen = np.int64(0)
     for i in range(start, stop):
         dx = positions[0, i] - position[0]
@@ -116,7 +115,7 @@ def _project(
         if _is_outside(v, widest * (fy / z) ** 2 * (1.0 + near_y * near_y), rows):
             continue
         alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
-        _screen_axes(log_scale, rot, i, rotation, near_x, near_y, fx / z, fy / z, axes)
+        axes = _screen_axes(log_scale, rot, i, rotation, near_x, near_y, fx / z, fy / z)
         xx, xy, yy, sharp = covariance(axes)
         determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
         xx += LOW_PASS
@@ -208,13 +207,13 @@ def covariance(axes):
     """Covariance xx, xy, yy of a splat before the low-pass, and its determinant."""
     xx = xy = yy = sharp = 0.0
     for axis in range(3):
-        x, y = axes[axis, 0], axes[axis, 1]
+        x, y = axes[axis]
         xx += x * x
         xy += x * y
         yy += y * y
         # Cauchy-Binet formula: xx yy - xy xy would cancel for needles.
-        other = (axis + 1) % 3
-        sharp += (x * axes[other, 1] - y * axes[other, 0]) ** 2
+        other = axes[(axis + 1) % 3]
+        sharp += (x * other[1] - y * other[0]) ** 2
     return xx, xy, yy, sharp
 
 
@@ -230,14 +229,25 @@ def _is_outside(centre, variance, tiles):
 
 
 @inlined
-def _screen_axes(log_scale, rot, i, rotation, x, y, pixels_x, pixels_y, axes):
-    """Fill ``axes (3, 2)``: the Gaussian's axes in the image, pixels (EWA splatting)."""
+def _screen_axes(log_scale, rot, i, rotation, x, y, pixels_x, pixels_y):
+    """The Gaussian's axes in the image, pixels (EWA splatting)."""
     _, turn = quaternion_turn(rot, i)
-    for axis in range(3):
-        scale = math.exp(np.float64(log_scale[axis, i]))
-        qx, qy, qz = rotated(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
-        axes[axis, 0] = pixels_x * scale * (qx - x * qz)
-        axes[axis, 1] = pixels_y * scale * (qy - y * qz)
+    scales = (
+        math.exp(np.float64(log_scale[0, i])),
+        math.exp(np.float64(log_scale[1, i])),
+        math.exp(np.float64(log_scale[2, i])),
+    )
+    return (
+        _screen_axis(scales[0], rotation, turn, 0, x, y, pixels_x, pixels_y),
+        _screen_axis(scales[1], rotation, turn, 1, x, y, pixels_x, pixels_y),
+        _screen_axis(scales[2], rotation, turn, 2, x, y, pixels_x, pixels_y),
+    )
+
+
+@inlined
+def _screen_axis(scale, rotation, turn, axis, x, y, pixels_x, pixels_y):
+    qx, qy, qz = rotated(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
+    return pixels_x * scale * (qx - x * qz), pixels_y * scale * (qy - y * qz)
 
 
 @inlined

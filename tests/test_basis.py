@@ -30,7 +30,7 @@ from gs_codec.codecs.adaptive.decode import Blocks
 from gs_codec.codecs.gaussian_costs import gaussian_bits
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.coding.exact_math import eigenvectors, inverse
+from gs_codec.coding.exact_math import eigenvectors, inverses
 from gs_codec.coding.ycocg import from_ycocg
 from gs_codec.config import Config
 from gs_codec.egs.egs_file import SectionId, read_file
@@ -132,15 +132,18 @@ def test_levels_are_turned_exactly_where_most_are_zero():
     np.testing.assert_array_equal(found, from_ycocg(turned * 2.0 ** (shifts - 16)))
 
 
-def test_eigenvectors_and_inverse():
+def test_eigenvectors_and_inverses():
     rng = np.random.default_rng(405)
-    root = rng.normal(size=(7, 7))
-    matrix = root @ root.T
-    values, vectors = eigenvectors(matrix)
-    np.testing.assert_allclose(vectors @ vectors.T, np.eye(7), atol=1e-12)
-    np.testing.assert_allclose(vectors @ matrix @ vectors.T, np.diag(values), atol=1e-9)
-    np.testing.assert_allclose(inverse(root) @ root, np.eye(7), atol=1e-9)
-    assert np.isnan(inverse(np.ones((3, 3)))).all()
+    roots = rng.normal(size=(3, 7, 7))
+    for matrix, values, vectors in zip(
+        squares := roots @ roots.transpose(0, 2, 1), *eigenvectors(squares), strict=True
+    ):
+        np.testing.assert_allclose(vectors @ vectors.T, np.eye(7), atol=1e-12)
+        np.testing.assert_allclose(vectors @ matrix @ vectors.T, np.diag(values), atol=1e-9)
+    identities = np.broadcast_to(np.eye(7), roots.shape)
+    np.testing.assert_allclose(inverses(roots) @ roots, identities, atol=1e-9)
+    found = inverses(np.stack([np.eye(3), np.ones((3, 3))]))
+    assert np.array_equal(found[0], np.eye(3)) and np.isnan(found[1]).all()
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])

@@ -170,14 +170,28 @@ def main_axis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return turns[np.argmax(np.sum(turned * turned, axis=1))]
 
 
-def eigenvectors(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Magnitudes of the eigenvalues ``(K,)`` of a symmetric ``matrix (K, K)``; its eigenvectors.
+def eigenvectors(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Magnitudes of eigenvalues ``(R, K)`` of symmetric ``matrices (R, K, K)``; their eigenvectors.
 
     An eigenvector is a row; its sign is arbitrary.
     """
-    turned, turns = np.array(matrix, np.float64, order="C"), np.eye(len(matrix))
-    _orthogonalise(turned, turns)
-    return np.sqrt(np.sum(turned * turned, axis=1)), turns
+    turned, turns = _with_identities(matrices)
+    _orthogonalise_each(turned, turns)
+    return np.sqrt(np.sum(turned * turned, axis=2)), turns
+
+
+def _with_identities(
+    matrices: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A copy of ``matrices (R, K, K)``, and as many identity matrices."""
+    copied = np.array(matrices, np.float64, order="C")
+    return copied, np.tile(np.eye(copied.shape[1]), (len(copied), 1, 1))
+
+
+@kernel
+def _orthogonalise_each(rows, turns):
+    for run in range(len(rows)):
+        _orthogonalise(rows[run], turns[run])
 
 
 @kernel
@@ -209,7 +223,15 @@ def _eliminate(left, right):
     return True
 
 
-def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse of a ``matrix (K, K)``; NaN if it has none."""
-    left, right = np.array(matrix, np.float64, order="C"), np.eye(len(matrix))
-    return right if _eliminate(left, right) else np.full_like(right, np.nan)
+def inverses(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverses of ``matrices (R, K, K)``; NaN where there is none."""
+    left, right = _with_identities(matrices)
+    _eliminate_each(left, right)
+    return right
+
+
+@kernel
+def _eliminate_each(left, right):
+    for run in range(len(left)):
+        if not _eliminate(left[run], right[run]):
+            right[run] = np.nan

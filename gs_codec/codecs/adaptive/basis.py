@@ -7,14 +7,13 @@ components are 0. FORMAT.md, section "Local basis".
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.tokens import ALPHABET, RAW_WIDTHS, token_of
-from gs_codec.coding.exact_math import eigenvectors, exact_log, inverse
+from gs_codec.coding.exact_math import eigenvectors, exact_log, inverses
 from gs_codec.coding.fields import BitReader, BitWriter
 from gs_codec.coding.ycocg import red_green_blue
 from gs_codec.egs.egs_file import EgsFile, SectionId
@@ -74,12 +73,15 @@ class Bases(NamedTuple):
         """What turns components into coefficients, ``(R, K, K)``, in 1 / 64."""
         return np.float64(self.entries * FACTORS[self.numbers][:, None, :])
 
+    @property
+    def backwards(self) -> NDArray[np.float32]:
+        """What turns coefficients into components, ``(R, K, K)``; not finite if nothing does."""
+        return inverses(self.matrices / (1 << MATRIX_BITS)).astype(np.float32)
+
     def components(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Components, in their own step sizes, of SH-AC ``(3, K, n)``, in step sizes."""
         found = np.empty_like(values)
-        spans = pairwise(bounds(len(self.entries), values.shape[2]))
-        for matrix, span in zip(self.matrices, spans, strict=True):
-            _turn(values, *span, _back(matrix), found)
+        _turn(values, bounds(len(self.entries), values.shape[2]), self.backwards, found)
         return found
 
     def fill(
@@ -183,7 +185,7 @@ def choose_bases(values: NDArray[np.float32]) -> Bases | None:
         # The same sample for both, which depends on the runs.
         saved = _bits(values, np.broadcast_to(np.eye(values.shape[1]), directions.shape))
         saved -= _bits(values, directions) + 8 * _section_size(runs, values.shape[1])
-        if saved > most and np.isfinite([_back(matrix) for matrix in bases.matrices]).all():
+        if saved > most and np.isfinite(bases.backwards).all():
             best, most = bases, saved
     return best
 
@@ -191,8 +193,7 @@ def choose_bases(values: NDArray[np.float32]) -> Bases | None:
 def _covariances(values: NDArray[np.float32], runs: int) -> NDArray[np.float64]:
     """Weighted covariances ``(R, K, K)`` of the colours of runs."""
     found = np.zeros((runs, values.shape[1], values.shape[1]))
-    for covariance, span in zip(found, pairwise(bounds(runs, values.shape[2])), strict=True):
-        _add_covariance(values, *span, covariance)
+    _add_covariances(values, bounds(runs, values.shape[2]), found)
     return found
 
 
@@ -200,12 +201,12 @@ def _principal_components(
     covariances: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Energies ``(R, K)`` and directions, one a row, ``(R, K, K)`` of runs, the largest first."""
-    energies, directions = np.empty(covariances.shape[:2]), np.empty(covariances.shape)
-    for run, covariance in enumerate(covariances):
-        found, vectors = eigenvectors(covariance)
-        order = np.argsort(-found, kind="stable")
-        energies[run], directions[run] = found[order], vectors[order]
-    return energies, directions
+    energies, directions = eigenvectors(covariances)
+    order = np.argsort(-energies, axis=1, kind="stable")
+    return (
+        np.take_along_axis(energies, order, axis=1),
+        np.take_along_axis(directions, order[..., None], axis=1),
+    )
 
 
 def _rounded(energies: NDArray[np.float64], directions: NDArray[np.float64]) -> Bases:
@@ -221,11 +222,6 @@ def _rounded(energies: NDArray[np.float64], directions: NDArray[np.float64]) -> 
     return Bases(np.ascontiguousarray(entries.transpose(0, 2, 1)), numbers)
 
 
-def _back(matrix: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What turns coefficients into components; not finite if nothing does."""
-    return inverse(matrix / (1 << MATRIX_BITS)).astype(np.float32)
-
-
 def _bits(values: NDArray[np.float32], matrices: NDArray[np.floating]) -> float:
     """Approximate bits of values, turned by the matrix ``(K, K)`` of their run."""
     counts = np.zeros((values.shape[1], ALPHABET), np.int64)
@@ -237,24 +233,26 @@ def _bits(values: NDArray[np.float32], matrices: NDArray[np.floating]) -> float:
 
 
 @kernel
-def _add_covariance(values, first, last, covariance):
+def _add_covariances(values, ends, covariances):
     coefficients = values.shape[1]
     row = np.empty(coefficients)
-    for i in range(first, last):
-        length = _NOISE
-        for channel in range(3):
-            for k in range(coefficients):
-                length += np.float64(values[channel, k, i]) * np.float64(values[channel, k, i])
-        for channel in range(3):
-            for k in range(coefficients):
-                row[k] = values[channel, k, i]
-            for k in range(coefficients):
-                weighted = row[k] / length
-                for j in range(k + 1):
-                    covariance[k, j] += weighted * row[j]
-    for k in range(coefficients):
-        for j in range(k):
-            covariance[j, k] = covariance[k, j]
+    for run in range(len(covariances)):
+        covariance = covariances[run]
+        for i in range(ends[run], ends[run + 1]):
+            length = _NOISE
+            for channel in range(3):
+                for k in range(coefficients):
+                    length += np.float64(values[channel, k, i]) * np.float64(values[channel, k, i])
+            for channel in range(3):
+                for k in range(coefficients):
+                    row[k] = values[channel, k, i]
+                for k in range(coefficients):
+                    weighted = row[k] / length
+                    for j in range(k + 1):
+                        covariance[k, j] += weighted * row[j]
+        for k in range(coefficients):
+            for j in range(k):
+                covariance[j, k] = covariance[k, j]
 
 
 @inlined
@@ -275,16 +273,17 @@ def _add_turned(planes, begin, size, matrix, total):
 
 
 @kernel
-def _turn(values, first, last, matrix, turned):
-    total = np.empty((len(matrix), _AT_ONCE), np.float32)
-    for begin in range(first, last, _AT_ONCE):
-        size = min(_AT_ONCE, last - begin)
-        for channel in range(3):
-            total[:] = 0.0
-            _add_turned(values[channel], begin, size, matrix, total)
-            for k in range(len(matrix)):
-                for i in range(size):
-                    turned[channel, k, begin + i] = total[k, i]
+def _turn(values, ends, matrices, turned):
+    total = np.empty((values.shape[1], _AT_ONCE), np.float32)
+    for run in range(len(matrices)):
+        for begin in range(ends[run], ends[run + 1], _AT_ONCE):
+            size = min(_AT_ONCE, ends[run + 1] - begin)
+            for channel in range(3):
+                total[:] = 0.0
+                _add_turned(values[channel], begin, size, matrices[run], total)
+                for k in range(len(total)):
+                    for i in range(size):
+                        turned[channel, k, begin + i] = total[k, i]
 
 
 @kernel

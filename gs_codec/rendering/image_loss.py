@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import inlined, kernel
-from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.threads import available_threads, run_all
 
 if TYPE_CHECKING:
     import torch
@@ -21,6 +21,9 @@ _SSIM = 0.2
 
 #: Half the width of the SSIM window, in pixels.
 _HALF = 5
+
+#: Number of rows that a window needs.
+_ROWS = 2 * _HALF + 1
 
 _GAUSSIAN = np.exp(-(np.arange(-_HALF, _HALF + 1.0) ** 2) / (2 * 1.5**2))
 _WINDOW = tuple((_GAUSSIAN / _GAUSSIAN.sum())[: _HALF + 1].tolist())
@@ -39,19 +42,14 @@ def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.flo
     SSIM uses a Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004). As in the 3DGS
     trainer, values outside the image are 0.
     """
-    height, width, _ = colour.shape
+    height = len(colour)
     image, target = colour.reshape(height, -1), target.reshape(height, -1)
-    by_image = np.empty_like(image)
-    errors = np.empty(height)
-    # Rows outside the image are 0.
-    means = np.zeros((5, height + 2 * _HALF, 3 * width))
-    slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
-    bands = _bands(height)
-    run_all(lambda band: _blur_across(image, target, *band, means), bands)
-    run_all(lambda band: _compare_windows(means, -_SSIM / image.size, *band, slopes), bands)
-    factor = _ABSOLUTE / image.size
+    by_image, errors = np.empty_like(image), np.empty(height)
+    # Wide bands, because each also blurs the rows around it.
+    size = -(-height // available_threads())
     run_all(
-        lambda band: _differentiate(image, target, slopes, factor, *band, by_image, errors), bands
+        lambda y: _differentiate(image, target, y, min(y + size, height), by_image, errors),
+        range(0, height, size),
     )
     return by_image.reshape(colour.shape), float(errors.sum() / image.size)
 
@@ -125,38 +123,46 @@ def _blur_row(padded, out):
 
 @inlined
 def _blur_column(plane, y, out):
-    """Blur rows `y` to `y` + 10 of a plane with the window."""
+    """Blur rows `y` to `y` + 10 of a plane with the window; after its last row comes its first."""
     w0, w1, w2, w3, w4, w5 = _WINDOW
+    rows = len(plane)
     # Two loops, because the compiler does not vectorise one over this many arrays.
+    a, b, c, d, e = (y + 3) % rows, (y + 4) % rows, (y + 5) % rows, (y + 6) % rows, (y + 7) % rows
     for j in range(len(out)):
         out[j] = (
-            w5 * plane[y + 5, j]
-            + w4 * (plane[y + 4, j] + plane[y + 6, j])
-            + w3 * (plane[y + 3, j] + plane[y + 7, j])
+            w5 * plane[c, j] + w4 * (plane[b, j] + plane[d, j]) + w3 * (plane[a, j] + plane[e, j])
         )
+    a, b, c = y % rows, (y + 1) % rows, (y + 2) % rows
+    d, e, f = (y + 8) % rows, (y + 9) % rows, (y + 10) % rows
     for j in range(len(out)):
         out[j] += (
-            w2 * (plane[y + 2, j] + plane[y + 8, j])
-            + w1 * (plane[y + 1, j] + plane[y + 9, j])
-            + w0 * (plane[y, j] + plane[y + 10, j])
+            w2 * (plane[c, j] + plane[d, j])
+            + w1 * (plane[b, j] + plane[e, j])
+            + w0 * (plane[a, j] + plane[f, j])
         )
+
+
+@inlined
+def _blur_image_row(image, target, y, padded, means):
+    """Fill row `y` + 5 of `means`: windowed sums of x, t, x^2, t^2 and x t along an image row."""
+    place = (y + _HALF) % means.shape[1]
+    for j in range(image.shape[1]):
+        x, t = image[y, j], np.float64(target[y, j])
+        padded[0, 15 + j] = x
+        padded[1, 15 + j] = t
+        padded[2, 15 + j] = x * x
+        padded[3, 15 + j] = t * t
+        padded[4, 15 + j] = x * t
+    for k in range(5):
+        _blur_row(padded[k], means[k, place])
 
 
 @kernel
 def _blur_across(image, target, first, end, means):
-    """Windowed row sums of x, t, x^2, t^2 and x t, for rows `first` to `end`."""
-    size = image.shape[1]
-    padded = np.zeros((5, size + 30))
+    """`_blur_image_row` for rows `first` to `end`."""
+    padded = np.zeros((5, image.shape[1] + 30))
     for y in range(first, end):
-        for j in range(size):
-            x, t = image[y, j], np.float64(target[y, j])
-            padded[0, 15 + j] = x
-            padded[1, 15 + j] = t
-            padded[2, 15 + j] = x * x
-            padded[3, 15 + j] = t * t
-            padded[4, 15 + j] = x * t
-        for k in range(5):
-            _blur_row(padded[k], means[k, y + _HALF])
+        _blur_image_row(image, target, y, padded, means)
 
 
 @kernel
@@ -176,48 +182,68 @@ def _sum_ssim(means, first, end, sums):
         sums[y] = total
 
 
+@inlined
+def _compare_windows(means, y, factor, padded, window, slopes):
+    """Fill row `y` + 5 of `slopes`: windowed sums along an image row.
+
+    They are of the derivatives of SSIM by the windowed x, x^2 and x t.
+    """
+    for k in range(5):
+        _blur_column(means[k], y, window[k])
+    for j in range(means.shape[2]):
+        x, t = window[0, j], window[1, j]
+        top_mean = 2.0 * x * t + _C1
+        top_spread = 2.0 * (window[4, j] - x * t) + _C2
+        mean = 1.0 / (x * x + t * t + _C1)
+        spread = 1.0 / (window[2, j] - x * x + window[3, j] - t * t + _C2)
+        ssim = top_mean * top_spread * mean * spread
+        by_both = 2.0 * factor * top_mean * mean * spread
+        by_square = -factor * ssim * spread
+        padded[0, 15 + j] = (
+            2.0 * factor * mean * (t * top_spread * spread - x * ssim)
+            - 2.0 * x * by_square
+            - t * by_both
+        )
+        padded[1, 15 + j] = by_square
+        padded[2, 15 + j] = by_both
+    place = (y + _HALF) % slopes.shape[1]
+    for k in range(3):
+        _blur_row(padded[k], slopes[k, place])
+
+
 @kernel
-def _compare_windows(means, factor, first, end, slopes):
-    """Windowed row sums of the derivatives of SSIM by the windowed x, x^2 and x t."""
-    size = means.shape[2]
+def _differentiate(image, target, first, end, by_image, errors):
+    """Fill rows `first` to `end` of the derivative, and the squared error of each.
+
+    `means` and `slopes` hold the last 11 rows, so that they stay in the cache; rows outside the
+    image are 0.
+    """
+    height, size = image.shape
+    means, slopes = np.zeros((5, _ROWS, size)), np.zeros((3, _ROWS, size))
+    of_image, of_slopes = np.zeros((5, size + 30)), np.zeros((3, size + 30))
     window = np.empty((5, size))
-    padded = np.zeros((3, size + 30))
-    for y in range(first, end):
-        for k in range(5):
-            _blur_column(means[k], y, window[k])
-        for j in range(size):
-            x, t = window[0, j], window[1, j]
-            top_mean = 2.0 * x * t + _C1
-            top_spread = 2.0 * (window[4, j] - x * t) + _C2
-            mean = 1.0 / (x * x + t * t + _C1)
-            spread = 1.0 / (window[2, j] - x * x + window[3, j] - t * t + _C2)
-            ssim = top_mean * top_spread * mean * spread
-            by_both = 2.0 * factor * top_mean * mean * spread
-            by_square = -factor * ssim * spread
-            padded[0, 15 + j] = (
-                2.0 * factor * mean * (t * top_spread * spread - x * ssim)
-                - 2.0 * x * by_square
-                - t * by_both
-            )
-            padded[1, 15 + j] = by_square
-            padded[2, 15 + j] = by_both
+    ssim, absolute = -_SSIM / image.size, _ABSOLUTE / image.size
+    for y in range(first - 2 * _HALF, end + 2 * _HALF):
+        if 0 <= y < height:
+            _blur_image_row(image, target, y, of_image, means)
+        else:
+            means[:, (y + _HALF) % _ROWS] = 0.0
+        middle = y - _HALF
+        if first - _HALF <= middle and 0 <= middle < height:
+            _compare_windows(means, middle, ssim, of_slopes, window, slopes)
+        else:
+            slopes[:, (middle + _HALF) % _ROWS] = 0.0
+        row = middle - _HALF
+        if row < first:
+            continue
         for k in range(3):
-            _blur_row(padded[k], slopes[k, y + _HALF])
-
-
-@kernel
-def _differentiate(image, target, slopes, factor, first, end, by_image, errors):
-    size = image.shape[1]
-    window = np.empty((3, size))
-    for y in range(first, end):
-        for k in range(3):
-            _blur_column(slopes[k], y, window[k])
+            _blur_column(slopes[k], row, window[k])
         squared = 0.0
         for j in range(size):
-            x, t = image[y, j], np.float64(target[y, j])
+            x, t = image[row, j], np.float64(target[row, j])
             error = x - t
             squared += error * error
-            by_image[y, j] = (
-                factor * np.sign(error) + window[0, j] + 2.0 * x * window[1, j] + t * window[2, j]
+            by_image[row, j] = (
+                absolute * np.sign(error) + window[0, j] + 2.0 * x * window[1, j] + t * window[2, j]
             )
-        errors[y] = squared
+        errors[row] = squared

@@ -166,36 +166,46 @@ def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
     bounds = np.linspace(0, len(fields), threads + 1).astype(np.int64)
     parts = list(zip(bounds[:-1], bounds[1:], strict=True))
     counts = np.zeros((threads, columns * rows), np.int64)
-    run_all(
-        lambda job: _count(fields, tiles, columns, *job[0], job[1]), zip(parts, counts, strict=True)
-    )
+
+    def count(job: tuple[tuple[int, int], NDArray[np.int64]]) -> NDArray[np.int32]:
+        (start, stop), numbers = job
+        spans = np.empty((int(np.sum(tiles[start:stop, 3] - tiles[start:stop, 2])), 2), np.int32)
+        _count(fields, tiles, columns, start, stop, spans, numbers)
+        return spans
+
+    spans = run_all(count, zip(parts, counts, strict=True))
     # In each tile, splats of an earlier part come first.
     starts = np.concatenate([[0], np.cumsum(counts.T)])
     cursors = starts[:-1].reshape(columns * rows, threads).T
     listed = np.empty(int(starts[-1]), np.int32)
     run_all(
-        lambda job: _fill(fields, tiles, columns, *job[0], job[1].copy(), listed),
-        zip(parts, cursors, strict=True),
+        lambda job: _fill(tiles, columns, *job[0], job[1], job[2].copy(), listed),
+        zip(parts, spans, cursors, strict=True),
     )
     return TileLists(listed, starts[::threads].copy())
 
 
 @kernel
-def _count(fields, tiles, columns, start, stop, counts):
+def _count(fields, tiles, columns, start, stop, spans, counts):
+    """Fill ``spans (rows, 2)``: first and end tile of each row of tiles of each splat."""
+    number = 0
     for i in range(start, stop):
         box, ellipse = tiles[i], _ellipse(fields[i])
         for row in range(box[2], box[3]):
             first, end = _span(ellipse, box, row)
+            spans[number, 0], spans[number, 1] = first, end
+            number += 1
             for column in range(first, end):
                 counts[row * columns + column] += 1
 
 
 @kernel
-def _fill(fields, tiles, columns, start, stop, cursors, splats):
+def _fill(tiles, columns, start, stop, spans, cursors, splats):
+    number = 0
     for i in range(start, stop):
-        box, ellipse = tiles[i], _ellipse(fields[i])
-        for row in range(box[2], box[3]):
-            first, end = _span(ellipse, box, row)
+        for row in range(tiles[i, 2], tiles[i, 3]):
+            first, end = spans[number, 0], spans[number, 1]
+            number += 1
             for column in range(first, end):
                 tile = row * columns + column
                 splats[cursors[tile]] = i

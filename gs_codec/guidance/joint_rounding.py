@@ -22,6 +22,7 @@ from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.rendering.image_loss import differentiate_squares
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import prefetch
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -50,6 +51,9 @@ _BETA_2 = 0.99
 
 #: Number of Gaussians that a task moves.
 _CHUNK = 1000
+
+#: Number of Gaussians between the one whose values are requested from memory and the one moved.
+_AHEAD = 8
 
 #: Columns of derivatives by opacity, log-scales and rotation, from the end of a row of slopes.
 _FROM_END = 8
@@ -199,6 +203,23 @@ def _add(own, places, start, order, decoded, rot, slopes):
         total[12] += three * half * (w * by_z - z * by_w + y * by_x - x * by_y)
 
 
+@inlined
+def _request(i, first, second, moved, positions, f_dc, opacity, log_scale, rot):
+    """Let the values of Gaussian i come nearer while earlier ones move."""
+    count, columns = len(first), first.shape[1]
+    for end in (0, columns - 1):
+        prefetch(first, i * columns + end)
+        prefetch(second, i * columns + end)
+        prefetch(moved, i * columns + end)
+    for k in range(3):
+        prefetch(positions, k * count + i)
+        prefetch(f_dc, k * count + i)
+        prefetch(log_scale, k * count + i)
+    prefetch(opacity, i)
+    for k in range(4):
+        prefetch(rot, k * count + i)
+
+
 @kernel
 def _move(
     slopes, steps, start, order, first, second, moved, scale, rate, root,
@@ -216,6 +237,10 @@ def _move(
     by = np.empty(slopes.shape[1], np.float32)
     half = np.float32(0.5)
     for row in range(len(slopes)):
+        _request(
+            order[start + min(row + _AHEAD, len(slopes) - 1)], first, second, moved,
+            positions, f_dc, opacity, log_scale, rot,
+        )  # fmt: skip
         i, step = order[start + row], steps[start + row]
         mean, square = first[i], second[i]
         for k in range(len(by)):

@@ -277,11 +277,12 @@ def draw_few(
 def _draw_few(fields, boxes, columns, background, colour, left):
     tiles, first = len(left), np.int64(0)
     starts = np.zeros(tiles + 1, np.int64)
-    _count(fields, boxes, columns, first, len(fields), starts[1:])
+    spans = np.empty((np.sum(boxes[:, 3] - boxes[:, 2]), 2), np.int32)
+    _count(fields, boxes, columns, first, len(fields), spans, starts[1:])
     for tile in range(tiles):
         starts[tile + 1] += starts[tile]
     splats = np.empty(starts[tiles], np.int32)
-    _fill(fields, boxes, columns, first, len(fields), starts[:-1].copy(), splats)
+    _fill(boxes, columns, first, len(fields), spans, starts[:-1].copy(), splats)
     drawn, reached = np.empty((len(splats), TILE), np.uint16), np.empty(tiles, np.int64)
     draw_float32(
         fields, splats, starts, first, tiles, columns, background, colour, left, drawn, reached

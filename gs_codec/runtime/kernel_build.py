@@ -93,7 +93,10 @@ def _compile(entries: list[Entry]) -> tuple[int, int]:
 
 #: Kernels that are much faster with AVX-512; all others are compiled only for x86-64-v3.
 _WIDE = {
+    ("gs_codec.rendering.tiles_float32", "draw_float32"),
+    ("gs_codec.rendering.tiles_float32", "sum_gradients"),
     ("gs_codec.rendering.traced_view", "_residual"),
+    ("gs_codec.rendering.traced_view", "_trace"),
     ("gs_codec.guidance.sensitivity", "sum_moments"),
 }
 

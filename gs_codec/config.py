@@ -384,9 +384,11 @@ class Config:
         Gaussians, for distant views and a quick first view; about a third more bytes. Default
         False.
     effort : {"fast", "normal", "high"}
-        With ``l``, ``m``, ``s`` as `.egs`: how long encoding may take. With cameras, the time goes
-        into joint rounding (see `round_jointly`), which ``fast`` omits. Without cameras, ``fast``
-        omits the local basis of SH-AC, and ``high`` is not allowed. Default ``normal``.
+        With ``l``, ``m``, ``s``: how long encoding may take. In an `.egs` with cameras, the time
+        goes into joint rounding (see `round_jointly`), which ``fast`` omits. Without cameras,
+        ``fast`` omits the local basis of SH-AC, and ``high`` is not allowed. It sets how well an
+        `.spz` is compressed, and how long rows of the palette of a `.sog` are searched. Other
+        formats have only ``normal``. Default ``normal``.
     strict : bool
         With ``l``, ``m``, ``s``: fail if rendered views lose more than twice the profile's target.
         Default False: only warn.
@@ -480,7 +482,8 @@ class Config:
     )
     effort: Effort = option(
         "normal",
-        "How long profiles l, m, s may take to make files smaller; high needs cameras.",
+        "How long profiles l, m, s may take to make an .egs, .spz or .sog smaller; high needs "
+        "cameras for an .egs.",
         values=get_args(Effort),
     )
     strict: bool = option(
@@ -509,13 +512,9 @@ class Config:
             raise InvalidInput(
                 f"lod: profile '{self.profile}', format '{self.format}', expected {known} as .egs"
             )
-        if self.effort != "normal" and (
-            self.profile not in ADAPTIVE_PROFILES or self.format != EGS
-        ):
+        if self.effort != "normal" and self.profile not in ADAPTIVE_PROFILES:
             known = ", ".join(ADAPTIVE_PROFILES)
-            raise InvalidInput(
-                f"effort: profile '{self.profile}' as '{self.format}', expected {known} as 'egs'"
-            )
+            raise InvalidInput(f"effort: profile '{self.profile}' has none, {known} do")
         if self.strict and not (self.has_steps and not self.depths):
             raise InvalidInput(
                 f"strict: profile '{self.profile}' as '{self.format}' does not aim at a loss"
@@ -535,10 +534,14 @@ class Config:
 
     def _check_format(self) -> None:
         """Reject options that only `.egs` supports."""
-        for other in FORMATS:
-            for name in other.options if other is not self.scene_format else ():
-                if getattr(self, name) != getattr(Config, name):
-                    raise InvalidInput(f"{name}: format '{self.format}', expected '{other.name}'")
+        for name in {name: None for other in FORMATS for name in other.options}:
+            if name not in self.scene_format.options and getattr(self, name) != getattr(
+                Config, name
+            ):
+                known = " or ".join(
+                    f"'{x}'" for x in CODED_FORMATS if name in format_of(f".{x}").options
+                )
+                raise InvalidInput(f"{name}: format '{self.format}', expected {known}")
         if self.format == EGS:
             return
         where = f"format '{self.format}'"

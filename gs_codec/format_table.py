@@ -70,7 +70,7 @@ class SceneFormat:
         returns the bytes of a file, and these sentences. `.egs` and streamed SOG are written
         differently.
     options : mapping of str to str
-        Fields of `Config` that only this format has, and the corresponding arguments of `writer`.
+        Fields of `Config` that only some formats have, and the corresponding arguments of `writer`.
     coded_as : str, optional
         The format in `Config`, if that is not the suffix without its dot.
     rounding : str
@@ -166,6 +166,7 @@ EGS = SceneFormat(
     signatures=(b"\x89EGS\r\n\x1a\n",),
     written={".egs": {}},
     writes="steps",
+    options={"effort": "effort"},
     keeps=(PROPERTIES, COMMENTS, FLAG),
     in_parts=True,
     floats_per_byte=30,
@@ -181,7 +182,7 @@ SPZ = SceneFormat(
     written={".spz": {}},
     writes="steps",
     writer=_ours("spz.scene", "pack_spz"),
-    options={"spz_version": "version"},
+    options={"spz_version": "version", "effort": "effort"},
     rounding="opacity, colours, scales and SH rounded to 8 bits, rotations to 10",
     is_rounded=True,
     keeps=(FLAG,),
@@ -201,6 +202,7 @@ SOG = SceneFormat(
     written={".sog": {}, UNBUNDLED: {}},
     writes="steps",
     writer=_ours("sog.writer", "pack_sog"),
+    options={"effort": "effort"},
     coded_as="sog",
     rounding="centres rounded to 16 bits, other values to 8, SH to rows of a palette",
     is_rounded=True,
@@ -315,6 +317,7 @@ STREAMED_SOG = SceneFormat(
     checker=_ours("sog.streamed", "check_coarser"),
     written={SSOG: {}, STREAMED: {}},
     writes="levels",
+    options={"effort": "effort"},
     coded_as="sog",
     is_rounded=True,
     keeps=(FLAG,),

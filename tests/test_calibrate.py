@@ -100,6 +100,23 @@ def test_threads_and_other_columns_do_not_matter(still_life):
     assert calibrated(replace(still_life, extra=extra), Config()) == found
 
 
+@pytest.mark.parametrize("format", ["spz", "sog"])
+def test_the_rounding_of_other_formats_is_known_before_encoding(format):  # noqa: A002
+    loss = as_requested(generate(12_000, 3, 2), Config(format=format))[1].rendered
+    assert loss.encodings == 1
+    assert 0.6 * loss.aimed < loss.loss < 1.25 * loss.aimed
+
+
+def test_steps_do_not_change_for_what_a_format_clips(still_life):
+    """An `.spz` has no log-scales below -10."""
+    small = np.float32(np.exp(-7))
+    tiny = replace(
+        still_life, positions=small * still_life.positions, log_scale=still_life.log_scale - 7
+    )
+    found = calibrated(tiny, Config()).coarseness
+    assert calibrated(tiny, Config(format="spz")).coarseness > 0.7 * found
+
+
 @pytest.mark.parametrize(
     "config",
     [

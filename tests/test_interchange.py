@@ -142,11 +142,10 @@ def test_values_out_of_range_of_spz_are_clipped_and_counted(tmp_path):
     assert back.f_dc.max() == pytest.approx(0.5 / 0.15)
 
 
-def test_steps_make_an_spz_smaller_and_bound_its_errors(tmp_path):
-    scene = usual(2000, 3)
-    order = spatial_order(scene.positions)
+def varied_steps() -> AttributeSteps:
+    """Steps of 2,000 Gaussians."""
     rng = np.random.default_rng(0)
-    steps = AttributeSteps(
+    return AttributeSteps(
         positions=np.exp(rng.normal(-5, 1, 2000)),
         f_dc=np.exp(rng.normal(-4, 1, 2000)),
         f_rest=np.exp(rng.normal(-3, 1, (3, 2000))),
@@ -154,6 +153,24 @@ def test_steps_make_an_spz_smaller_and_bound_its_errors(tmp_path):
         log_scale=np.exp(rng.normal(-2, 1, (3, 2000))),
         rot=np.exp(rng.normal(-4, 1, 2000)),
     )
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_effort_makes_an_spz_smaller(version, tmp_path):
+    scene, steps = usual(2000, 3), varied_steps()
+    efforts = ("fast", "normal", "high")
+    files = [pack_spz(scene, version, steps, effort)[0] for effort in efforts]
+    fast, normal, high = map(len, files)
+    assert fast != normal > high < fast
+    for number, data in enumerate(files):
+        back = read_scene(written(tmp_path / f"{number}.spz", data))
+        np.testing.assert_array_equal(back.positions, read_scene(tmp_path / "0.spz").positions)
+
+
+def test_steps_make_an_spz_smaller_and_bound_its_errors(tmp_path):
+    scene = usual(2000, 3)
+    order = spatial_order(scene.positions)
+    steps = varied_steps()
     data, _ = pack_spz(scene, 4, steps)
     assert len(data) < 0.8 * len(pack_spz(scene, 4)[0])
     back, scene = read_scene(written(tmp_path / "a.spz", data)), scene.take(order)

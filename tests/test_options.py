@@ -29,7 +29,7 @@ VALUES = {
     "profile": "--profile m", "images": "--images views", "split": "--split all",
     "device": "--device cpu", "overwrite": "--overwrite", "channels": "--channels",
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
-    "lpips": "--lpips weights.pth",
+    "lpips": "--lpips weights.pth", "effort": "--effort fast",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -54,7 +54,9 @@ IGNORED = {
     "batch scene.ply out -p paper-m": ("cameras", "views", "width", "background", "keep-order"),
     "batch scene.ply out --resume": ("overwrite",),
     "batch scene.ply out --target-ratio 9": ("max-memory",),
-    "convert scene.ply o.splat": ("profile", "depth", "coarseness", "block-size", *_PAPER),
+    "convert scene.ply o.splat": (
+        *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER,
+    ),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (
         "images", "gt-images", "lpips", "width", "split", "background", "device", "overwrite",

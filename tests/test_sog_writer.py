@@ -222,6 +222,19 @@ def test_a_palette_is_as_good_as_that_of_lloyd(monkeypatch):
     assert palette_error(vectors.T, palette) < 1.02 * distances.min(1).sum()
 
 
+def test_more_effort_finds_better_rows():
+    rng = np.random.default_rng(5)
+    f_rest = (rng.normal(size=(24, 3)) @ rng.normal(size=(3, 6000))).astype("f4")
+    steps = np.full((3, 6000), 0.3)
+    costs = []
+    for effort in ("fast", "normal", "high"):
+        palette = fit_palette(f_rest, steps, effort)
+        labels = np.bincount(palette.labels)
+        bits = label_bits(labels) @ labels
+        costs.append(palette_error(f_rest, palette) / 0.3**2 + WORTH * bits)
+    assert costs[0] > costs[1] > costs[2]
+
+
 def test_gaussians_of_more_weight_are_nearer_to_their_rows():
     scene = random_scene(6000, 2)
     steps = np.full((3, 6000), 0.3)

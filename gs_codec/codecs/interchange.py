@@ -31,6 +31,13 @@ def pack_by_steps(
     return _packed(scene, config, wanted, times)
 
 
+def decoded_as_packed(scene: Scene, config: Config, steps: StepSizes) -> Scene:
+    """A cleaned scene as decoded from a file with these step sizes, in its own order."""
+    [data], _ = pack_by_steps(scene, config, steps, StageTimes())
+    decoded = decode_interchange(data, config, system_of(scene))
+    return decoded.take(np.argsort(_file_order(scene, config)))
+
+
 def pack_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene as finely as the format allows, whatever the profile."""
     clean, changed = clean_scene(scene, config)
@@ -132,9 +139,14 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
     # SH-AC are not needed here, and would take most of the time.
     [data], _ = _packed(replace(scene, f_rest=scene.f_rest[:0]), config, wanted, times)
     rounded = decode_interchange(data, config, system_of(scene))
-    in_order = config.scene_format.sorts
-    order = spatial_order(scene.positions, scene.log_scale) if in_order else np.arange(scene.count)
-    return RoundedScene(scene, config, wanted, order, rounded)
+    return RoundedScene(scene, config, wanted, _file_order(scene, config), rounded)
+
+
+def _file_order(scene: Scene, config: Config) -> NDArray[np.int64]:
+    """Index in a scene of each Gaussian, in file order."""
+    if config.scene_format.sorts:
+        return spatial_order(scene.positions, scene.log_scale)
+    return np.arange(scene.count)
 
 
 def pack_rounded(

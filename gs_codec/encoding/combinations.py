@@ -47,8 +47,8 @@ def check_request(
         if config.format != EGS:
             raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
     check_actions(actions, plan, max_memory is not None, coded=plan is not None)
-    if config.effort == "high" and plan is None:
-        raise InvalidInput("effort 'high': has no effect without cameras")
+    if config.effort == "high" and config.format == EGS and plan is None:
+        raise InvalidInput("effort 'high': has no effect on an .egs without cameras")
     if rate is not None:
         _check_rate(config, rate, Steps() if plan is None else plan.steps)
 
@@ -168,7 +168,10 @@ def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     used = (*used, "max_memory") if known.in_parts else used
     names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
     unused = [name for name in ("preset", "max_memory", *names) if name not in used]
-    typed.refuse(unused, f"has no effect on {where}, expected an .egs")
+    for name in unused:
+        suffixes = [s for each in FORMATS if name in each.options for s in each.written]
+        expected = ", ".join(suffixes) or "an .egs"
+        typed.refuse([name], f"has no effect on {where}, expected {expected}")
 
 
 def refuse_paper(typed: Typed, profile: str) -> None:

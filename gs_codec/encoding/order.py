@@ -296,10 +296,10 @@ def _encode_by(
     config, guidance, times = request.config, None, StageTimes()
     check_encoding(scene.count, config)
     chosen, windows = config, None
-    if views is None:
-        chosen, windows = _calibrate(scene, config, times, progress)
     with times.stage("check"):
         clean, changed = clean_scene(scene, config)
+    if views is None:
+        chosen, windows = _calibrate(clean, config, times, progress)
     if views is not None:
         guidance = _guide(clean, config, views, times, progress)
         if guidance is None:

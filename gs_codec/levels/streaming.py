@@ -87,7 +87,7 @@ def stream_levels(
                 own = steps.take(slice(start, stop))
                 if finest and not level:
                     own = AttributeSteps.least(part)
-                contents, lost = sog_files_of(part, own)
+                contents, lost = sog_files_of(part, own, config.effort)
                 files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
                 names.append(f"{level}_{number}/{UNBUNDLED}")
                 losses += lost

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import Effort
 from gs_codec.formats.cells import row_means, split_cells
 from gs_codec.formats.codebook import choose_colours, make_table, weights_of
 from gs_codec.formats.sog.nearest_rows import nearest_rows
@@ -15,11 +17,27 @@ from gs_codec.scene import sh_bands
 #: Maximum number of rows with 16-bit labels.
 _MOST = 1 << 16
 
-#: Number of times that rows and labels are updated alternately.
-_ROUNDS = 1
 
-#: Number of blocks of rows that a vector searches; see `nearest_rows`.
-_NEAREST = 4
+class _Search(NamedTuple):
+    """How long a palette is searched.
+
+    Attributes
+    ----------
+    rounds : int
+        Number of times that rows and labels are updated alternately.
+    nearest : int
+        Number of blocks of rows that a vector searches; see `nearest_rows`.
+    """
+
+    rounds: int
+    nearest: int
+
+
+_SEARCHES: Mapping[Effort, _Search] = {
+    "fast": _Search(0, 1),
+    "normal": _Search(1, 4),
+    "high": _Search(4, 16),
+}
 
 
 class Palette(NamedTuple):
@@ -40,7 +58,9 @@ class Palette(NamedTuple):
     labels: NDArray[np.int32]
 
 
-def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Palette:
+def fit_palette(
+    f_rest: NDArray[np.float32], steps: NDArray[np.floating], effort: Effort = "normal"
+) -> Palette:
     """Fit a palette of mean vectors, with levels and number of rows as fine as the step sizes.
 
     Parameters
@@ -48,7 +68,10 @@ def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Pal
     f_rest : ndarray, shape (3 * K, N), float32
     steps : ndarray, shape (3, N)
         Wanted step sizes of each band.
+    effort : {"fast", "normal", "high"}
+        How long to search for rows.
     """
+    search = _SEARCHES[effort]
     depth, count = f_rest.shape
     ratios = _ratios(steps, depth // 3)
     vectors = np.empty((count, depth), np.float32)
@@ -56,9 +79,9 @@ def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Pal
     weights = weights_of(steps[0])
     cells = split_cells(vectors, weights, _MOST)
     labels, number = cells.labels(), len(cells.stops)
-    for _ in range(_ROUNDS):
+    for _ in range(search.rounds):
         rows, _ = row_means(vectors, weights, labels, number)
-        labels = nearest_rows(vectors, weights, labels, rows.astype(np.float32), _NEAREST)
+        labels = nearest_rows(vectors, weights, labels, rows.astype(np.float32), search.nearest)
     rows, total = row_means(vectors, weights, labels, number)
     used = np.flatnonzero(total > 0) if count else np.zeros(1, np.int64)
     row_steps = np.maximum(total[used], 1e-300)[:, None] ** -0.5 * ratios
@@ -67,7 +90,7 @@ def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Pal
     levels = np.zeros((number, depth), np.uint8)
     by_channel = choose_colours(values.reshape(len(used), 3, -1), row_steps[:, : depth // 3], table)
     levels[used] = by_channel.reshape(-1, depth)
-    labels = nearest_rows(vectors, weights, labels, table[levels] / ratios, _NEAREST)
+    labels = nearest_rows(vectors, weights, labels, table[levels] / ratios, search.nearest)
     return _by_use(table, levels, labels)
 
 

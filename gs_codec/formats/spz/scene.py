@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.far import Box, draw_nearer, find_far
 from gs_codec.coding.morton import spatial_order
+from gs_codec.config import Effort
 from gs_codec.format_table import SPZ
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import turn_axes
@@ -115,7 +116,10 @@ def _smallest_three(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def pack_spz(
-    scene: Scene, version: int = 3, steps: AttributeSteps | None = None
+    scene: Scene,
+    version: int = 3,
+    steps: AttributeSteps | None = None,
+    effort: Effort = "normal",
 ) -> tuple[bytes, tuple[str, ...]]:
     """Bytes of an `.spz` file of version 3 or 4; sentences on what it cannot represent.
 
@@ -130,6 +134,8 @@ def pack_spz(
     steps : AttributeSteps, optional
         Values are rounded to multiples of the format's step, up to about these steps, for a smaller
         file. Default: full accuracy of the format.
+    effort : {"fast", "normal", "high"}
+        How long to compress.
     """
     check_finite(scene, ".spz")
     order = spatial_order(scene.positions, scene.log_scale)
@@ -151,7 +157,7 @@ def pack_spz(
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
     lost = (SPZ.rounding, *moved, *clipped.sentences(), *left_out_of(scene, SPZ))
-    return pack_streams(header, streams), lost
+    return pack_streams(header, streams, effort), lost
 
 
 def _fraction_bits(farthest: float) -> int:

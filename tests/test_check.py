@@ -163,6 +163,24 @@ def test_other_formats_come_closer_to_the_aim(known, encodings):
         assert loss.loss == pytest.approx(loss.aimed, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("first", "share", "power", "found"),
+    [(0.5, 0.6, 1.76, 0.5), (0.5, 0.4, 1.76, 0.84), (0.5, 0.4, 3.6, 0.5), (1.0, 0.4, 1.76, 1.0)],
+    ids=["near the aim", "below half of it", "coarser ones lose too much", "not calibrated"],
+)
+def test_needlessly_fine_steps_are_made_coarser(first, share, power, found):
+    config = Config()
+
+    def attempt(chosen):
+        loss = psnr_loss(share * wanted_error(config) * (chosen.coarseness / first) ** power)
+        return chosen, RenderedLoss(50.0, loss, loss, windows=64, views="likely")
+
+    calibrated = Config(coarseness=first)
+    chosen, loss = checked.encode_within_loss(attempt, config, calibrated, check=None)
+    assert chosen.coarseness == pytest.approx(found, rel=0.01)
+    assert loss.remedy is None
+
+
 def test_useless_finer_steps_are_reported(still_life, monkeypatch, caplog):
     def clipped(scene, config, times, *_, **__):
         """Like a format that cannot represent such colours."""

@@ -33,6 +33,9 @@ GeometryRule = Literal["median", "largest"]
 
 _ITERATIONS = {"kind": int, "low": 0, "high": 10_000_000}
 
+#: Value of `refine` for as many iterations as pay off.
+AS_MANY_AS_PAY = -1
+
 #: RGB of named colours.
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
@@ -65,7 +68,8 @@ class Steps:
         Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`, this is
         the only limit.
     refine : int
-        Iterations of Adam on all attributes of the remaining Gaussians. If held-out views get
+        Iterations of Adam on all attributes of the remaining Gaussians; -1 for as many as pay off:
+        15 for each image that they fit, at least 2,000. If held-out views get
         worse, a warning says so and the result is that without `refine`, unless `keep_refined`.
     keep_refined : bool
         Keep the refined scene even if held-out views get worse, as the paper does; no effect
@@ -120,8 +124,8 @@ class Steps:
     )  # fmt: skip
     refine: int = option(
         0,
-        "Refine all attributes with N iterations of Adam (2000 without N).",
-        metavar="[N]", shown="none", alone=2000, **_ITERATIONS,
+        "Refine all attributes with N iterations of Adam (without N, as many as pay off).",
+        metavar="[N]", shown="none", alone=AS_MANY_AS_PAY, **(_ITERATIONS | {"low": -1}),
     )  # fmt: skip
     keep_refined: bool = option(
         False,
@@ -168,7 +172,7 @@ class Steps:
         """Whether pruning stops when it no longer pays off: no amount given, then refinement."""
         limits = (self.prune, self.gaussians, self.prune_max_psnr_drop)
         prunes = self.prune_geometry or self.prune_importance or any(x is not None for x in limits)
-        return self.refine > 0 and not prunes
+        return self.refine != 0 and not prunes
 
 
 @dataclass(frozen=True)

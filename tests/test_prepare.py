@@ -26,7 +26,7 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
 from gs_codec.plan import Steps
-from gs_codec.preparation import optimise, view_selection
+from gs_codec.preparation import optimise, pipeline, view_selection
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prepare_report import LABELS, centres_checksum
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
@@ -76,7 +76,7 @@ def plan(**steps) -> Plan:
         ({"prune": float("nan")}, "prune nan"),
         ({"prune": 0.5}, "expected percent, half of all is 50"),
         ({"prune_max_psnr_drop": -0.1}, "prune_max_psnr_drop -0.1"),
-        ({"refine": -1}, "refine -1"),
+        ({"refine": -2}, "refine -2"),
         ({"refit_colour": -1}, "refit_colour -1"),
         ({"compact_sh": -0.1}, "compact_sh -0.1"),
     ],
@@ -274,9 +274,9 @@ def test_all_steps_run_in_order(scene):
 
 def test_refinement_recovers_the_pruning_loss(scene):
     pruned, before = prepare_scene(scene, plan(prune_importance=70))
+    assert before.views.renders.error(pruned) > 0
     for steps in ({"refit_colour": 6}, {"refine": 60}):
         _, after = prepare_scene(scene, plan(prune_importance=70, **steps))
-        assert after.views.renders.error(pruned) > 0
         assert after.steps[-1].quality.psnr > before.steps[-1].quality.psnr + 0.5, steps
 
 
@@ -295,6 +295,14 @@ def test_optimisation_resumes_from_its_checkpoint(scene, tmp_path):
         np.testing.assert_array_equal(getattr(first, group), getattr(again, group))
     with pytest.raises(InvalidInput, match="state"):
         prepare_scene(scene, replace(chosen, steps=Steps(prune=90, refine=31)))
+
+
+@pytest.mark.parametrize(("least", "iterations"), [(20, 90), (100, 100)])
+def test_refinement_looks_at_each_image_as_often_as_pays(scene, monkeypatch, least, iterations):
+    monkeypatch.setattr(pipeline, "_LEAST", least)
+    _, report = prepare_scene(scene, plan(prune=90, refine=-1))
+    # Three cameras, and three views between them.
+    assert report.steps[-1].details["iterations"] == iterations
 
 
 def test_refinement_is_skipped_if_nothing_can_be_gained(scene, caplog):
@@ -564,8 +572,8 @@ def test_number_of_gaussians(folder):
 
 @pytest.mark.parametrize(
     ("typed", "iterations"),
-    [(["--refine", "a.ply", "b.egs"], 2000), (["a.ply", "b.egs", "--refine"], 2000),
-     (["--refine", "--json", "a.ply", "b.egs"], 2000), (["--refine", "7", "a.ply", "b.egs"], 7)],
+    [(["--refine", "a.ply", "b.egs"], -1), (["a.ply", "b.egs", "--refine"], -1),
+     (["--refine", "--json", "a.ply", "b.egs"], -1), (["--refine", "7", "a.ply", "b.egs"], 7)],
 )  # fmt: skip
 def test_refinement_without_a_number(monkeypatch, typed, iterations):
     asked = []

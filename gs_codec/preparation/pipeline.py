@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import Config
-from gs_codec.plan import Plan, Steps
+from gs_codec.plan import AS_MANY_AS_PAY, Plan, Steps
 from gs_codec.preparation.balance import ADDED, Balance, StepsOf, profile_steps
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
@@ -34,6 +34,11 @@ from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
+
+#: Iterations of refinement that pay off: looks at each image that it fits, and a minimum
+#: (bench/RESULTS.md).
+_LOOKS = 15
+_LEAST = 2000
 
 #: What a step returns: the indices of the remaining Gaussians (None: all), the new scene, and
 #: details for the report.
@@ -88,6 +93,10 @@ def _run(
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene; report a step that was rejected before in its place."""
     views = choose_views(scene, plan, progress)
+    if plan.steps.refine == AS_MANY_AS_PAY:
+        assert views.targets is not None
+        iterations = max(_LEAST, _LOOKS * len(views.targets.cameras))
+        plan = replace(plan, steps=replace(plan.steps, refine=iterations))
     context = _Context(plan, views, progress, steps_of)
     kept, centres = np.arange(scene.count), centres_checksum(scene.positions)
     labels = np.zeros(scene.count, np.uint8)
@@ -107,11 +116,15 @@ def _run(
             labels[kept[gone]] = LABELS.index(step.label)
             kept = kept[stay]
         reports.append(_report(step.name, scene, context, seconds, details))
-    # Targets are many images, and nothing after refinement needs them.
     views = views._replace(targets=None)
-    return scene, PrepareReport(
+    report = PrepareReport(
         labels, tuple(reports), views, sh_degree=scene.sh_degree, centres=centres
     )
+    if plan.steps.refine and not report.rejected:
+        # Images of the input no longer guide anything, and take much memory.
+        renders = replace(views.renders, images=())
+        report = replace(report, views=ViewSplit(renders, None, views.held_out))
+    return scene, report
 
 
 def _report(

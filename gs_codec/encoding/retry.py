@@ -33,7 +33,7 @@ _ALLOWED = 2.0
 
 #: The same with estimated cameras, whose windows lose less than true views (a third less on fox,
 #: half on village), and in other formats. Their own rounding is not known when cameras choose the
-#: steps: that of `.sog` makes the error 1.6 to 2 times the target on fox and two generated captures.
+#: steps: that of `.sog` makes the error 1.7 to 1.9 times the target on fox and a generated capture.
 _ALLOWED_IF_UNSURE = 1.25
 
 #: Calibration renders plainly rounded SH. Where SH in local bases lose much less, steps are

@@ -20,6 +20,8 @@ from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.scene import Scene
 from samples.generate import generate
 
+pytestmark = pytest.mark.slow
+
 REFINED = Steps(refine=4)
 
 
@@ -31,7 +33,7 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     marked = [replace(c, split="train" if i % 4 else "test") for i, c in enumerate(cameras(8))]
-    return Plan(Steps(), marked)
+    return Plan(Steps(), marked, views=6)
 
 
 def coded(scene: Scene, plan: Plan, rate: RateTarget | None) -> tuple[bytes, dict | None]:

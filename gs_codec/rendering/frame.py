@@ -276,8 +276,10 @@ def draw_few(
 @kernel
 def _draw_few(fields, boxes, columns, background, colour, left):
     tiles, first = len(left), np.int64(0)
-    starts = np.zeros(tiles + 1, np.int64)
-    spans = np.empty((np.sum(boxes[:, 3] - boxes[:, 2]), 2), np.int32)
+    starts, touched = np.zeros(tiles + 1, np.int64), 0
+    for i in range(len(boxes)):
+        touched += boxes[i, 3] - boxes[i, 2]
+    spans = np.empty((touched, 2), np.int32)
     _count(fields, boxes, columns, first, len(fields), spans, starts[1:])
     for tile in range(tiles):
         starts[tile + 1] += starts[tile]

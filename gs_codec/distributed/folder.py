@@ -44,7 +44,8 @@ class Folder:
     def save(self, name: str, arrays: Arrays) -> None:
         """Write a result."""
         with atomic_writer(self._file(name)) as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            # NumPy before 2.1 saves its option `allow_pickle` as an array.
+            np.savez(file, **arrays)  # type: ignore[arg-type]
 
     def load(self, name: str, *wanted: str) -> Arrays:
         """The arrays of a result, or only the wanted ones.

@@ -27,7 +27,7 @@ from gs_codec.codecs.encode import Encoded, code_shaped, encode_cleaned, encode_
 from gs_codec.codecs.interchange import pack_finest
 from gs_codec.codecs.memory_limit import check_encoding
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import turn_axes
@@ -299,7 +299,9 @@ def _encode_by(
     with times.stage("check"):
         clean, changed = clean_scene(scene, config)
     if views is None:
-        chosen, windows = _calibrate(clean, config, times, progress)
+        # As on several workers, which clean later; writers of other formats need a clean scene.
+        source = scene if config.format == EGS else clean
+        chosen, windows = _calibrate(source, config, times, progress)
     if views is not None:
         guidance = _guide(clean, config, views, times, progress)
         if guidance is None:

@@ -328,7 +328,7 @@ def test_cameras_can_be_estimated_and_targets_met():
     data = as_requested(scene, Config("m"), Plan(Steps()))[0]
     assert inspect_bytes(data).far >= 60
     target = RateTarget(ratio=20)
-    data = as_requested(scene, Config("m"), None, target)[0]
+    data = as_requested(scene, Config("m"), None, target, scene.float_bytes)[0]
     assert 20 <= scene.float_bytes / len(data) < 25
 
 

@@ -335,3 +335,8 @@ def gather(planes: NDArray, index: NDArray) -> NDArray:
     with using_threads(None, len(indices)):
         run_all(work, range(len(planes)))
     return gathered
+
+
+def take_columns(planes: NDArray, index: NDArray[np.integer]) -> NDArray:
+    """Columns of ``planes (..., N)`` by their indices, like `gather`, on the calling thread."""
+    return np.take(planes, index, axis=-1, mode="clip")

@@ -36,7 +36,7 @@ from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_yco
 from gs_codec.config import SH_STREAMS
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.kernels import kernel
-from gs_codec.scene import sh_bands
+from gs_codec.scene import sh_bands, take_columns
 
 
 @dataclass(frozen=True)
@@ -122,18 +122,13 @@ class Block:
         return replace(self, passes=kept)
 
 
-def _taken(planes: NDArray[np.float32], members: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Columns of planes; as `members` are in range, clipping is only a faster check."""
-    return np.take(planes, members, axis=1, mode="clip")
-
-
 def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
     """Quantise positions, opacity, scales and rotation of a block."""
     source, lattice = arranged.source, arranged.lattice
     members, classes = arranged.order[start:stop], arranged.classes[:, start:stop]
-    log_scale, rot = (_taken(planes, members) for planes in (source.log_scale, source.rot))
+    log_scale, rot = (take_columns(planes, members) for planes in (source.log_scale, source.rot))
     _, scales, vectors = sort_axes(log_scale, rot)
-    quantiser = ShapeQuantiser(lattice, _taken(source.opacity, members)[0], scales, vectors)
+    quantiser = ShapeQuantiser(lattice, take_columns(source.opacity, members)[0], scales, vectors)
     shape = walk_shape(lattice, classes[0], quantiser)
     levels, contexts = shape_pass(classes, quantiser.levels, quantiser.shifts, lattice.units)
     known = (shape.opacity, shape.scales)
@@ -177,7 +172,7 @@ def code_dc(arranged: Arranged, shaped: ShapedBlock) -> CodedDc:
     """Quantise SH-DC of a block."""
     members = arranged.order[shaped.start : shaped.stop]
     nearest = find_all_nearest(shaped.grid_positions)
-    colours, clamped = to_fixed(to_ycocg(_taken(arranged.source.f_dc, members)), LARGEST)
+    colours, clamped = to_fixed(to_ycocg(take_columns(arranged.source.f_dc, members)), LARGEST)
     unit = arranged.lattice.units["sh-dc"]
     return CodedDc(*code_colours(nearest, colours, unit, shaped.shifts), nearest, clamped)
 

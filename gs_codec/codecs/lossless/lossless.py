@@ -32,7 +32,14 @@ from gs_codec.egs.sections import pack_scene
 from gs_codec.errors import CorruptStream
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows, sh_bands
+from gs_codec.scene import (
+    GROUPS,
+    SH_COEFFICIENTS,
+    Scene,
+    group_rows,
+    sh_bands,
+    take_columns,
+)
 
 #: Attribute group of each section, except those of SH-AC.
 _GROUP_OF = {
@@ -125,7 +132,7 @@ def lossless_order(scene: Scene) -> NDArray[np.int64]:
 def _extent(scene: Scene, members: NDArray[np.int64]) -> NDArray[np.float32]:
     """Bounding boxes of the Gaussians of a block."""
     planes = scene.positions, scene.log_scale, scene.rot
-    return block_extent(*(_taken(plane, members) for plane in planes))
+    return block_extent(*(take_columns(plane, members) for plane in planes))
 
 
 def _encode_blocks(
@@ -142,10 +149,12 @@ def _encode_blocks(
         members = order[slice(*header.block_range(block))]
         if section_id in _BANDS:
             columns = colours[:, _BANDS[section_id]]
-            data = _encode_band(section_id, _taken(columns, members), _taken(there, members))
+            data = _encode_band(
+                section_id, take_columns(columns, members), take_columns(there, members)
+            )
         else:
             columns = getattr(scene, _GROUP_OF[section_id]).view(np.uint32)
-            data = _encode_section(section_id, _taken(columns, members))
+            data = _encode_section(section_id, take_columns(columns, members))
         return Section.kept(section_id, block, data)
 
     jobs = [
@@ -154,11 +163,6 @@ def _encode_blocks(
         for section_id in lossless_sections(header.sh_degree)
     ]
     return run_all(lambda job: job(), jobs, advance=step_counter(progress, "code", len(jobs)))
-
-
-def _taken(columns: NDArray, members: NDArray[np.int64]) -> NDArray:
-    """Columns of some Gaussians; as `members` are in range, clipping is only a faster check."""
-    return np.take(columns, members, axis=-1, mode="clip")
 
 
 def _tried(section_id: SectionId, count: int) -> int:

@@ -122,7 +122,7 @@ peers: $(VENV)/installed-test
 	@.ci/system-packages peers || true
 	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >$(PEERS_LOG) 2>&1 \
 	    || echo "spz: not installed (needs git, a C++ compiler and GitHub); see $(PEERS_LOG)"
-	@$(PIP) install 'gsply[sogs]' >>$(PEERS_LOG) 2>&1 || echo "gsply: not installed; see $(PEERS_LOG)"
+	@$(PIP) install 'gsply[sogs]' gsplat >>$(PEERS_LOG) 2>&1 || echo "gsply, gsplat: not installed; see $(PEERS_LOG)"
 	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund $(NODE_PACKAGES) \
 	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform, PlayCanvas, Spark, gltf-validator: not installed (need Node 18 and npm); see $(PEERS_LOG)"
 	$(PYTEST) tests/test_peers.py tests/test_programs.py

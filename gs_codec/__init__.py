@@ -37,6 +37,7 @@ _PUBLIC = {
     "gs_codec.api.point_clouds": ("read", "write", "encode", "decode", "inspect"),
     "gs_codec.api.octree": ("to_octree",),
     "gs_codec.api.splats": ("decode_tensors", "encode_tensors", "Splats"),
+    "gs_codec.api.trainer_compression": ("Compression",),
     "gs_codec.api.trainer_tensors": ("from_tensors", "to_tensors"),
     "gs_codec.api.viewing": ("compare", "render", "prepare"),
     "gs_codec.metrics.image_quality": ("compare_images", "Quality", "View"),

@@ -9,6 +9,7 @@ from gs_codec.api.point_clouds import write as write
 from gs_codec.api.splats import Splats as Splats
 from gs_codec.api.splats import decode_tensors as decode_tensors
 from gs_codec.api.splats import encode_tensors as encode_tensors
+from gs_codec.api.trainer_compression import Compression as Compression
 from gs_codec.api.trainer_tensors import from_tensors as from_tensors
 from gs_codec.api.trainer_tensors import to_tensors as to_tensors
 from gs_codec.api.viewing import compare as compare

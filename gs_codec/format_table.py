@@ -296,6 +296,17 @@ CHECKPOINT = SceneFormat(
     in_folders=(),
 )
 
+#: The `config.yml` of a run of nerfstudio stands for its newest checkpoint.
+NERFSTUDIO_RUN = SceneFormat(
+    name="nerfstudio run",
+    read=(".yml",),
+    signatures=(b"!!python/object:nerfstudio.",),
+    reader=_ours("nerfstudio_run", "read_run"),
+    stated_size=_ours("nerfstudio_run", "stated_size"),
+    stored_bytes=_ours("nerfstudio_run", "stored_bytes"),
+    in_folders=(),
+)
+
 CSV = SceneFormat(
     name="csv",
     written={".csv": {}},
@@ -336,6 +347,7 @@ FORMATS = (
     GLTF,
     USD,
     CHECKPOINT,
+    NERFSTUDIO_RUN,
     CSV,
     STREAMED_SOG,
 )

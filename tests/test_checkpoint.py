@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import assert_refused
+from refusals import assert_one_line, assert_refused
 from scenes import assert_same_floats, random_scene
 
 import gs_codec
@@ -210,6 +210,47 @@ def test_a_checkpoint_of_splatfacto_is_read(prefix, tmp_path):
     colours = 0.5 + SH_C0 * read_scene(tmp_path / "b.ckpt").f_dc.T
     expected = torch.sigmoid(model[prefix + "features_dc"])
     np.testing.assert_allclose(colours, expected, atol=1e-6)
+
+
+def test_the_configuration_of_a_run_stands_for_its_newest_checkpoint(tmp_path):
+    """A run of nerfstudio: its checkpoints are numbered, and their names are padded to 9 digits."""
+    config = tmp_path / "config.yml"
+    config.write_text("!!python/object:nerfstudio.engine.trainer.TrainerConfig\nmethod: a\n")
+    assert_refused(config, "without checkpoint, expected nerfstudio_models")
+    models = tmp_path / "nerfstudio_models"
+    models.mkdir()
+    for step in (999, 1000, 1000000000):
+        write_scene(models / f"step-{step:09}.ckpt", random_scene(9, 3, seed=step), Config())
+    (models / "step-last.ckpt").touch()
+    assert_same(read_scene(config), random_scene(9, 3, seed=1000000000))
+    assert stated_bytes(config) == random_scene(9, 3).float_bytes
+    newest = models / "step-1000000000.ckpt"
+    newest.write_bytes(newest.read_bytes()[:100])
+    with pytest.raises(InvalidInput) as caught:
+        read_scene(config)
+    assert_one_line(caught.value, newest)
+
+
+# What trainers call
+
+
+@needs_torch
+def test_a_strategy_for_gsplat_compresses_its_splats(tmp_path):
+    """What `Runner.run_compression` of simple_trainer.py does."""
+    splats, compression = trained(), gs_codec.Compression("lossless")
+    compression.compress(str(tmp_path), splats)
+    back = compression.decompress(str(tmp_path))
+    order = np.lexsort(splats["means"].detach().numpy().T)
+    there = np.lexsort(back["means"].numpy().T)
+    for name in splats:
+        expected = splats[name].detach().numpy()[order]
+        np.testing.assert_array_equal(back[name].numpy()[there], expected, name)
+    gs_codec.Compression("s").compress(tmp_path, splats)
+    assert compression.decompress(tmp_path)["shN"].shape == (30, 15, 3)
+    with pytest.raises(InvalidInput, match="format 'spz': expected 'egs'"):
+        gs_codec.Compression(Config(format="spz"))
+    with pytest.raises(InvalidInput, match="tensor 'features': not known"):
+        compression.compress(tmp_path, dict(splats) | {"features": splats["means"]})
 
 
 @needs_torch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ from orbits import cameras
 from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
 
+import gs_codec
 from gs_codec.bench.peers import find_splat_transform
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
@@ -161,3 +163,13 @@ def test_splat_transform_does_the_same_job(splat_transform, job, degree, tmp_pat
             one, other = unit_quaternions(one), unit_quaternions(other)
             other = other * np.copysign(1, (one * other).sum(axis=0))
         np.testing.assert_allclose(other, one, rtol=2e-6, atol=4e-6, err_msg=group)
+
+
+def test_our_compression_has_the_methods_of_gsplats_own():
+    own = pytest.importorskip("gsplat.compression", exc_type=ImportError).PngCompression
+    for method in ("compress", "decompress"):
+        there, here = (
+            list(inspect.signature(getattr(kind, method)).parameters)
+            for kind in (own, gs_codec.Compression)
+        )
+        assert here == there

@@ -151,14 +151,19 @@ def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
         raise InvalidInput(
             f"{name}: cannot be encoded from tensors, expected .egs without coarser levels"
         )
-    tensors = {
-        "means": splats.means, "quats": splats.quats, "scales": splats.log_scales,
-        "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],
-    }  # fmt: skip
+    tensors = named_tensors(splats)
     scene = scene_of_tensors({name: each.detach().cpu().numpy() for name, each in tensors.items()})
     if config.profile != LOSSLESS:
         scene = with_finite_ends(scene)
     return b"".join(encode(scene, Request(config))[0])
+
+
+def named_tensors(splats: Splats) -> dict[str, torch.Tensor]:
+    """The tensors before activation, with gsplat's names."""
+    return {
+        "means": splats.means, "quats": splats.quats, "scales": splats.log_scales,
+        "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],
+    }  # fmt: skip
 
 
 def require_device(device: str) -> None:

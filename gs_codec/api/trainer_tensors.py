@@ -15,6 +15,7 @@ from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.optional import needed
+from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -56,11 +57,17 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     >>> len(data) < 60_000
     True
     """
+    return to_cloud(scene_of_trainer(tensors))
+
+
+def scene_of_trainer(tensors: Mapping[str, Any]) -> Scene:
+    """The scene of a trainer's tensors; parameters and errors as in `from_tensors`."""
     if not hasattr(tensors, "items"):  # torch's ParameterDict is not a Mapping
         given = type(tensors).__name__
         raise InvalidInput(f"tensors: {given}, expected a mapping of names to tensors")
-    scene = scene_of_tensors({name: _array(each) for name, each in tensors.items()})
-    return to_cloud(with_finite_ends(scene))
+    return with_finite_ends(
+        scene_of_tensors({name: _array(each) for name, each in tensors.items()})
+    )
 
 
 @overload

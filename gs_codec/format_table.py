@@ -251,6 +251,20 @@ KSPLAT = SceneFormat(
     floats_per_byte=4,
 )
 
+#: Spark's tree of levels of detail. A `.radc` is a part of one, next to its `.rad`.
+RAD = SceneFormat(
+    name="rad",
+    read=(".rad", ".radc"),
+    signatures=(b"RAD0", b"RADC"),
+    reader=_ours("rad.scene", "read_rad"),
+    stated_size=_ours("rad.scene", "stated_size"),
+    stored_bytes=_ours("rad.scene", "rad_bytes"),
+    opens_file=True,
+    is_rounded=True,
+    in_folders=(".rad",),
+    floats_per_byte=20,
+)
+
 GLTF = SceneFormat(
     name="gltf",
     read=(".glb", ".gltf"),
@@ -344,6 +358,7 @@ FORMATS = (
     COMPRESSED_PLY,
     SPLAT,
     KSPLAT,
+    RAD,
     GLTF,
     USD,
     CHECKPOINT,

@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -237,3 +238,120 @@ def sog_folder(folder: Path, meta: dict[str, Any], images: dict[str, np.ndarray]
         (folder / name).write_bytes(webp(pixels))
     (folder / "meta.json").write_text(json.dumps(meta))
     return folder / "meta.json"
+
+
+#: Values of each property of a `.rad` per Gaussian, and an encoding that keeps all floats.
+RAD_PROPERTIES = {
+    "center": (3, "f32_lebytes"),
+    "alpha": (1, "f32"),
+    "rgb": (3, "f32"),
+    "scales": (3, "f32"),
+    "orientation": (3, "f32"),
+    "sh1": (9, "f32"),
+    "sh2": (15, "f32"),
+    "sh3": (21, "f32"),
+    "child_count": (1, "u16"),
+    "child_start": (1, "u32"),
+    "sh_label": (1, "u16"),
+}
+
+
+def rad_bytes(encoding: str, values: np.ndarray, low: float = 0, high: float = 1) -> bytes:
+    """Values ``(rows, N)`` in an encoding of a `.rad`, as in Spark's `rad.rs`."""
+    if encoding == "oct88r8":
+        return rad_rotations(values)
+    if encoding.startswith("r8"):
+        values = np.rint(np.clip((values - low) / (high - low), 0, 1) * 255).astype("u1")
+    if encoding.startswith("s8"):
+        values = np.rint(np.clip(values / high, -1, 1) * 127).astype("i1").view("u1")
+    if encoding.startswith("ln"):
+        values = np.log(values)
+    if encoding == "ln_0r8":
+        levels = np.rint(np.clip((values - low) / (high - low), 0, 1) * 254) + 1
+        values = np.where(values <= -30, 0, levels).astype("u1")
+    if encoding.endswith("delta"):
+        values = np.diff(values, axis=1, prepend=np.zeros_like(values[:, :1]))
+    if encoding.endswith("lebytes"):
+        planes = values.astype(f"<f{int(encoding[1:3]) // 8}")
+        return np.moveaxis(planes[..., None].view("u1"), 2, 0).tobytes()
+    kind = {"f32": "<f4", "f16": "<f2", "ln_f16": "<f2", "u16": "<u2", "u32": "<u4"}
+    return values.astype(kind.get(encoding, "u1")).tobytes()
+
+
+def rad_rotations(xyz: np.ndarray) -> bytes:
+    """Rotations as an axis on an octahedron and an angle, from the first three components."""
+    sine = np.sqrt((xyz * xyz).sum(axis=0))
+    axis = xyz / np.abs(xyz).sum(axis=0)
+    folded = (1 - np.abs(axis[1::-1])) * np.where(axis[:2] >= 0, 1, -1)
+    u, v = np.where(axis[2] < 0, folded, axis[:2]) / 2 + 0.5
+    angle = 2 * np.arccos(np.sqrt(1 - sine**2)) / np.pi
+    return np.rint(255 * np.stack([u, v, angle], axis=1)).astype("u1").tobytes()
+
+
+def rad_described(magic: bytes, about: Any) -> bytes:
+    """A description of a `.rad`: anything for JSON, or its bytes."""
+    text = about if isinstance(about, bytes) else json.dumps(about).encode()
+    return magic + struct.pack("<I", len(text)) + text + bytes(-len(text) % 8)
+
+
+def rad_chunk(
+    values: dict[str, np.ndarray], encodings: dict[str, str], bounds: tuple[float, float] = (0, 1)
+) -> tuple[dict[str, Any], bytes]:
+    """The description and the data of a chunk, from ``(rows, N)`` of each property."""
+    payload, properties = b"", []
+    for name, rows in values.items():
+        encoding = encodings.get(name) or RAD_PROPERTIES[name.removesuffix("_code")][1]
+        packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+        data = packer.compress(rad_bytes(encoding, rows, *bounds)) + packer.flush()
+        about = {"property": name, "encoding": encoding, "compression": "gz"}
+        where = {"offset": len(payload), "bytes": len(data)}
+        properties.append(about | where | {"min": bounds[0], "max": bounds[1]})
+        payload += data + bytes(-len(data) % 8)
+    degree = sum(f"sh{band}" in values or f"sh{band}_code" in values for band in (1, 2, 3))
+    about = {"version": 1, "base": 0, "count": values["alpha"].shape[1], "maxSh": degree}
+    return about | {"payloadBytes": len(payload), "properties": properties}, payload
+
+
+def rad_file(
+    chunks: list[tuple[Any, bytes]], /, prefix: str | None = None, **changes: Any
+) -> dict[str, bytes]:
+    """A `.rad` file under the name "", and its `.radc` files if their names have a `prefix`.
+
+    `changes` override the description.
+    """
+    parts = [
+        rad_described(b"RADC", each) + struct.pack("<Q", len(data)) + data for each, data in chunks
+    ]
+    others = {} if prefix is None else {f"{prefix}{i}.radc": part for i, part in enumerate(parts)}
+    starts = np.cumsum([0, *map(len, parts)]).tolist()
+    if "count" not in changes:
+        degree, counts = chunks[0][0]["maxSh"], [each["count"] for each, _ in chunks]
+        changes = {"count": sum(counts), "maxSh": degree} | changes
+    about = {
+        "version": 1,
+        "type": "gsplat",
+        "lodTree": True,
+        "chunks": [{"offset": 0, "filename": name} for name in others]
+        or [{"offset": a, "bytes": len(p)} for a, p in zip(starts, parts, strict=False)],
+    }
+    body = b"" if others else b"".join(parts)
+    return {"": rad_described(b"RAD0", about | changes) + body, **others}
+
+
+def rad_values(count: int, degree: int, seed: int, levels: bool = False) -> dict[str, np.ndarray]:
+    """Values of Gaussians for a chunk; with `levels`, the first is the root of all others."""
+    rng = np.random.default_rng(seed)
+    xyz = rng.normal(size=(3, count))
+    values = {
+        "center": rng.normal(size=(3, count)),
+        "alpha": rng.uniform(0.1, 0.9, (1, count)),
+        "rgb": rng.uniform(0, 1, (3, count)),
+        "scales": np.exp(rng.normal(-4, 1, (3, count))),
+        "orientation": 0.9 * xyz / np.sqrt((xyz * xyz).sum(axis=0)),
+    }
+    for band in range(1, degree + 1):
+        values[f"sh{band}"] = rng.uniform(-0.4, 0.4, (6 * band + 3, count))
+    if levels:
+        only = np.arange(count)[None] == 0
+        values |= {"child_count": (count - 1) * only, "child_start": 1 * only}
+    return values

@@ -71,7 +71,16 @@ def sog_bomb(version: int, degree: int, floats: int) -> bytes:
     return out.getvalue()
 
 
+def rad_bomb(degree: int, floats: int) -> bytes:
+    """A `.rad` of identical Gaussians in one chunk."""
+    count = floats // float_bytes(1, degree)
+    one = foreign.rad_values(1, degree, seed=1)
+    values = {name: np.broadcast_to(rows, (len(rows), count)) for name, rows in one.items()}
+    return foreign.rad_file([foreign.rad_chunk(values, dict.fromkeys(values, "f32"))])[""]
+
+
 BOMBS = {
+    "a.rad": lambda floats: rad_bomb(3, floats),
     "v3.spz": lambda floats: spz_bomb(3, 0, floats),
     "v4.spz": lambda floats: spz_bomb(4, 3, floats),
     "v2.sog": lambda floats: sog_bomb(2, 0, floats),

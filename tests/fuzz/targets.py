@@ -285,6 +285,40 @@ def _ksplats() -> list[bytes]:
     return files
 
 
+_ROUNDED = {"alpha": "r8", "rgb": "r8_delta", "scales": "ln_0r8", "orientation": "oct88r8"}
+
+
+def _rad_chunks() -> list[tuple[dict, bytes]]:
+    rounded = {**_ROUNDED, "sh1": "s8", "sh2": "s8_delta"}
+    labelled = foreign.rad_values(6, 1, seed=3)
+    labelled |= {"sh1_code": labelled.pop("sh1"), "sh_label": np.arange(6)[None]}
+    return [
+        foreign.rad_chunk(foreign.rad_values(6, 2, seed=1, levels=True), rounded),
+        foreign.rad_chunk(foreign.rad_values(6, 0, seed=2), {"center": "f16", "scales": "ln_f16"}),
+        foreign.rad_chunk(labelled, {}),
+    ]
+
+
+def _rads() -> list[bytes]:
+    return [foreign.rad_file([chunk])[""] for chunk in _rad_chunks()]
+
+
+def _rad_description(data: bytes) -> object:
+    """A file or a chunk with this description."""
+    chunk, payload = _rad_chunks()[0]
+    if data.startswith(b'{"version": 1, "base"'):
+        return _scene_file(".rad")(foreign.rad_file([(data, payload)], count=6, maxSh=2)[""])
+    whole = foreign.rad_file([(chunk, payload)])[""]
+    start = whole.index(b"RADC")
+    return _scene_file(".rad")(foreign.rad_described(b"RAD0", data) + whole[start:])
+
+
+def _rad_descriptions() -> list[bytes]:
+    whole = _rads()[0]
+    size = int.from_bytes(whole[4:8], "little")
+    return [whole[8 : 8 + size], json.dumps(_rad_chunks()[0][0]).encode()]
+
+
 def _usds() -> list[bytes]:
     return [pack_usd(random_scene(4, degree), suffix)[0] for degree, suffix in _USDS]
 
@@ -444,6 +478,8 @@ TARGETS = {
     "spz": Target(_scene_file(".spz"), lambda: [*_spzs(), *_unzipped_spzs()]),
     "gltf": Target(_scene_file(".gltf"), _gltfs),
     "ksplat": Target(_scene_file(".ksplat"), _ksplats),
+    "rad": Target(_scene_file(".rad"), _rads),
+    "rad-description": Target(_rad_description, _rad_descriptions),
     "pcodec": Target(_pcodec, _columns),
     **({"usd": Target(_scene_file(".usd"), _usds)} if is_available("pxr") else {}),
     "pickle": Target(parse_pickle, _pickles),

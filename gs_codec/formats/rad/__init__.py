@@ -1,0 +1,1 @@
+"""`.rad` files of Spark."""

@@ -55,7 +55,7 @@ _PUBLIC = {
         "ActionReport",
     ),
     "gs_codec.codecs.inspection": ("Info", "StreamInfo", "PassInfo", "LevelInfo"),
-    "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
+    "gs_codec.metrics.comparison": ("Comparison", "GroupError"),
     "gs_codec.preparation.prepare_report": ("PrepareReport", "StepReport"),
     "gs_codec.codecs.entropygs.section": ("Channel",),
     "gs_codec.codecs.adaptive.lattice": ("PositionGrid",),

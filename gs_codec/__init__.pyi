@@ -43,8 +43,8 @@ from gs_codec.files.decode_file import DecodeReport as DecodeReport
 from gs_codec.files.decode_file import decode_file as decode_file
 from gs_codec.files.encode_file import encode_file as encode_file
 from gs_codec.files.preparing import prepare_file as prepare_file
-from gs_codec.metrics.attributes import Comparison as Comparison
-from gs_codec.metrics.attributes import GroupError as GroupError
+from gs_codec.metrics.comparison import Comparison as Comparison
+from gs_codec.metrics.comparison import GroupError as GroupError
 from gs_codec.metrics.image_quality import Quality as Quality
 from gs_codec.metrics.image_quality import View as View
 from gs_codec.metrics.image_quality import compare_images as compare_images

@@ -18,7 +18,8 @@ from gs_codec.files.scenes import compare_files
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.metrics.attributes import Comparison, GroupError, compare_scenes
+from gs_codec.metrics.attributes import compare_scenes
+from gs_codec.metrics.comparison import Comparison, GroupError
 from gs_codec.scene import Scene
 
 UNITS = {

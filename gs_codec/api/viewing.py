@@ -15,7 +15,8 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import system_of, turn_axes
-from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.attributes import compare_scenes
+from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.image_quality import LPIPS_VARIABLE
 from gs_codec.metrics.views import compare_views
 from gs_codec.plan import Plan

@@ -17,7 +17,7 @@ from gs_codec.cli.output import (
     progress_bar,
 )
 from gs_codec.cli.typed import Typed, takes
-from gs_codec.pages.tables import Table
+from gs_codec.metrics.comparison import table_of
 from gs_codec.plan import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.wording import counted
@@ -26,8 +26,8 @@ from gs_codec.runtime.wording import counted
 _OF_VIEWS = ("width", "split", "background", "device")
 
 if TYPE_CHECKING:
-    from gs_codec.metrics.attributes import Comparison
-    from gs_codec.metrics.image_quality import Quality, View
+    from gs_codec.metrics.comparison import Comparison
+    from gs_codec.metrics.image_quality import View
 
 
 @takes(*_OF_VIEWS, "max_bytes", "overwrite", "json", split="held-out", device="auto")
@@ -83,51 +83,21 @@ def command(
     _say_systems(comparison.systems)
     if typed["json"]:
         print_document(input=[str(first), str(second)], **_plain(comparison, images))
-    elif comparison.views:
-        _print_views(comparison)
+        return
+    first_count, second_count = comparison.counts
+    if comparison.views:
+        print_text(f"Gaussians: {first_count:,} in A, {second_count:,} in B")
     else:
-        _print_attributes(comparison)
-
-
-def _print_attributes(comparison: Comparison) -> None:
-    print_text(f"{counted(comparison.counts[0], 'Gaussian')}, matched by {comparison.matched_by}")
-    print_table(
-        Table(
-            ["attribute", "unit", "max error", "rms error"],
-            [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
-        )
-    )
-    print_text("Errors of invisible Gaussians are included; --cameras auto compares rendered views")
+        print_text(f"{counted(first_count, 'Gaussian')}, matched by {comparison.matched_by}")
+    print_table(table_of(comparison))
+    if not comparison.views:
+        hint = "--cameras auto compares rendered views"
+        print_text(f"Errors of invisible Gaussians are included; {hint}")
 
 
 def _say_systems(systems: tuple[str, str]) -> None:
     if systems[0] != systems[1]:
         print_status("coordinates {} in A, {} in B: converted to one system".format(*systems))
-
-
-def _print_views(comparison: Comparison) -> None:
-    mean, worst = comparison.mean, comparison.worst
-    with_truth, with_lpips = mean.delta is not None, mean.between.lpips is not None
-    columns = ["view", "PSNR dB", "SSIM"] + [f"LPIPS ({comparison.backbone})"] * with_lpips
-    if with_truth:
-        columns += ["A to truth", "B to truth", "delta-PSNR", "delta-SSIM"]
-        columns += ["delta-LPIPS"] * with_lpips
-    rows = [_row(view.name, view) for view in comparison.views]
-    rows += [_row("mean", mean), _row(f"worst: {worst.name}", worst)]
-    print_text("Gaussians: {:,} in A, {:,} in B".format(*comparison.counts))
-    print_table(Table(columns, rows))
-
-
-def _row(name: str, view: View) -> list[str]:
-    row = [name, *_numbers(view.between, "")]
-    if view.first and view.second and view.delta:
-        row += [f"{view.first.psnr:.3f}", f"{view.second.psnr:.3f}", *_numbers(view.delta, "+")]
-    return row
-
-
-def _numbers(quality: Quality, sign: str) -> list[str]:
-    values = [f"{quality.psnr:{sign}.3f}", f"{quality.ssim:{sign}.5f}"]
-    return values if quality.lpips is None else [*values, f"{quality.lpips:{sign}.5f}"]
 
 
 def _plain(comparison: Comparison, images: Path | None) -> dict:

@@ -27,6 +27,8 @@ from gs_codec.egs.egs_file import (
 )
 from gs_codec.egs.index import Box, bounds_of, errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
+from gs_codec.pages.tables import Table
+from gs_codec.runtime.wording import counted, size_text
 from gs_codec.scene import SH_COEFFICIENTS
 
 if TYPE_CHECKING:
@@ -197,6 +199,13 @@ class Info:
         plain["passes"] = [vars(item) for item in self.passes]
         plain["levels"] = [vars(level) for level in self.levels]
         return plain
+
+    def _repr_html_(self) -> str:
+        """A table of the streams, for notebooks."""
+        size = f"{size_text(self.file_bytes)}, {self.ratio:.2f}x relative to the floats"
+        caption = f"{counted(self.count, 'Gaussian')}, profile {self.profile}, {size}"
+        rows = [[s.name, f"{s.bytes:,}", f"{s.bits_per_gaussian:.3f}"] for s in self.streams]
+        return Table(["stream", "bytes", "bits/Gaussian"], rows).html(caption)
 
 
 def inspect_bytes(data: bytes | Readable) -> Info:

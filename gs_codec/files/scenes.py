@@ -23,7 +23,8 @@ from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes, turn_
 from gs_codec.formats.extra_properties import scene_without
 from gs_codec.formats.ply.dialects import with_filter
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.attributes import compare_scenes
+from gs_codec.metrics.comparison import Comparison
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.mapped import located, opened

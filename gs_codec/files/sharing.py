@@ -128,7 +128,7 @@ def share(
 
 
 def page_of(
-    sources: Sequence[str | Path],
+    sources: Sequence[str | Path | Scene],
     cameras: str | Path,
     alone: bool,
     *,
@@ -138,10 +138,10 @@ def page_of(
 ) -> tuple[list[SharedScene], dict[str, bytes]]:
     """The scenes of a page, and its files by name, `PAGE` last; with `alone`, only `PAGE`.
 
-    See `share`.
+    See `share`. A `Scene` has the coordinates of a PLY.
     """
     template = _template()
-    opened = [_open(Path(source), progress, max_bytes) for source in sources]
+    opened = [_open(source, progress, max_bytes) for source in sources]
     shared = [one for one, _ in opened]
     first = opened[0][1]
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
@@ -200,9 +200,12 @@ def _views(
 
 
 def _open(
-    path: Path, progress: Progress | None, max_bytes: int | None
+    source: str | Path | Scene, progress: Progress | None, max_bytes: int | None
 ) -> tuple[SharedScene, Scene]:
     """A scene, and its Gaussians as shown by a page."""
+    if isinstance(source, Scene):
+        return _encoded("cloud", source, progress)
+    path = Path(source)
     with open_scene(path) as file:
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
         if file.format == EGS:
@@ -213,9 +216,13 @@ def _open(
                 levels = len(info.levels)
                 return SharedScene(_name(path), bytes(file.data), False, levels), scene
         with located(path):
-            request = Request(Config(_PROFILE, extra="drop"))
-            parts, report = encode(scene, request, progress)
-        return SharedScene(_name(path), b"".join(parts), True, rendered=report.rendered), scene
+            return _encoded(_name(path), scene, progress)
+
+
+def _encoded(name: str, scene: Scene, progress: Progress | None) -> tuple[SharedScene, Scene]:
+    """A scene encoded for a page."""
+    parts, report = encode(scene, Request(Config(_PROFILE, extra="drop")), progress)
+    return SharedScene(name, b"".join(parts), True, rendered=report.rendered), scene
 
 
 def _name(path: Path) -> str:

@@ -10,7 +10,6 @@ rotation has.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.axes import nearest_quaternions, sort_axes, with_real_part
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.coordinates import CONVENTION
-from gs_codec.metrics.image_quality import View, mean_quality
+from gs_codec.metrics.comparison import Comparison, GroupError
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
@@ -150,93 +148,6 @@ def _unit(rot: NDArray[np.float32]) -> NDArray[np.float64]:
     norm = np.linalg.norm(values, axis=0)
     with np.errstate(invalid="ignore"):
         return np.where(norm == 0, _IDENTITY, values / np.where(norm == 0, 1.0, norm))
-
-
-@dataclass(frozen=True)
-class GroupError:
-    """Errors of one attribute, over all its components.
-
-    Attributes
-    ----------
-    name : str
-        The attribute, ``scaling`` for log-scales.
-    unit : str
-        Unit of both errors: ``scene units``, ``SH``, ``logit``, ``0-1``, ``log``, ``stored``
-        (components of quaternions) or ``degrees``.
-    max : float
-        Maximum absolute error.
-    rms : float
-        Root mean square.
-    """
-
-    name: str
-    unit: str
-    max: float
-    rms: float
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Comparison of two scenes: errors by attribute, or of rendered views.
-
-    Attributes
-    ----------
-    counts : tuple of two int
-        Number of Gaussians of each scene.
-    matched_by : str or None
-        ``stored order``, ``index``, ``Morton order`` or ``nearest centre``; None with cameras,
-        which need no matching.
-    groups : tuple of GroupError
-        Errors by attribute, empty with cameras. Opacity and rotation appear twice, in two
-        units.
-    views : tuple of View
-        Comparison of each view, in the cameras' order; empty without cameras.
-    systems : tuple of two str
-        Coordinate systems of the two files; if they differ, one scene was converted.
-    backbone : str or None
-        Network used for LPIPS; values of different networks are not comparable. None if LPIPS was
-        not measured.
-    """
-
-    counts: tuple[int, int]
-    matched_by: str | None = None
-    groups: tuple[GroupError, ...] = ()
-    views: tuple[View, ...] = ()
-    systems: tuple[str, str] = (CONVENTION, CONVENTION)
-    backbone: str | None = None
-
-    @property
-    def mean(self) -> View:
-        """Means over the views.
-
-        Raises
-        ------
-        InvalidInput
-            If there are no views.
-        """
-        self._check_views()
-        between = mean_quality([view.between for view in self.views])
-        first = [view.first for view in self.views if view.first]
-        second = [view.second for view in self.views if view.second]
-        if not (first and second):
-            return View("mean", between)
-        return View("mean", between, mean_quality(first), mean_quality(second))
-
-    @property
-    def worst(self) -> View:
-        """The view with the lowest PSNR between the scenes; the first if there are several.
-
-        Raises
-        ------
-        InvalidInput
-            If there are no views.
-        """
-        self._check_views()
-        return min(self.views, key=lambda view: view.between.psnr)
-
-    def _check_views(self) -> None:
-        if not self.views:
-            raise InvalidInput("comparison: made without cameras, so there are no views")
 
 
 def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Comparison:

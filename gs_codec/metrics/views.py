@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.image_files import find_images, output_names, write_png
-from gs_codec.metrics.attributes import Comparison
+from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.image_quality import View, compare_images, load_lpips
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter

@@ -15,7 +15,7 @@ from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.encode_file import encode_requested
 from gs_codec.files.writing import write_parts
-from gs_codec.metrics.attributes import Comparison
+from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.views import compare_views
 from gs_codec.report import EncodeReport
 from gs_codec.runtime.atomic import atomic_writer

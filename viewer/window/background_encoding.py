@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
-from gs_codec.metrics.attributes import Comparison
+from gs_codec.metrics.comparison import Comparison
 from viewer.scenes.opened import Opened, Progress, Pruned
 from viewer.scenes.trial_list import EncodingSettings, Trial, Trials
 from viewer.window.loading import Loading

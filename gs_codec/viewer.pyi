@@ -1,3 +1,3 @@
-from viewer import embed as embed
 from viewer import attach as attach
 from viewer import draw as draw
+from viewer import embed as embed

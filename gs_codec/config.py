@@ -394,6 +394,9 @@ class Config:
         Default False: only warn.
     spz_version : {3, 4}
         With format ``spz``: 4 is smaller, 3 is read by more programs. Default 3.
+    gltf_compression : {"none", "spz"}
+        With format ``glb`` or ``gltf``: ``spz`` stores attributes as an `.spz` (the extension
+        KHR_gaussian_splatting_compression_spz_2), which CesiumJS displays. Default ``none``.
 
     Raises
     ------
@@ -493,6 +496,11 @@ class Config:
     )
     spz_version: Literal[3, 4] = option(
         3, "With format spz: version; 4 is smaller, more programs read 3.", kind=int, low=3, high=4
+    )
+    gltf_compression: Literal["none", "spz"] = option(
+        "none",
+        "With format glb or gltf: compress the attributes, for CesiumJS.",
+        values=("none", "spz"),
     )
 
     def __post_init__(self) -> None:
@@ -605,7 +613,8 @@ class Config:
     @property
     def scene_format(self) -> SceneFormat:
         """The declaration of `format`."""
-        return format_of(f".{self.format}")
+        known = format_of(f".{self.format}")
+        return known.variants.get(self.gltf_compression, known)
 
     def adaptive_profile(self) -> AdaptiveProfile:
         """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""

@@ -70,7 +70,8 @@ class SceneFormat:
         returns the bytes of a file, and these sentences. `.egs` and streamed SOG are written
         differently.
     options : mapping of str to str
-        Fields of `Config` that only some formats have, and the corresponding arguments of `writer`.
+        Fields of `Config` that only some formats have, and the corresponding arguments of `writer`;
+        "" if it needs none.
     coded_as : str, optional
         The format in `Config`, if that is not the suffix without its dot.
     rounding : str
@@ -95,6 +96,10 @@ class SceneFormat:
         Approximate bytes of raw floats per byte of a file.
     require : callable, optional
         Raises `MissingTool` if a package that it needs is not installed.
+    variants : mapping of str to SceneFormat
+        The format by the value of ``Config.gltf_compression``, if that changes it.
+    variant_of : callable, optional
+        ``(path, data)`` -> key in `variants` of a file; "" if it has none.
     """
 
     name: str
@@ -124,6 +129,8 @@ class SceneFormat:
     in_folders: tuple[str, ...] | None = None
     floats_per_byte: int = 1
     require: Callable[[], None] | None = None
+    variants: Mapping[str, SceneFormat] = field(default_factory=dict)
+    variant_of: Callable[..., str] | None = None
 
     @property
     def is_exact(self) -> bool:
@@ -265,6 +272,20 @@ RAD = SceneFormat(
     floats_per_byte=20,
 )
 
+#: glTF of which the attributes are in an `.spz`.
+GLTF_SPZ = SceneFormat(
+    name="gltf spz",
+    written={".glb": {}, ".gltf": {"as_text": True}},
+    writes="steps",
+    writer=_ours("gltf.compressed", "pack_gltf_spz"),
+    options={"gltf_compression": "", "effort": "effort"},
+    rounding=SPZ.rounding,
+    is_rounded=True,
+    keeps=SPZ.keeps,
+    system="LUF",
+    sorts=True,
+)
+
 GLTF = SceneFormat(
     name="gltf",
     read=(".glb", ".gltf"),
@@ -274,9 +295,13 @@ GLTF = SceneFormat(
     stated_size=_ours("gltf.scene", "stated_size"),
     written={".glb": {}, ".gltf": {"as_text": True}},
     writer=_ours("gltf.scene", "pack_gltf"),
+    options={"gltf_compression": ""},
     rounding="opacity and scales in linear form, rotations of unit length, each rounded once",
-    system="LUF",
+    system=GLTF_SPZ.system,
     in_folders=(".glb",),
+    floats_per_byte=SPZ.floats_per_byte,
+    variants={"spz": GLTF_SPZ},
+    variant_of=_ours("gltf.scene", "variant_of"),
 )
 
 USD = SceneFormat(

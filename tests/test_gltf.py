@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+import zlib
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +16,22 @@ import pytest
 from appearance import assert_held_exactly, assert_seen_alike
 from scenes import assert_same_floats, random_scene
 
+from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.coordinates import state_system, turn_axes
+from gs_codec.formats.gltf.compressed import pack_gltf_spz
 from gs_codec.formats.gltf.scene import pack_gltf
-from gs_codec.formats.registry import open_scene
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.formats.ply.writer import write_ply
+from gs_codec.formats.registry import open_scene, overview_of
+from gs_codec.formats.spz.file import read_streams
+from gs_codec.formats.spz.scene import pack_spz
+from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS
 
 KHR = "KHR_gaussian_splatting"
+SPZ_2 = f"{KHR}_compression_spz_2"
 CODES = {"<f4": 5126, "<u1": 5121, "<i1": 5120, "<u2": 5123, "<i2": 5122}
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
@@ -173,6 +182,121 @@ def test_an_empty_scene_cannot_be_written():
         pack_gltf(random_scene(0))
 
 
+# With an .spz inside
+
+
+def spz_inside(document: dict[str, Any], binary: bytes) -> bytes:
+    """The `.spz` of a document."""
+    [primitive] = document["meshes"][0]["primitives"]
+    index = primitive["extensions"][KHR]["extensions"][SPZ_2]["bufferView"]
+    view = document["bufferViews"][index]
+    return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_an_spz_in_a_glb_has_the_numbers_of_gltf(degree, tmp_path):
+    scene = random_scene(300, degree, seed=degree)
+    data, lost = pack_gltf_spz(scene)
+    document, binary = split(data)
+    path = tmp_path / "a.glb"
+    path.write_bytes(data)
+    (tmp_path / "inside.spz").write_bytes(spz_inside(document, binary))
+    inside = read_scene(tmp_path / "inside.spz", coordinates=None)
+    assert_same_floats(state_system(inside, "LUF"), read_scene(path, coordinates=None))
+    (tmp_path / "a.spz").write_bytes(pack_spz(scene)[0])
+    one, other = read_scene(path), read_scene(tmp_path / "a.spz")
+    # A quaternion and its negative are the same rotation; SH of -1 are stored, of 1 not quite.
+    np.testing.assert_array_equal(abs(one.rot), abs(other.rot))
+    np.testing.assert_allclose(one.f_rest, other.f_rest, atol=1 / 128)
+    alike = {"rot": one.rot, "f_rest": one.f_rest}
+    assert_same_floats(one, replace(other, **alike))
+    told = overview_of(path)
+    assert (told.format, told.count, told.coordinates) == ("gltf spz", 300, "LUF")
+    assert lost[0].startswith("opacity, colours")
+    with open_scene(path) as file:
+        assert file.stated_bytes() == scene.float_bytes
+        assert file.scene_format.is_rounded
+
+
+def test_accessors_of_an_spz_state_the_decoded_attributes():
+    scene = random_scene(50, 2)
+    document, binary = split(pack_gltf_spz(scene)[0])
+    [primitive] = document["meshes"][0]["primitives"]
+    names = [name.removeprefix(f"{KHR}:") for name in primitive["attributes"]]
+    coefficients = [f"SH_DEGREE_{d}_COEF_{k}" for d in (1, 2) for k in range(2 * d + 1)]
+    assert names == ["POSITION", "COLOR_0", "SCALE", "ROTATION", *coefficients]
+    assert not any("bufferView" in accessor for accessor in document["accessors"])
+    assert {accessor["count"] for accessor in document["accessors"]} == {50}
+    kinds = [accessor["type"] for accessor in document["accessors"]]
+    assert kinds == ["VEC3", "VEC4", "VEC3", "VEC4"] + ["VEC3"] * 8
+    header, _, _ = read_streams(Path("a"), memoryview(spz_inside(document, binary)), None)
+    assert (header.version, header.count) == (3, 50)
+    centres = turn_axes(scene, "LUF").positions
+    unit = 2.0**-header.fraction_bits
+    np.testing.assert_allclose(document["accessors"][0]["min"], centres.min(axis=1), atol=unit)
+    np.testing.assert_allclose(document["accessors"][0]["max"], centres.max(axis=1), atol=unit)
+    assert document["extensionsRequired"] == document["extensionsUsed"] == [KHR, SPZ_2]
+
+
+def test_a_gltf_of_an_earlier_draft_without_a_kernel_is_read(tmp_path):
+    scene = random_scene(20, 1)
+    document, binary = split(pack_gltf_spz(scene)[0])
+    expected = read(tmp_path, document, binary)
+    splats = document["meshes"][0]["primitives"][0]["extensions"][KHR]
+    del splats["kernel"], splats["colorSpace"]
+    splats["extensions"][f"{KHR}_compression_spz"] = splats["extensions"].pop(SPZ_2)
+    assert_same_floats(read(tmp_path, document, binary), expected)
+
+
+def test_nodes_move_an_spz(tmp_path):
+    document, binary = split(pack_gltf_spz(random_scene(20, 1))[0])
+    plain = read(tmp_path, document, binary)
+    document["nodes"] = [{"mesh": 0, "translation": [1, 2, 3]}, {"mesh": 0}]
+    both = read(tmp_path, document, binary)
+    assert both.count == 40
+    np.testing.assert_allclose(
+        both.positions[:, :20], plain.positions + np.array([[1], [2], [3]]), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("form", ["glb", "gltf"])
+def test_a_compressed_gltf_is_encoded_like_an_spz(form, tmp_path):
+    scene = replace(random_scene(400, 1), comments=(ANTIALIASED,))
+    write_ply(tmp_path / "a.ply", scene)
+    config = Config(format=form, gltf_compression="spz", effort="fast")
+    target = tmp_path / f"a.{form}"
+    done = encode_file(tmp_path / "a.ply", target, config, rate={"ratio": 3})
+    assert done.rate is not None
+    assert done.rate.coarseness != 1
+    assert done.file_bytes <= (tmp_path / "a.ply").stat().st_size / 3
+    assert read_scene(target).antialiased
+    convert_file(target, tmp_path / f"b.{form}", replace(config, effort="normal"))
+    once, again = (read_scene(tmp_path / f"{name}.{form}") for name in "ab")
+    # A file that rounds is converted at full precision, perhaps in another order.
+    np.testing.assert_array_equal(np.sort(again.f_rest), np.sort(once.f_rest))
+    np.testing.assert_array_equal(np.sort(again.log_scale), np.sort(once.log_scale))
+
+
+def test_compression_is_of_gltf_alone():
+    with pytest.raises(InvalidInput, match="gltf_compression: format 'spz', expected 'glb' or"):
+        Config(format="spz", gltf_compression="spz")
+    with pytest.raises(InvalidInput, match="coarseness: format 'glb' has none"):
+        Config(format="glb", coarseness=2)
+    assert Config(format="glb", gltf_compression="spz", coarseness=2).has_steps
+    with pytest.raises(InvalidInput, match="no Gaussians"):
+        pack_gltf_spz(random_scene(0))
+
+
+def test_an_spz_that_unpacks_to_too_much_is_refused(tmp_path):
+    document, _ = split(pack_gltf_spz(random_scene(3))[0])
+    bomb = zlib.compressobj(wbits=31)
+    header = struct.pack("<4sIIBBBB", b"NGSP", 3, 1 << 31, 3, 12, 0, 0)
+    packed = bomb.compress(header + bytes(1 << 20)) + bomb.flush()
+    document["bufferViews"][0]["byteLength"] = document["buffers"][0]["byteLength"] = len(packed)
+    with pytest.raises(InvalidInput, match="2,147,483,648 Gaussians of"):
+        read(tmp_path, document, packed)
+
+
 # Reading
 
 
@@ -296,9 +420,20 @@ BAD = {
     "no nodes": (edited("nodes", to=[]), "not a scene of Gaussians"),
     "other kernel": (edited(*SPLATS, "kernel", to="box"), "kernel 'box'"),
     "linear colours": (edited(*SPLATS, "colorSpace", to="lin_rec709_display"), "lin_rec709"),
-    "compressed": (
-        edited(*SPLATS, "extensions", to={"KHR_gaussian_splatting_compression_spz_2": {}}),
-        "'KHR_gaussian_splatting_compression_spz_2' is not read",
+    "L-GSC": (edited(*SPLATS, "extensions", to={f"{KHR}_lgsc": {}}), r"_lgsc' \(L-GSC\) is not"),
+    "EGSC": (
+        edited(*SPLATS, "extensions", to={f"{KHR}_compression_EGSC": {}}),
+        rf"_compression_EGSC' \(EGSC\) is not read, expected {SPZ_2}",
+    ),
+    "MPEG": (
+        edited(*SPLATS, "extensions", to={"MPEG_gaussian_splatting": {}, SPZ_2: {}}),
+        r"'MPEG_gaussian_splatting' \(MPEG's codec\) is not read",
+    ),
+    "no .spz": (edited(*SPLATS, "extensions", to={SPZ_2: {}}), "bufferViews None, expected one"),
+    "an .spz of text": (edited(*SPLATS, "extensions", to={SPZ_2: "0"}), "bufferViews None"),
+    "other bytes": (
+        edited(*SPLATS, "extensions", to={SPZ_2: {"bufferView": 0}}),
+        f"{SPZ_2}: a gzip stream that begins|{SPZ_2}: gzip stream",
     ),
     "stretched": (edited("nodes", 0, to={"mesh": 0, "scale": [1, 2, 1]}), "stretches or shears"),
     "no scale": (edited("nodes", 0, to={"mesh": 0, "scale": [0] * 3}), "stretches or shears"),
@@ -403,8 +538,9 @@ def test_primitives_of_several_degrees_are_refused(tmp_path):
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("form", ["glb", "gltf"])
-def test_truncated_files_are_refused(form, tmp_path):
-    data = pack_gltf(random_scene(3, 1), form == "gltf")[0]
+@pytest.mark.parametrize("pack", [pack_gltf, pack_gltf_spz])
+def test_truncated_files_are_refused(pack, form, tmp_path):
+    data = pack(random_scene(3, 1), as_text=form == "gltf")[0]
     path = tmp_path / f"a.{form}"
     for end in range(len(data)):
         path.write_bytes(data[:end])

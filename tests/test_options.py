@@ -30,6 +30,7 @@ VALUES = {
     "device": "--device cpu", "overwrite": "--overwrite", "channels": "--channels",
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
     "lpips": "--lpips weights.pth", "effort": "--effort fast",
+    "gltf-compression": "--gltf-compression spz",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -55,8 +56,9 @@ IGNORED = {
     "batch scene.ply out --resume": ("overwrite",),
     "batch scene.ply out --target-ratio 9": ("max-memory",),
     "convert scene.ply o.splat": (
-        *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER,
+        *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER, "gltf-compression",
     ),
+    "encode scene.ply o.glb": ("profile", "effort", "cameras"),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (
         "images", "gt-images", "lpips", "width", "split", "background", "device", "overwrite",

@@ -31,7 +31,12 @@ from samples.generate import generate
 
 pytestmark = pytest.mark.slow
 
-FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz", "v4.spz")
+FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz.glb", "spz", "v4.spz")
+
+CONFIGS = {
+    "v4.spz": Config(format="spz", spz_version=4),
+    "spz.glb": Config(format="glb", gltf_compression="spz"),
+}
 
 
 def wide(scene: Scene) -> Scene:
@@ -69,7 +74,7 @@ def files(tmp_path_factory) -> dict[str, list[Path]]:
         for form in FORMATS:
             target = folder / name / "meta.json" if form == "json" else folder / f"{name}.{form}"
             target.parent.mkdir(exist_ok=True)
-            config = Config(format="spz", spz_version=4) if form == "v4.spz" else Config()
+            config = CONFIGS.get(form, Config())
             if name == "guided":
                 encode_file(source, target, config, Plan(Steps(), cameras(24)))
             else:
@@ -99,7 +104,11 @@ def test_programs_agree_with_our_reader(program, form, request):
         check(theirs, stored_numbers(path), form, of.exact)
 
 
-@pytest.mark.parametrize("form", ["glb", "gltf"])
+#: What CesiumJS needs, but the validator advises against: a matrix, and data of an extension.
+NEEDED = ("NODE_MATRIX_DEFAULT", "UNUSED_OBJECT")
+
+
+@pytest.mark.parametrize("form", ["glb", "gltf", "spz.glb"])
 def test_the_validator_of_gltf_finds_nothing_but_an_unknown_extension(form, request):
     node = shutil.which("node")
     if not (node and (PACKAGES / "gltf-validator").is_dir()):
@@ -115,6 +124,8 @@ def test_the_validator_of_gltf_finds_nothing_but_an_unknown_extension(form, requ
         issues = json.loads(ended.stdout)
         assert not issues["truncated"]
         for issue in issues["messages"]:
+            if form == "spz.glb" and issue["code"] in NEEDED:
+                continue
             assert "KHR_gaussian_splatting" in issue["message"] + issue["pointer"], issue
 
 

@@ -61,7 +61,7 @@ def _packed(
     """Write a scene with the wanted step sizes, or as finely as the format allows."""
     known, suffix = config.scene_format, f".{config.format}"
     assert known.writer is not None  # .egs is encoded elsewhere
-    arguments = {name: getattr(config, field) for field, name in known.options.items()}
+    arguments = {name: getattr(config, field) for field, name in known.options.items() if name}
     if known.writes == "steps":
         arguments["steps"] = wanted
     with times.stage("pack"):

@@ -160,6 +160,7 @@ _OF_VIEWS = ("views", "width", "background")
 def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     """Reject coding options that have no effect on a format other than `.egs`."""
     where, known = target or form, format_of(f".{form}")
+    known = known.variants.get(typed["gltf_compression"], known)
     settings: list[Any] = [Config]
     if known.writes == "floats":
         settings += [RateTarget, Steps]

@@ -92,6 +92,7 @@ def keeps_rounding(
     """
     chosen = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
     known = format_of(suffix)
+    known = known.variants.get(config.gltf_compression, known)
     takes_steps = known.is_rounded and known.writes in ("steps", "levels")
     return not chosen and takes_steps and all(map(_is_rounded, sources))
 

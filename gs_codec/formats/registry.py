@@ -90,9 +90,12 @@ class SceneFile:
 
     @cached_property
     def scene_format(self) -> SceneFormat:
-        """The format's description; a PLY of packed properties has its own."""
-        packed = self._recognised is PLY and is_packed(self.ply.header)
-        return COMPRESSED_PLY if packed else self._recognised
+        """The format's description; compressed PLY and glTF have their own."""
+        known = self._recognised
+        if known.variant_of is not None:
+            return known.variants.get(known.variant_of(self.path, self._whole), known)
+        packed = known is PLY and is_packed(self.ply.header)
+        return COMPRESSED_PLY if packed else known
 
     @cached_property
     def _whole(self) -> Any:

@@ -33,6 +33,7 @@ from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
 from gs_codec.format_table import STREAMED, UNBUNDLED
 from gs_codec.formats import checkpoint as of_trainers
+from gs_codec.formats.gltf.compressed import pack_gltf_spz
 from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply.writer import write_ply
@@ -274,7 +275,11 @@ def _unzipped_spzs() -> list[bytes]:
 
 
 def _gltfs() -> list[bytes]:
-    return [pack_gltf(random_scene(4, degree), bool(degree % 2))[0] for degree in range(4)]
+    packs = (pack_gltf, pack_gltf, pack_gltf_spz, pack_gltf_spz)
+    return [
+        pack(random_scene(4, degree), as_text=bool(degree % 2))[0]
+        for degree, pack in enumerate(packs)
+    ]
 
 
 def _ksplats() -> list[bytes]:

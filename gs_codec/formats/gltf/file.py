@@ -27,8 +27,8 @@ _CHUNK = struct.Struct("<I4s")
 _DATA_URI = "data:application/octet-stream;base64,"
 
 #: WebGL constants for component types, and for the target of a buffer view.
-_FLOAT = 5126
-_UNSIGNED_BYTE = 5121
+FLOAT = 5126
+UNSIGNED_BYTE = 5121
 _ARRAY_BUFFER = 34962
 
 #: Component types, and the divisor of their normalised integers.
@@ -96,9 +96,7 @@ class GltfFile:
         code, divisor = packed
         width, size = _WIDTHS[kind], np.dtype(code).itemsize
         view = self.item("bufferViews", known.get("bufferView"))
-        data = self._buffer(view.get("buffer"))
-        first = whole(view.get("byteOffset", 0), "bufferView.byteOffset")
-        length = whole(view.get("byteLength"), "bufferView.byteLength")
+        data, first, length = self._span(view)
         offset = whole(known.get("byteOffset", 0), "accessor.byteOffset")
         stride = whole(view.get("byteStride", width * size), "bufferView.byteStride")
         count = self.count(accessor)
@@ -109,6 +107,19 @@ class GltfFile:
         with np.errstate(invalid="ignore"):
             plain = rows.astype(np.float32)
         return plain / np.float32(divisor) if known.get("normalized") is True else plain
+
+    def bytes_of(self, index: Any, where: str) -> memoryview:
+        """The bytes of a buffer view; `InvalidInput` if it is outside its buffer."""
+        data, first, length = self._span(self.item("bufferViews", index))
+        if first + length > len(data):
+            raise InvalidInput(f"glTF: {where}: {counted(length, 'byte')} beyond the buffer")
+        return data[first : first + length]
+
+    def _span(self, view: dict[str, Any]) -> tuple[memoryview, int, int]:
+        """Buffer of a buffer view, and its offset and length there, which are not checked."""
+        data = self._buffer(view.get("buffer"))
+        first = whole(view.get("byteOffset", 0), "bufferView.byteOffset")
+        return data, first, whole(view.get("byteLength"), "bufferView.byteLength")
 
     def _buffer(self, index: Any) -> memoryview:
         buffer = self.item("buffers", index)
@@ -214,26 +225,29 @@ def pack_document(document: dict[str, Any], arrays: dict[str, NDArray], as_text:
         })  # fmt: skip
         kind = {width: kind for kind, width in _WIDTHS.items()}[array.shape[1]]
         accessor: dict[str, Any] = {
-            "bufferView": len(views) - 1, "componentType": _FLOAT, "count": len(array),
+            "bufferView": len(views) - 1, "componentType": FLOAT, "count": len(array),
             "type": kind,
         }  # fmt: skip
         if array.dtype == np.uint8:
-            accessor |= {"componentType": _UNSIGNED_BYTE, "normalized": True}
+            accessor |= {"componentType": UNSIGNED_BYTE, "normalized": True}
         if name == "POSITION":
             accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
         accessors.append(accessor)
         offset += array.nbytes
-    buffer: dict[str, Any] = {"byteLength": offset}
     data = b"".join(array.tobytes() for array in arrays.values())
+    return pack_binary(document | {"bufferViews": views, "accessors": accessors}, data, as_text)
+
+
+def pack_binary(document: dict[str, Any], data: bytes, as_text: bool) -> bytes:
+    """Serialise a document without buffers, and its only buffer; see `pack_document`."""
+    buffer: dict[str, Any] = {"byteLength": len(data)}
     if as_text:
         buffer["uri"] = _DATA_URI + base64.b64encode(data).decode()
-    text = json.dumps(
-        document | {"buffers": [buffer], "bufferViews": views, "accessors": accessors},
-        separators=(",", ":"),
-    ).encode()
+    text = json.dumps(document | {"buffers": [buffer]}, separators=(",", ":")).encode()
     if as_text:
         return text
     text += b" " * (-len(text) % 4)
+    data += bytes(-len(data) % 4)
     length = _HEADER.size + 2 * _CHUNK.size + len(text) + len(data)
     head = _HEADER.pack(MAGIC, 2, length) + _CHUNK.pack(len(text), b"JSON")
     return b"".join([head, text, _CHUNK.pack(len(data), b"BIN\0"), data])

@@ -1,7 +1,8 @@
 """Gaussians in glTF 2.0 with the extension KHR_gaussian_splatting: `.glb` and `.gltf`.
 
 Centres, unit quaternions xyzw, linear scales, opacities 0-1 and SH are float32 attributes of
-points; the reader also accepts the integers that the extension allows. y is up.
+points; the reader also accepts the integers that the extension allows. y is up. Attributes may also
+be compressed (see `compressed`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,15 @@ from gs_codec.errors import InvalidInput
 from gs_codec.format_table import GLTF
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
+from gs_codec.formats.gltf.compressed import (
+    EXTENSION,
+    check_supported,
+    compressed_scene,
+    compressed_size,
+    document_of,
+    is_compressed,
+    sh_name,
+)
 from gs_codec.formats.gltf.file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
@@ -33,13 +43,10 @@ from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
 
-_EXTENSION = "KHR_gaussian_splatting"
 _SYSTEM = GLTF.system
 
 #: Maximum number of primitives shown by nodes, per node and primitive of the file.
 _SHOWN = 16
-
-_COLOUR_SPACES = ("srgb_rec709_display",)
 
 
 def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
@@ -51,9 +58,17 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
         # Buffers may be in separate files.
         stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
         check_count(count, degree, max(len(view), stored), max_bytes)
-        if any(_sh_name(4, 0) in each.primitive["attributes"] for each in placed):
+        plain = [each.primitive for each in placed if not is_compressed(each.primitive)]
+        if any(sh_name(4, 0) in primitive["attributes"] for primitive in plain):
             say_degree_4(path)
-        return join_scenes([_scene_of(file, each, degree) for each in placed])
+        return join_scenes([_scene_of(file, each, degree, max_bytes) for each in placed])
+
+
+def variant_of(path: Path, view: memoryview) -> str:
+    """How the attributes of a file are compressed: ``spz``, or "" if they are not."""
+    with located(path):
+        placed = _placed_primitives(open_gltf(path, view))
+        return "spz" if any(is_compressed(each.primitive) for each in placed) else ""
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
@@ -102,7 +117,7 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
     if pending:
         raise InvalidInput("glTF: a node has two parents")
     if not found:
-        raise InvalidInput(f"glTF: no points with {_EXTENSION}, not a scene of Gaussians")
+        raise InvalidInput(f"glTF: no points with {EXTENSION}, not a scene of Gaussians")
     return found
 
 
@@ -152,37 +167,36 @@ def _placement(node: dict[str, Any]) -> NDArray[np.float64]:
 
 def _is_splats(primitive: Any) -> bool:
     extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
-    if not isinstance(extensions, dict) or _EXTENSION not in extensions:
+    if not isinstance(extensions, dict) or EXTENSION not in extensions:
         return False
-    splats = extensions[_EXTENSION]
+    splats = extensions[EXTENSION]
     if not isinstance(splats, dict) or not isinstance(primitive.get("attributes"), dict):
-        raise InvalidInput(f"glTF: {_EXTENSION} without attributes")
-    if more := splats.get("extensions"):
-        name = min(more) if isinstance(more, dict) else more
-        raise InvalidInput(f"glTF: {name!a:.80} is not read, expected plain attributes")
-    kernel, space = splats.get("kernel"), splats.get("colorSpace")
-    if kernel != "ellipse" or space not in _COLOUR_SPACES:
-        raise InvalidInput(
-            f"glTF: kernel {kernel!a:.40} in {space!a:.40}, expected ellipse in {_COLOUR_SPACES[0]}"
-        )
+        raise InvalidInput(f"glTF: {EXTENSION} without attributes")
+    check_supported(primitive)
     return True
 
 
 def _size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
     """Number of Gaussians, and SH degree, of a primitive."""
+    if is_compressed(primitive):
+        return compressed_size(file, primitive)
     attributes = primitive["attributes"]
     degree = 0
-    while degree < 3 and _sh_name(degree + 1, 0) in attributes:
+    while degree < 3 and sh_name(degree + 1, 0) in attributes:
         degree += 1
     return file.count(attributes.get("POSITION")), degree
 
 
-def _sh_name(degree: int, coefficient: int) -> str:
-    return f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{coefficient}"
+def _scene_of(file: GltfFile, placed: _Placed, degree: int, max_bytes: int | None) -> Scene:
+    if is_compressed(placed.primitive):
+        scene = compressed_scene(file, placed.primitive, max_bytes)
+    else:
+        scene = _plain_scene(file, placed.primitive, degree)
+    return move_scene(scene, placed.matrix)
 
 
-def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
-    attributes = placed.primitive["attributes"]
+def _plain_scene(file: GltfFile, primitive: dict[str, Any], degree: int) -> Scene:
+    attributes = primitive["attributes"]
     count = file.count(attributes.get("POSITION"))
 
     def planes(name: str, kind: str) -> NDArray[np.float32]:
@@ -192,26 +206,25 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
         return np.ascontiguousarray(values.T)
 
     positions = planes("POSITION", "VEC3")
-    log_scale = log_scales_of(planes(f"{_EXTENSION}:SCALE", "VEC3"))
-    opacity = logits_of(planes(f"{_EXTENSION}:OPACITY", "SCALAR"))
+    log_scale = log_scales_of(planes(f"{EXTENSION}:SCALE", "VEC3"))
+    opacity = logits_of(planes(f"{EXTENSION}:OPACITY", "SCALAR"))
     rest = [
-        planes(_sh_name(band, number), "VEC3")
+        planes(sh_name(band, number), "VEC3")
         for band in range(1, degree + 1)
         for number in range(2 * band + 1)
     ]
     f_rest = np.empty((3, len(rest), count), np.float32)
     for k, colours in enumerate(rest):
         f_rest[:, k] = colours
-    scene = Scene(
+    return Scene(
         positions,
-        planes(_sh_name(0, 0), "VEC3"),
+        planes(sh_name(0, 0), "VEC3"),
         f_rest.reshape(-1, count),
         opacity,
         log_scale,
-        planes(f"{_EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
+        planes(f"{EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
         comments=stated_comments(_SYSTEM, False),
     )
-    return move_scene(scene, placed.matrix)
 
 
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
@@ -230,32 +243,20 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
     planes = {
         "POSITION": turned.positions,
         "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
-        f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
-        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale.astype(np.float64), "glTF", clipped),
-        f"{_EXTENSION}:OPACITY": share,
-        _sh_name(0, 0): turned.f_dc,
+        f"{EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
+        f"{EXTENSION}:SCALE": linear_scales(turned.log_scale.astype(np.float64), "glTF", clipped),
+        f"{EXTENSION}:OPACITY": share,
+        sh_name(0, 0): turned.f_dc,
     }
     rest = turned.f_rest.reshape(3, -1, scene.count)
     for degree, band in enumerate(sh_bands(SH_COEFFICIENTS[scene.sh_degree]), 1):
         for number, k in enumerate(band):
-            planes[_sh_name(degree, number)] = rest[:, k]
+            planes[sh_name(degree, number)] = rest[:, k]
     with np.errstate(under="ignore"):
         arrays = {
             name: np.ascontiguousarray(rows.T if rows.dtype == np.uint8 else rows.T.astype("<f4"))
             for name, rows in planes.items()
         }
-    primitive = {
-        "attributes": {name: number for number, name in enumerate(arrays)},
-        "mode": 0,
-        "extensions": {_EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOUR_SPACES[0]}},
-    }
-    document = {
-        "asset": {"version": "2.0", "generator": "gs_codec"},
-        "extensionsUsed": [_EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-    }
+    document = document_of({name: number for number, name in enumerate(arrays)}, {})
     data = pack_document(document, arrays, as_text)
     return data, (GLTF.rounding, *clipped.sentences(), *left_out_of(scene, GLTF))

@@ -66,10 +66,11 @@ def read_spz(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
     A comment of the scene names its coordinate system.
     """
     with located(path):
-        return _scene_of(path, *read_streams(path, view, max_bytes))
+        return scene_of_streams(path, *read_streams(path, view, max_bytes))
 
 
-def _scene_of(path: Path, header: SpzHeader, streams: list[Bytes], system: str) -> Scene:
+def scene_of_streams(path: Path, header: SpzHeader, streams: list[Bytes], system: str) -> Scene:
+    """The scene in a file whose streams were read by `read_streams`."""
     count = header.count
     positions, alphas, colours, scales, rotations, sh = (
         np.frombuffer(stream, np.uint8).reshape(count, size).T
@@ -92,6 +93,14 @@ def _f_rest(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Reorder SH-AC to ``(3 * K, n)``: all coefficients of one colour channel together."""
     by_colour = rows.reshape(len(rows) // 3, 3, rows.shape[1]).transpose(1, 0, 2)
     return (by_colour.reshape(rows.shape).astype(np.float32) - 128) / 128
+
+
+def centre_range(path: Path, data: bytes) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lowest and highest coordinates of centres in a file that `pack_spz` made."""
+    header, streams, _ = read_streams(path, memoryview(data), None)
+    rows = np.frombuffer(streams[0], np.uint8).reshape(header.count, -1).T
+    centres = _positions(rows, header)
+    return centres.min(axis=1), centres.max(axis=1)
 
 
 def _positions(rows: NDArray[np.uint8], header: SpzHeader) -> NDArray[np.float32]:
@@ -120,10 +129,11 @@ def pack_spz(
     version: int = 3,
     steps: AttributeSteps | None = None,
     effort: Effort = "normal",
+    system: str = SYSTEM,
 ) -> tuple[bytes, tuple[str, ...]]:
     """Bytes of an `.spz` file of version 3 or 4; sentences on what it cannot represent.
 
-    Gaussians are in Morton order, and in the format's own coordinates. Far Gaussians are moved
+    Gaussians are in Morton order. Far Gaussians are moved
     nearer if they would cost the others fraction bits. Raises InvalidInput if a value is not
     finite.
 
@@ -136,6 +146,8 @@ def pack_spz(
         file. Default: full accuracy of the format.
     effort : {"fast", "normal", "high"}
         How long to compress.
+    system : str
+        Coordinate system of the values, which is not stated. Default: the format's own.
     """
     check_finite(scene, ".spz")
     order = spatial_order(scene.positions, scene.log_scale)
@@ -146,7 +158,7 @@ def pack_spz(
     bits = _fraction_bits(farthest)
     edge = np.full(3, max(farthest, _DRAWN * 2.0**-bits))
     nearer, moved = draw_nearer(scene, found, Box(-edge, edge))
-    turned = turn_axes(nearer.take(order), SYSTEM)
+    turned = turn_axes(nearer.take(order), system)
     flags = ANTIALIASED if scene.antialiased else 0
     header = SpzHeader(version, scene.count, scene.sh_degree, bits, flags)
     streams = [np.empty((scene.count, size), np.uint8) for size in header.sizes]

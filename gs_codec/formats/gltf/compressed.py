@@ -1,0 +1,152 @@
+"""Attributes of a glTF stored as an `.spz`: KHR_gaussian_splatting_compression_spz_2.
+
+Accessors state only types and counts. The numbers in the `.spz` are those of the attributes, so
+they are in the coordinates of glTF, whatever its specification says: CesiumJS and Cesium Native
+do not convert them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gs_codec.config import Effort
+from gs_codec.errors import InvalidInput
+from gs_codec.format_table import GLTF
+from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.gltf.file import FLOAT, UNSIGNED_BYTE, GltfFile, pack_binary
+from gs_codec.formats.spz.file import read_streams, stated_size
+from gs_codec.formats.spz.scene import centre_range, pack_spz, scene_of_streams
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands
+
+EXTENSION = "KHR_gaussian_splatting"
+COLOUR_SPACE = "srgb_rec709_display"
+
+SPZ_2 = f"{EXTENSION}_compression_spz_2"
+
+#: Names of the extension; the second is of an earlier draft.
+_NAMES = (SPZ_2, f"{EXTENSION}_compression_spz")
+
+#: Proposed compressions, by parts of the names of their extensions.
+_PROPOSED = {"lgsc": "L-GSC", "egsc": "EGSC", "mpeg": "MPEG's codec"}
+
+#: Version of SPZ files: that of version 2.0 of Niantic's library.
+_VERSION = 3
+
+#: Stands for the `.spz` in messages.
+_INSIDE = Path(SPZ_2)
+
+
+def sh_name(degree: int, coefficient: int) -> str:
+    """Name of the attribute of an SH coefficient."""
+    return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{coefficient}"
+
+
+def _inner(primitive: dict[str, Any]) -> Any:
+    """Extensions of the extension of a primitive of Gaussians."""
+    return primitive["extensions"][EXTENSION].get("extensions") or {}
+
+
+def is_compressed(primitive: dict[str, Any]) -> bool:
+    """Whether the attributes of a checked primitive are an `.spz`."""
+    return bool(_inner(primitive))
+
+
+def check_supported(primitive: dict[str, Any]) -> None:
+    """Reject a primitive of Gaussians with another compression, kernel or colour space."""
+    splats, inner = primitive["extensions"][EXTENSION], _inner(primitive)
+    for name in sorted(inner) if isinstance(inner, dict) else [inner]:
+        if name not in _NAMES:
+            known = (by for part, by in _PROPOSED.items() if part in str(name).lower())
+            by = "".join(f" ({each})" for each in known)
+            raise InvalidInput(f"glTF: {name!a:.80}{by} is not read, expected {SPZ_2} or none")
+    default = ("ellipse", COLOUR_SPACE) if inner else (None, None)
+    kernel = splats.get("kernel", default[0])
+    space = splats.get("colorSpace", default[1])
+    if kernel != "ellipse" or space != COLOUR_SPACE:
+        raise InvalidInput(
+            f"glTF: kernel {kernel!a:.40} in {space!a:.40}, expected ellipse in {COLOUR_SPACE}"
+        )
+
+
+def _spz_of(file: GltfFile, primitive: dict[str, Any]) -> memoryview:
+    stated = next(iter(_inner(primitive).values()))
+    view = stated.get("bufferView") if isinstance(stated, dict) else None
+    return file.bytes_of(view, SPZ_2)
+
+
+def compressed_size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
+    """Number of Gaussians, and SH degree, of a compressed primitive."""
+    return stated_size(_INSIDE, _spz_of(file, primitive))
+
+
+def compressed_scene(file: GltfFile, primitive: dict[str, Any], max_bytes: int | None) -> Scene:
+    """The Gaussians of a compressed primitive, in its own coordinates."""
+    with located(_INSIDE):
+        header, streams, _ = read_streams(_INSIDE, _spz_of(file, primitive), max_bytes)
+        return scene_of_streams(_INSIDE, header, streams, GLTF.system)
+
+
+def document_of(attributes: dict[str, int], compression: dict[str, Any]) -> dict[str, Any]:
+    """A document of one primitive of Gaussians, without accessors and buffers.
+
+    `compression` has the extensions of its extension.
+    """
+    splats: dict[str, Any] = {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}
+    used = [EXTENSION, *compression]
+    if compression:
+        splats["extensions"] = compression
+    primitive = {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: splats}}
+    return {
+        "asset": {"version": "2.0", "generator": "gs_codec"},
+        "extensionsUsed": used,
+        **({"extensionsRequired": used} if compression else {}),
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+    }
+
+
+def pack_gltf_spz(
+    scene: Scene,
+    steps: AttributeSteps | None = None,
+    effort: Effort = "normal",
+    as_text: bool = False,
+) -> tuple[bytes, tuple[str, ...]]:
+    """Bytes of a `.glb`, or of a `.gltf` if `as_text`; see `pack_spz`.
+
+    Raises InvalidInput if there are no Gaussians, or a value is not finite.
+    """
+    if not scene.count:
+        raise InvalidInput("no Gaussians, glTF has at least one")
+    data, lost = pack_spz(scene, _VERSION, steps, effort, GLTF.system)
+    document = document_of({}, {SPZ_2: {"bufferView": 0}})
+    return _with_spz(document, data, scene.count, scene.sh_degree, as_text), lost
+
+
+def _with_spz(
+    document: dict[str, Any], data: bytes, count: int, sh_degree: int, as_text: bool
+) -> bytes:
+    """Add attributes to a document without any. CesiumJS needs exactly these."""
+    low, high = centre_range(_INSIDE, data)
+    floats = {"componentType": FLOAT, "count": count}
+    attributes: dict[str, dict[str, Any]] = {
+        "POSITION": floats | {"type": "VEC3", "min": low.tolist(), "max": high.tolist()},
+        "COLOR_0": {
+            "componentType": UNSIGNED_BYTE, "normalized": True, "count": count, "type": "VEC4",
+        },
+        f"{EXTENSION}:SCALE": floats | {"type": "VEC3"},
+        f"{EXTENSION}:ROTATION": floats | {"type": "VEC4"},
+    }  # fmt: skip
+    for degree, band in enumerate(sh_bands(SH_COEFFICIENTS[sh_degree]), 1):
+        attributes |= {sh_name(degree, n): floats | {"type": "VEC3"} for n in range(len(band))}
+    [primitive] = document["meshes"][0]["primitives"]
+    primitive["attributes"] = {name: number for number, name in enumerate(attributes)}
+    document["nodes"][0]["matrix"] = np.eye(4).ravel().tolist()
+    views = [{"buffer": 0, "byteOffset": 0, "byteLength": len(data)}]
+    document |= {"bufferViews": views, "accessors": [*attributes.values()]}
+    return pack_binary(document, data, as_text)

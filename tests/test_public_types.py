@@ -39,7 +39,7 @@ LINES = [
     ("ratio = info.ratio", "float"),
     ("largest = max(info.streams, key=lambda stream: stream.bytes).name", "str"),
     ('cameras = gs_codec.read_cameras("c.json")', "list[gs_codec.cameras.camera.Camera]"),
-    ("quality = gs_codec.compare(cloud, decoded, cameras)", "gs_codec.metrics.attributes.Compari"),
+    ("quality = gs_codec.compare(cloud, decoded, cameras)", "gs_codec.metrics.comparison.Compari"),
     ("count = edit.statistics(cloud).count", "int"),
     ("drawn = [each for _, each in gs_codec.render(cloud)]", "list[gs_codec.rendering.renderer.R"),
     ("colour = drawn[0].colour", "numpy.ndarray["),

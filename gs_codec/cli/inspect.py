@@ -16,15 +16,18 @@ from gs_codec.cli.output import (
     bars,
     print_table,
     print_text,
+    progress_bar,
 )
 from gs_codec.cli.streams import piped_source
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import EGS
 from gs_codec.pages.tables import Table
+from gs_codec.plan import CAMERAS
 from gs_codec.report import bits_per_gaussian
 from gs_codec.runtime.wording import counted, size_text
 
 if TYPE_CHECKING:
+    from gs_codec.analysis.gpu_load import GpuLoad, Verdict
     from gs_codec.codecs.inspection import Info
     from gs_codec.edit.description import AttributeStatistics, Statistics
     from gs_codec.formats.registry import Overview
@@ -44,8 +47,19 @@ def command(
             "--histogram", help="Print statistics of every attribute; an .egs is decoded."
         ),
     ] = False,
+    gpu: Annotated[
+        bool,
+        typer.Option(
+            "--gpu", help="Count splats over each pixel, and say which devices can show it."
+        ),
+    ] = False,
+    cameras: Annotated[
+        str, typer.Option(metavar="C", help=f"Views in which --gpu counts: {CAMERAS}")
+    ] = "auto",
 ) -> None:
     """Show the contents of a file; only the header of an .egs is read."""
+    if not gpu:
+        typed.refuse(["cameras"], "needs --gpu")
     if typed["json"]:
         typed.refuse(["channels"], "has no effect with --json, which always lists channels")
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
@@ -53,17 +67,18 @@ def command(
     with piped_source(file, typed["input_format"]) as path:
         if not is_egs(path):
             typed.refuse(["channels"], f"has no effect on {file}, expected an .egs")
-            _show_other(file, path, typed, histogram)
+            _show_other(file, path, typed, histogram, _load_of(path, typed, gpu, cameras))
             return
-        if not histogram:
-            why = "has no effect on an .egs without --histogram: only its header is read"
+        if not (histogram or gpu):
+            why = "has no effect on an .egs without --histogram or --gpu: only its header is read"
             typed.refuse(["max_bytes"], why)
-        info, statistics = inspect_file(path), None
+        info, statistics, load = inspect_file(path), None, _load_of(path, typed, gpu, cameras)
         if histogram:
             scene = read_scene(path, coordinates=None, max_bytes=typed["max_bytes"])
             statistics = _statistics_of(scene)
     if typed["json"]:
         shown = {} if statistics is None else _as_dict(statistics)
+        shown |= _load_dict(load)
         _print_document(file, info, shown | {"format": EGS, "ratio": info.ratio})
         return
     _print_info(file, info)
@@ -71,9 +86,56 @@ def command(
         _print_channels(info)
     if statistics is not None:
         _print_statistics(statistics)
+    if load is not None:
+        _print_load(load)
 
 
-def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
+def _load_of(path: Path, typed: Typed, gpu: bool, cameras: str) -> GpuLoad | None:
+    """What the scene asks of a graphics card, if that is wanted."""
+    if not gpu:
+        return None
+    from gs_codec.analysis.gpu_load import gpu_load
+    from gs_codec.files.scenes import read_scene
+    from gs_codec.views.find import find_cameras
+
+    with progress_bar() as progress:
+        scene = read_scene(path, "drop", progress, max_bytes=typed["max_bytes"])
+        views = find_cameras(cameras, scene, progress=progress)
+        return gpu_load(scene, views, progress)
+
+
+def _load_dict(load: GpuLoad | None) -> dict[str, Any]:
+    return {} if load is None else {"gpu": load.as_dict()}
+
+
+def _print_load(load: GpuLoad) -> None:
+    """Print splats over a pixel, memory, and a table of devices."""
+    print_text(
+        "",
+        f"splats over a pixel: {load.mean:.1f}, 95th percentile {load.percentile_95:.0f}, in "
+        f"{counted(load.views, 'view')}; {load.densest:.1f} in the densest view",
+        f"memory of a graphics card: {size_text(load.page_bytes)} in the page of `share`, "
+        f"{size_text(load.float_bytes)} as floats",
+    )
+    columns = ["device", "copes", "Gaussians", "fragments a second", "memory"]
+    rows = [_verdict_row(one, load) for one in load.verdicts]
+    print_table(Table(columns, rows, left=(0, 1)))
+
+
+def _verdict_row(verdict: Verdict, load: GpuLoad) -> list[str]:
+    device = verdict.device
+    return [
+        device.name,
+        "yes" if verdict.copes else "no",
+        f"{load.count / 1e6:.2f} of {device.gaussians / 1e6:.0f} million",
+        f"{verdict.fragments / 1e9:.2f} of {device.fragments / 1e9:.0f} billion",
+        f"{load.page_bytes / 1e6:.0f} of {device.bytes / 1e6:.0f} MB",
+    ]
+
+
+def _show_other(
+    file: Path, path: Path, typed: Typed, histogram: bool, load: GpuLoad | None
+) -> None:
     """Describe a scene at `path`, called `file`, that is not an .egs."""
     from gs_codec.edit.shares import shares_of
     from gs_codec.formats.registry import read_with_overview
@@ -83,6 +145,7 @@ def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
     shares = shares_of(scene) if statistics is None else ()
     if typed["json"]:
         shown = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)
+        shown |= _load_dict(load)
         _print_document(file, found, shown)
         return
     print_text(
@@ -96,6 +159,8 @@ def _show_other(file: Path, path: Path, typed: Typed, histogram: bool) -> None:
         print_text(f"other properties: {', '.join(found.extra)}")
     if statistics is not None:
         _print_statistics(statistics)
+    if load is not None:
+        _print_load(load)
 
 
 def _print_document(file: Path, found: Info | Overview, shown: dict[str, Any]) -> None:

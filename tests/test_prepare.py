@@ -27,6 +27,7 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
 from gs_codec.plan import Steps
 from gs_codec.preparation import optimise, pipeline, view_selection
+from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prepare_report import LABELS, centres_checksum
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
@@ -183,6 +184,15 @@ def test_a_third_as_many_views_between_cameras_as_photographs(
     assert names[:9] == [f"{i}" for i in range(9)]
     assert len(names) == 9 + between
     assert all(" to " in name for name in names[9:])
+
+
+@pytest.mark.parametrize("steps", [Steps(prune=10), Steps(refine=1)])
+def test_pruning_sees_all_views_between_few_cameras(scene, steps):
+    cameras = [camera(f"{i}", 0.1 * i) for i in range(9)]
+    chosen = Plan(Steps(), [*cameras, camera("out", 0.05, "test")], views=10)
+    assert len(choose_views(scene, chosen).renders.cameras) == 9 + 4
+    renders = choose_views(scene, replace(chosen, steps=steps)).renders
+    assert len(renders.cameras) == 9 + len(cameras_between(cameras))
 
 
 @pytest.mark.parametrize(("megabytes", "number"), [(1000, 11), (6, 5), (0, 2)])

@@ -27,7 +27,8 @@ from gs_codec.views.find import find_cameras
 log = logging.getLogger(__name__)
 
 #: Refinement fits this many times as many views as other steps use; its time does not depend on
-#: their number.
+#: their number. If there are fewer cameras than these steps use, pruning sees as many, too: what
+#: no view shows would be removed (bench/RESULTS.md).
 _TARGETS = 4
 
 #: Approximate maximum bytes of the images of these extra views.
@@ -51,14 +52,14 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     """
     known = _split(scene, plan, progress)
     rest, test, _ = known
-    cameras = _enough(known, plan.views)
+    taken = max(12 * camera.width * camera.height for camera in rest)
+    many = max(plan.views, min(_TARGETS * plan.views, _TARGET_BYTES // taken))
+    most = many if plan.steps.refine else plan.views
+    prunes = plan.steps.refine or plan.steps.by_leave_one_out
+    cameras = _enough(known, many if prunes and len(rest) < plan.views else plan.views)
+    photographs = targets = None
     renders = draw_reference_views(scene, cameras, plan.background, progress)
     renders = replace(renders, origin=known.origin)
-    photographs = targets = None
-    most = plan.views
-    if plan.steps.refine:
-        taken = max(12 * camera.width * camera.height for camera in cameras)
-        most = max(most, min(_TARGETS * most, _TARGET_BYTES // taken))
     if plan.gt_images is not None:
         found = evenly(photographed(rest, plan.gt_images), most)
         photographs = read_photographs(found, plan.background)

@@ -267,7 +267,13 @@ RAD = SceneFormat(
     stated_size=_ours("rad.scene", "stated_size"),
     stored_bytes=_ours("rad.scene", "rad_bytes"),
     opens_file=True,
+    written={".rad": {}},
+    writes="steps",
+    writer=Lazy("gs_codec.levels.tree", "pack_rad"),
+    options={"effort": "effort"},
+    rounding="opacity, colours, scales, rotations and SH rounded to 8 bits",
     is_rounded=True,
+    sorts=True,
     in_folders=(".rad",),
     floats_per_byte=20,
 )

@@ -82,12 +82,17 @@ async function readByPlayCanvas(path) {
 async function readBySpark(path) {
   const { ExtSplats, utils } = await import("spark");
   const fileBytes = new Uint8Array(await (await fetch(`/files${path}`)).arrayBuffer());
-  const splats = new ExtSplats({ fileBytes, fileName: path });
-  await splats.initialized;
+  const read = new ExtSplats({ fileBytes, fileName: path });
+  await read.initialized;
+  const splats = read.lodSplats ?? read;
   const columns = {};
   const push = (name, value) => (columns[name] ??= []).push(value);
   const axes = ["x", "y", "z"];
-  splats.forEachSplat((_, center, scales, quaternion, opacity, color) => {
+  // Four words for each Gaussian of a tree of levels of detail; children are counted in the third.
+  const tree = splats.extra.lodTree;
+  const isLeaf = (index) => !(tree && tree[4 * index + 2] & 0xffff);
+  splats.forEachSplat((index, center, scales, quaternion, opacity, color) => {
+    if (!isLeaf(index)) return;
     axes.forEach((axis, i) => {
       push(axis, center[axis]);
       push(`scale_${i}`, Math.log(scales[axis]));
@@ -102,6 +107,7 @@ async function readBySpark(path) {
   const count = [0, 3, 8, 15][splats.getNumSh()];
   for (let i = 0; i < count * splats.numSplats; i++) {
     const [row, k] = [Math.floor(i / count), i % count];
+    if (!isLeaf(row)) continue;
     const { r, g, b } = utils.decodeExtRgb([sh1, sh2, sh3a, sh3b][k >> 2][4 * row + (k & 3)]);
     [r, g, b].forEach((value, channel) => push(`f_rest_${channel * count + k}`, value));
   }

@@ -134,7 +134,9 @@ PROGRAMS = {
         "spz v4.spz sog json compressed.ply splat", read_by_splat_transform
     ),
     "playcanvas": OtherProgram("sog json compressed.ply glb gltf", read_in_browser("playcanvas")),
-    "spark": OtherProgram("spz sog compressed.ply splat", read_in_browser("spark"), exact=False),
+    "spark": OtherProgram(
+        "spz sog rad compressed.ply splat", read_in_browser("spark"), exact=False
+    ),
 }
 
 

@@ -45,9 +45,10 @@ from samples.generate import generate
 
 #: test_usd reports if usd-core is not installed.
 USD = ("usdz",) if is_available("pxr") else ()
-ALL = ("spz", "sog", "compressed.ply", "splat", "glb", "gltf", *USD)
-ROUNDING = ("spz", "sog", "compressed.ply", "splat")
-SORTED = ("spz", "sog", "compressed.ply")
+ALL = ("spz", "sog", "rad", "compressed.ply", "splat", "glb", "gltf", *USD)
+ROUNDING = ("spz", "sog", "rad", "compressed.ply", "splat")
+SORTED = ("spz", "sog", "rad", "compressed.ply")
+WITH_STEPS = ("spz", "sog", "rad")
 EDGES = edge_scenes()
 
 
@@ -242,7 +243,7 @@ def test_edge_scenes_are_written_and_read(name, form, tmp_path):
         with pytest.raises(InvalidInput, match="log-scale"):
             encode_scene(scene, config)
         return
-    if name == "empty" and form in ("splat", "glb", "gltf"):
+    if name == "empty" and form in ("rad", "splat", "glb", "gltf"):
         with pytest.raises(InvalidInput, match="no Gaussians"):
             encode_scene(scene, config)
         return
@@ -326,8 +327,8 @@ def test_colours_compensate_for_rounding(form, seen):
     scene, plan = seen
     config = Config(format=form)
     plain = as_requested(scene, config)[0]
-    size = int(0.9 * len(plain)) if form in ("spz", "sog") else len(plain)
-    rate = {"size": size} if form in ("spz", "sog") else None
+    size = int(0.9 * len(plain)) if form in WITH_STEPS else len(plain)
+    rate = {"size": size} if form in WITH_STEPS else None
     guided = as_requested(scene, config, plan, rate)[0]
     assert 0.98 * size <= len(guided) <= size
     before, after = (loss(scene, decode_as(config, data), plan) for data in (plain, guided))
@@ -492,7 +493,7 @@ def test_a_batch_writes_all_formats(ply, tmp_path):
 
 @pytest.mark.parametrize("form", ALL)
 def test_formats_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
-    fine = Config("l", coarseness=0.05) if form in ("spz", "sog") else Config()
+    fine = Config("l", coarseness=0.05) if form in WITH_STEPS else Config()
     encode_file(ply, tmp_path / f"a.{form}", fine)
     compared = compare_files(ply, tmp_path / f"a.{form}")
     assert compared.matched_by == ("Morton order" if form in SORTED else "index")

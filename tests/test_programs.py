@@ -31,7 +31,18 @@ from samples.generate import generate
 
 pytestmark = pytest.mark.slow
 
-FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz.glb", "spz", "v4.spz")
+FORMATS = (
+    "sog",
+    "json",
+    "compressed.ply",
+    "splat",
+    "rad",
+    "glb",
+    "gltf",
+    "spz.glb",
+    "spz",
+    "v4.spz",
+)
 
 CONFIGS = {
     "v4.spz": Config(format="spz", spz_version=4),

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import foreign
 import numpy as np
 import pytest
 from refusals import assert_refused
+from scenes import random_scene
 
+from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
-from gs_codec.formats.packed_values import sigmoid
+from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.packed_values import sigmoid, unit_quaternions
+from gs_codec.formats.rad.file import RadFile
 from gs_codec.formats.registry import open_scene, overview_of
+from gs_codec.levels.tree import pack_rad
+from gs_codec.runtime.mapped import opened
 from gs_codec.scene import SH_C0
 
 
@@ -77,17 +84,16 @@ def test_only_leaves_of_all_chunks_are_read(degree, tmp_path, caplog):
         for name in values[0]
     }
     chunks = [foreign.rad_chunk(each, {}) for each in values]
-    told = "levels of detail: only the leaves were read, 12 of 13 Gaussians"
     for prefix in (None, "a-"):
         path = written(tmp_path, foreign.rad_file(chunks, prefix=prefix))
-        caplog.clear()
         assert_read(read_scene(path), leaves)
-        assert caplog.messages == [f"{path}: {told}"]
     with open_scene(path) as file:
         assert file.stored_bytes == sum(each.stat().st_size for each in tmp_path.iterdir())
     alone = tmp_path / "a-0.radc"
     assert (overview_of(alone).format, overview_of(alone).count) == ("rad", 8)
-    assert f"{alone}: one of several files" in caplog.text
+    assert caplog.messages == 2 * [
+        f"{alone}: one of several files; the others contain the rest of the scene"
+    ]
 
 
 def test_sh_may_be_rows_of_a_table(tmp_path):
@@ -179,3 +185,82 @@ def test_trees_without_leaves_and_truncated_files_are_refused(tmp_path):
     for size in (3, 7, 40, len(whole) - 1):
         with pytest.raises(InvalidInput, match=r"a\.rad: "):
             read_scene(written(tmp_path, {"": whole[:size]}))
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("count", [1, 2, 700])
+def test_errors_of_written_files_are_within_half_a_step(count, degree, tmp_path):
+    scene = random_scene(count, degree, seed=degree)
+    scene = replace(scene, f_dc=np.clip(scene.f_dc, -1.7, 5), f_rest=np.clip(scene.f_rest, -1, 1))
+    data, lost = pack_rad(scene)
+    back = read_scene(written(tmp_path, {"": data}))
+    scene = scene.take(spatial_order(scene.positions, scene.log_scale))
+    assert (back.count, back.sh_degree) == (count, degree)
+    np.testing.assert_array_equal(back.positions, scene.positions)
+    np.testing.assert_allclose(back.f_dc, scene.f_dc, atol=0.5 / 255 * 3 / SH_C0 + 1e-6)
+    np.testing.assert_allclose(back.f_rest, scene.f_rest, atol=0.5 / 127 + 1e-6)
+    flat = np.maximum(scene.log_scale, scene.log_scale.max() - 15.875)
+    np.testing.assert_allclose(back.log_scale, flat, atol=1 / 32 + 1e-5)
+    shares = [sigmoid(each.opacity.astype(np.float64)) for each in (back, scene)]
+    np.testing.assert_allclose(*shares, atol=0.76 / 255)
+    first, second = (unit_quaternions(each.rot) for each in (back, scene))
+    assert np.abs((first * second).sum(axis=0)).min() > np.cos(0.015)
+    assert lost[0] == "opacity, colours, scales, rotations and SH rounded to 8 bits"
+
+
+@pytest.mark.parametrize("count", [2, 5, 300, pytest.param(70_000, marks=pytest.mark.slow)])
+def test_every_gaussian_but_the_root_has_one_parent_before_it(count, tmp_path):
+    path = written(tmp_path, {"": pack_rad(random_scene(count, 0))[0]})
+    with opened(path) as data:
+        chunks = [
+            (c.count, c.read("child_count").numbers[0], c.read("child_start").numbers[0])
+            for c in RadFile.of(path, data).chunks()
+        ]
+    sizes, *columns = zip(*chunks, strict=True)
+    assert all(size == 1 << 16 for size in sizes[:-1])
+    number, start = (np.concatenate(each).astype(np.int64) for each in columns)
+    parents = np.flatnonzero(number)
+    found = np.concatenate([np.arange(start[i], start[i] + number[i]) for i in parents])
+    np.testing.assert_array_equal(found, np.arange(1, len(number)))
+    assert (start[parents] > parents).all()
+    assert (number == 0).sum() == count
+
+
+def test_coarser_levels_hide_as_much(tmp_path):
+    """The root of four equal Gaussians at one place has their shape, and four times the opacity."""
+    scene = random_scene(1, 1, seed=2).take(np.zeros(4, np.intp))
+    tenth = np.full_like(scene.opacity, np.log(0.1 / 0.9))
+    path = written(tmp_path, {"": pack_rad(replace(scene, opacity=tenth))[0]})
+    with opened(path) as data:
+        [chunk] = RadFile.of(path, data).chunks()
+        alpha, scales = chunk.read("alpha").scaled()[0], chunk.read("scales").numbers
+    assert alpha[0] == pytest.approx(4 * alpha[1], rel=0.03)
+    np.testing.assert_array_equal(np.sort(scales[:, 0]), np.sort(scales[:, 1]))
+
+
+def test_steps_and_effort_make_a_file_smaller(tmp_path):
+    scene = random_scene(2000, 3, seed=1)
+    scene = replace(scene, f_rest=np.clip(scene.f_rest, -0.9, 0.9))
+    steps = AttributeSteps.least(scene)
+    steps = replace(steps, positions=steps.positions + 2**-7, f_rest=steps.f_rest + 0.1)
+    fast, high = (pack_rad(scene, steps, effort)[0] for effort in ("fast", "high"))
+    assert len(high) < len(fast) < 0.8 * len(pack_rad(scene)[0])
+    back = read_scene(written(tmp_path, {"": high}))
+    scene = scene.take(spatial_order(scene.positions, scene.log_scale))
+    assert (np.mod(back.positions, 2**-7) == 0).all()
+    assert np.abs(back.positions - scene.positions).max() <= 2**-8
+    assert 0.01 < np.abs(back.f_rest - scene.f_rest).max() <= 0.05
+    assert len(np.unique(np.abs(back.f_rest))) < 40
+
+
+def test_values_that_cannot_be_stored_are_told_or_refused():
+    scene = random_scene(40, 1)
+    f_dc, f_rest, log_scale = scene.f_dc.copy(), scene.f_rest.copy(), scene.log_scale.copy()
+    f_dc[:, :3], f_rest[4, :5], log_scale[1, :7] = 9, -1.5, -30
+    _, lost = pack_rad(replace(scene, f_dc=f_dc, f_rest=f_rest, log_scale=log_scale))
+    for each in ("colours", "SH", "log-scales"):
+        assert sum(line.startswith(each) and line.endswith("format's range") for line in lost) == 1
+    with pytest.raises(InvalidInput, match="values that are not finite"):
+        pack_rad(replace(scene, f_dc=f_dc * np.nan))
+    with pytest.raises(InvalidInput, match=r"no Gaussians, \.rad has at least one"):
+        pack_rad(random_scene(0, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -56,6 +57,16 @@ class AttributeSteps:
         """Step sizes finer than those of any format."""
         rows = {"f_rest": (3, scene.count), "log_scale": (3, scene.count)}
         return cls(**{f.name: np.zeros(rows.get(f.name, scene.count)) for f in fields(cls)})
+
+    @classmethod
+    def joined(cls, parts: Sequence[AttributeSteps]) -> AttributeSteps:
+        """Step sizes of the Gaussians of all parts."""
+        names = [f.name for f in fields(cls)]
+        return cls(**{n: np.concatenate([getattr(p, n) for p in parts], axis=-1) for n in names})
+
+    def times(self, factor: float) -> AttributeSteps:
+        """Step sizes multiplied by a factor."""
+        return replace(self, **{f.name: factor * getattr(self, f.name) for f in fields(self)})
 
     def take(self, index: NDArray[np.integer] | slice) -> AttributeSteps:
         """Step sizes of the Gaussians selected by `index`, in that order."""

@@ -6,7 +6,8 @@ Their writers also share processing part by part, and sentences on what is lost.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -98,6 +99,18 @@ def unit_quaternions(rot: NDArray[np.float32]) -> NDArray[np.float64]:
     return wide / np.sqrt((wide * wide).sum(axis=0))
 
 
+#: Maximum octaves by which rounding is coarser than the format's own.
+_COARSEST = 20.0
+
+
+def multiples(
+    levels: NDArray[np.floating], steps: NDArray[np.floating], rounded: np.ufunc = np.rint
+) -> NDArray[np.float64]:
+    """Levels rounded to integers, or to multiples of the largest power of two below a step."""
+    factor = np.exp2(np.floor(np.log2(np.clip(steps, 1.0, 2.0**_COARSEST))))
+    return rounded(levels.astype(np.float64) / factor) * factor
+
+
 def sigmoid(logits: NDArray[np.float64]) -> NDArray[np.float64]:
     """Opacities, 0-1, of logits."""
     with np.errstate(over="ignore"):
@@ -118,6 +131,14 @@ class Clipped:
         changed = int(np.count_nonzero((limited != values).any(axis=0)))
         self.counts[what] = self.counts.get(what, 0) + changed
         return limited
+
+    @classmethod
+    def sum(cls, parts: Sequence[Clipped]) -> Clipped:
+        """The numbers of several parts together."""
+        counts = Counter[str]()
+        for part in parts:
+            counts.update(part.counts)
+        return cls(counts)
 
     def sentences(self) -> list[str]:
         """Sentences on what was clipped."""

@@ -33,7 +33,7 @@ _CHILDREN = "child_count"
 _LABEL = "sh_label"
 
 #: Steps between the bounds of logarithms of scales; byte 0 is a scale of 0.
-_STEPS = 254
+STEPS = 254
 
 
 def stated_size(path: Path, data: FileBytes) -> tuple[int, int]:
@@ -65,7 +65,7 @@ def read_rad(path: Path, data: FileBytes, max_bytes: int | None) -> Scene:
             log.warning("%s: one of several files; the others contain the rest of the scene", path)
         if left < count:
             of_all = f"{left:,} of {counted(count, 'Gaussian')}"
-            log.warning("%s: levels of detail: only the leaves were read, %s", path, of_all)
+            log.info("%s: levels of detail: only the leaves were read, %s", path, of_all)
         return _read_leaves(file, leaves, left, most_bytes(file_bytes, max_bytes))
 
 
@@ -116,7 +116,7 @@ def _log_scales(values: Values) -> NDArray[np.float32]:
         return log_scales_of(values.numbers)
     if values.encoding == "ln_f16":
         return values.scaled()
-    logarithms = values.low + (values.numbers - 1.0) * ((values.high - values.low) / _STEPS)
+    logarithms = values.low + (values.numbers - 1.0) * ((values.high - values.low) / STEPS)
     return np.where(values.numbers, logarithms, -np.inf).astype(np.float32)
 
 

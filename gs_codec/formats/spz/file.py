@@ -59,7 +59,7 @@ _SYSTEMS = (
 )
 
 #: Compression levels of gzip: 0.7, 2.5 and 10 seconds of processor time per million Gaussians.
-_GZIP_LEVELS: Mapping[Effort, int] = {"fast": 1, "normal": 6, "high": 9}
+GZIP_LEVELS: Mapping[Effort, int] = {"fast": 1, "normal": 6, "high": 9}
 
 #: The same of zstd: 0.1, 3 and 30 seconds.
 _ZSTD_LEVELS: Mapping[Effort, int] = {"fast": 1, "normal": 12, "high": 19}
@@ -139,7 +139,7 @@ def pack_streams(header: SpzHeader, streams: Sequence[NDArray[np.uint8]], effort
     fields = header.count, header.sh_degree, header.fraction_bits, header.flags
     if header.version < 4:
         # Without a date, so that the same scene gives the same bytes.
-        packer = zlib.compressobj(_GZIP_LEVELS[effort], zlib.DEFLATED, 31)
+        packer = zlib.compressobj(GZIP_LEVELS[effort], zlib.DEFLATED, 31)
         head = _HEADER.pack(MAGIC, header.version, *fields, 0)
         parts = [packer.compress(head), *(packer.compress(each.data) for each in streams)]
         return b"".join([*parts, packer.flush()])

@@ -25,6 +25,7 @@ from gs_codec.formats.packed_values import (
     check_finite,
     largest_omitted,
     largest_restored,
+    multiples,
     opacities_of,
     planes_of,
     sigmoid,
@@ -55,9 +56,6 @@ _LONGEST = 511
 #: Minimum half width, in fixed-point units, of the box onto which far centres are moved: rounding
 #: to coarse steps then stays in range.
 _DRAWN = 15 << 19
-
-#: Maximum octaves by which rounding is coarser than the format's own.
-_COARSEST = 20.0
 
 
 def read_spz(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
@@ -183,12 +181,12 @@ def _bytes_of(
 ) -> tuple[NDArray, ...]:
     """Bytes ``(size, n)`` of each attribute."""
     unit = 2.0**-bits
-    centres = _multiples(scene.positions / unit, steps.positions / unit)
+    centres = multiples(scene.positions / unit, steps.positions / unit)
     fixed = clipped.limited("centres", centres, -_FARTHEST, _FARTHEST).astype(np.int32)
     share = sigmoid(scene.opacity.astype(np.float64))
-    alphas = _multiples(255 * share, 255 * share[0] * (1 - share[0]) * steps.opacity)
+    alphas = multiples(255 * share, 255 * share[0] * (1 - share[0]) * steps.opacity)
     colours = (_COLOUR_SCALE * scene.f_dc.astype(np.float64) + 0.5) * 255
-    scales = _multiples((scene.log_scale.astype(np.float64) + 10) * 16, 16 * steps.log_scale)
+    scales = multiples((scene.log_scale.astype(np.float64) + 10) * 16, 16 * steps.log_scale)
     return (
         np.stack([fixed >> shift & 255 for shift in (0, 8, 16)], axis=1).reshape(9, -1),
         np.clip(alphas, 0, 255),
@@ -199,23 +197,15 @@ def _bytes_of(
     )
 
 
-def _multiples(
-    levels: NDArray[np.floating], steps: NDArray[np.floating], rounded: np.ufunc = np.rint
-) -> NDArray[np.float64]:
-    """Levels rounded to integers, or to multiples of the largest power of two below a step."""
-    factor = np.exp2(np.floor(np.log2(np.clip(steps, 1.0, 2.0**_COARSEST))))
-    return rounded(levels.astype(np.float64) / factor) * factor
-
-
 def _packed_rotations(rot: NDArray[np.float32], steps: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Index of the largest component xyzw, then a sign bit and 9 bits of each other."""
     three, largest = largest_omitted(rot[[1, 2, 3, 0]])
     by_unit = _LONGEST / np.sqrt(0.5)
-    levels = _multiples(three * by_unit, steps * by_unit)
+    levels = multiples(three * by_unit, steps * by_unit)
     # Coarse rounding may leave nothing for the largest component, which readers compute from the
     # others.
     long = (levels * levels).sum(axis=0) > by_unit**2
-    levels[:, long] = _multiples(three[:, long] * by_unit, steps[long] * by_unit, np.trunc)
+    levels[:, long] = multiples(three[:, long] * by_unit, steps[long] * by_unit, np.trunc)
     levels = np.clip(levels, -_LONGEST, _LONGEST).astype(np.int32)
     fields = np.where(levels < 0, 512, 0) | np.abs(levels)
     packed = largest << 30 | fields[0] << 20 | fields[1] << 10 | fields[2]
@@ -228,5 +218,5 @@ def _packed_sh(scene: Scene, steps: AttributeSteps, clipped: Clipped) -> NDArray
     packed = np.empty((rest.shape[1], 3, scene.count))
     for band, coefficients in enumerate(sh_bands(rest.shape[1])):
         for k in coefficients:
-            packed[k] = _multiples(128 * rest[:, k], 128 * steps.f_rest[band]) + 128
+            packed[k] = multiples(128 * rest[:, k], 128 * steps.f_rest[band]) + 128
     return clipped.limited("SH", packed.reshape(-1, scene.count), 0, 255)

@@ -361,6 +361,14 @@ CSV = SceneFormat(
     in_parts=True,
 )
 
+COLLISION_MESH = SceneFormat(
+    name="collision mesh",
+    written={".collision.glb": {}},
+    writes="floats",
+    writer=_ours("collision_mesh", "write_collision_mesh"),
+    system=GLTF.system,
+)
+
 STREAMED_SOG = SceneFormat(
     name="streamed sog",
     read=(SSOG,),
@@ -395,6 +403,7 @@ FORMATS = (
     CHECKPOINT,
     NERFSTUDIO_RUN,
     CSV,
+    COLLISION_MESH,
     STREAMED_SOG,
 )
 

@@ -238,6 +238,29 @@ def pack_document(document: dict[str, Any], arrays: dict[str, NDArray], as_text:
     return pack_binary(document | {"bufferViews": views, "accessors": accessors}, data, as_text)
 
 
+def pack_mesh(vertices: NDArray[np.float32], triangles: NDArray[np.uint32]) -> bytes:
+    """Bytes of a `.glb` with one mesh: ``vertices (N, 3)`` and ``triangles (M, 3)``."""
+    counts = {"count": len(vertices), "componentType": FLOAT, "type": "VEC3"}
+    ends = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    document = {
+        "asset": {"version": "2.0", "generator": "gs_codec"},
+        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0} | counts | ends,
+            {"bufferView": 1, "count": triangles.size, "componentType": 5125, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": vertices.nbytes, "target": _ARRAY_BUFFER},
+            {
+                "buffer": 0, "byteOffset": vertices.nbytes, "byteLength": triangles.nbytes,
+                "target": 34963,
+            },
+        ],
+    }  # fmt: skip
+    return pack_binary(document, vertices.tobytes() + triangles.tobytes(), False)
+
+
 def pack_binary(document: dict[str, Any], data: bytes, as_text: bool) -> bytes:
     """Serialise a document without buffers, and its only buffer; see `pack_document`."""
     buffer: dict[str, Any] = {"byteLength": len(data)}

@@ -292,6 +292,20 @@ GLTF_SPZ = SceneFormat(
     sorts=True,
 )
 
+#: XGRIDS' scenes, described by JSON next to other files.
+LCC = SceneFormat(
+    name="lcc",
+    read=(".lcc", ".lcc2"),
+    short_signatures=(b"{",),
+    recognises=_ours("lcc.scene", "is_lcc"),
+    reader=_ours("lcc.scene", "read_lcc"),
+    stated_size=_ours("lcc.scene", "stated_size"),
+    stored_bytes=_ours("lcc.scene", "lcc_bytes"),
+    is_rounded=True,
+    system="RFU",
+    floats_per_byte=20,
+)
+
 GLTF = SceneFormat(
     name="gltf",
     read=(".glb", ".gltf"),
@@ -398,6 +412,7 @@ FORMATS = (
     SPLAT,
     KSPLAT,
     RAD,
+    LCC,
     GLTF,
     USD,
     CHECKPOINT,

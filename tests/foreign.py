@@ -355,3 +355,60 @@ def rad_values(count: int, degree: int, seed: int, levels: bool = False) -> dict
         only = np.arange(count)[None] == 0
         values |= {"child_count": (count - 1) * only, "child_start": 1 * only}
     return values
+
+
+def lcc_files(kind: str | None) -> tuple[dict[str, bytes], list[np.ndarray], list[np.ndarray]]:
+    """Files of an `.lcc` with two cells and two levels, random bits.
+
+    Also the rows and SH-AC of the finest level, and of the environment.
+    """
+    rng = np.random.default_rng(3)
+    dtype = [("p", "<f4", 3), ("c", "u1", 4), ("s", "<u2", 3), ("r", "<u4"), ("n", "<u2", 3)]
+    rows = np.frombuffer(rng.bytes(12 * 32), dtype).copy()
+    rows["p"] = rng.normal(size=(12, 3))
+    sh = rng.integers(0, 1 << 32, (12, 16), np.uint32)
+    # The finest levels are rows 0 to 2 and 3 to 6; the others 7 to 8 and 9.
+    cells = ((0, 0, 3, 0, 96, 2, 224, 64), (1, -1, 4, 96, 128, 1, 288, 32))
+    bounds = {"scale": (1e-3, 0.5), "shcoef": (-1, 1), "envscale": (1e-3, 0.5)}
+    bounds |= {"envshcoef": (-0.5, 0.5)}
+    about = {
+        "totalLevel": 2,
+        "splats": [7, 3],
+        "attributes": [
+            {"name": name, "min": 3 * [low], "max": 3 * [high]}
+            for name, (low, high) in bounds.items()
+        ],
+    }
+    if kind:
+        about["fileType"] = kind
+    has_sh = kind != "Portable"
+    distant = [
+        row.tobytes() + (own.tobytes() if has_sh else b"")
+        for row, own in zip(rows[10:], sh[10:], strict=True)
+    ]
+    files = {
+        "a.lcc": json.dumps(about).encode(),
+        "index.bin": b"".join(struct.pack("<2hiqiiqi", *cell) for cell in cells),
+        "data.bin": rows[:10].tobytes(),
+        **({"shcoef.bin": sh[:10].tobytes()} if has_sh else {}),
+        "environment.bin": b"".join(distant),
+    }
+    return files, [rows[:7], rows[10:]], [sh[:7], sh[10:]]
+
+
+def lcc2_files(names: list[str], earlier: bool = False) -> dict[str, bytes]:
+    """An `.lcc2` of four files: two of the finest level, a coarser one, and the environment."""
+
+    def node(index: int, *children: dict) -> dict:
+        return {"data": {"3dgs": {"name": index}}, "child": list(children)}
+
+    tree = {"0": node(2, node(0), node(1), node(1))}
+    root: dict[str, Any] = {"data": {"env": {"name": 3}}, "child": tree}
+    about: dict[str, Any] = {"root": root}
+    if earlier:
+        root["files"] = [f"/{name.removesuffix('.sog')}" for name in names]
+        about |= {"total_splats": 1, "lod_3dgs_info": [1, 2], "lod_level": 2}
+    else:
+        root["splatFiles"] = names
+        about |= {"totalSplats": 1, "lodSplats": [2, 1], "totalLevels": 2, "splatType": ".sog"}
+    return {"a.lcc2": json.dumps(about).encode()}

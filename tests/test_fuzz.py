@@ -78,7 +78,10 @@ def documents(name: str) -> Iterator[tuple[bytes, Any]]:
 
 @pytest.mark.parametrize(
     "name",
-    ["sog-meta", thorough("lod-meta"), "cameras", "pruned", "ledger", "gltf", "rad-description"],
+    [
+        *("sog-meta", thorough("lod-meta"), "cameras", "pruned", "ledger", "gltf"),
+        *("rad-description", "lcc-a", "lcc2"),
+    ],
 )
 def test_odd_values_in_json_are_refused_in_one_line(name):
     rng = np.random.default_rng(8)

@@ -9,6 +9,7 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import foreign
 import numpy as np
 import pytest
 from orbits import cameras
@@ -22,9 +23,12 @@ from gs_codec.edit.actions import Action
 from gs_codec.errors import MissingTool
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.encode_file import encode_file
+from gs_codec.files.scenes import read_scene
 from gs_codec.formats.packed_values import unit_quaternions
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.formats.sog.writer import pack_sog
+from gs_codec.merging.moments import covariances_of
 from gs_codec.plan import Plan, Steps
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
@@ -195,3 +199,23 @@ def test_our_compression_has_the_methods_of_gsplats_own():
             for kind in (own, gs_codec.Compression)
         )
         assert here == there
+
+
+@pytest.mark.parametrize("name", ["a.lcc", "a.lcc2"])
+def test_splat_transform_reads_the_same_from_scenes_of_xgrids(splat_transform, name, tmp_path):
+    """Without the environment, which comes last."""
+    parts = {f"{n}.sog": pack_sog(random_scene(40, 1, seed=n))[0] for n in range(4)}
+    files = {**foreign.lcc_files("Quality")[0], **parts, **foreign.lcc2_files([*parts])}
+    for each, data in files.items():
+        (tmp_path / each).write_bytes(data)
+    source, target = tmp_path / name, tmp_path / "theirs.ply"
+    command = [splat_transform, "--quiet", "-L", "0", str(source), str(target)]
+    subprocess.run(command, check=True, timeout=120, capture_output=True)
+    expected = read_ply(target)
+    found = read_scene(source).between(0, expected.count)
+    assert expected.count == (7 if name == "a.lcc" else 80)
+    for group in ("positions", "f_dc", "f_rest"):
+        np.testing.assert_allclose(getattr(found, group), getattr(expected, group), atol=1e-6)
+    # It turns ellipsoids; we exchange their axes.
+    covariances = [covariances_of(scene)[0] for scene in (found, expected)]
+    np.testing.assert_allclose(*covariances, rtol=1e-5, atol=1e-6)

@@ -134,23 +134,27 @@ OF_FILE = {
     "degree": ({"maxSh": 4}, "SH degree 4, expected 0 to 3"),
     "chunks": ({"chunks": 3}, "chunks: expected a list"),
     "no chunks": ({"chunks": []}, "chunks of 0 Gaussians, expected 5"),
-    "beyond": ({"chunks": [{"offset": 9, "bytes": 9999}]}, "chunk of 9,999 bytes at .* of a file"),
-    "elsewhere": ({"chunks": [{"filename": "../b.radc"}]}, "chunk '../b.radc', expected a file's"),
-    "again": ({"chunks": 2 * [{"filename": "b.radc"}]}, "chunks: two in the same file"),
+    "beyond": ({"chunks": [{"offset": 9, "bytes": 9999}]}, "chunk 0: 9,999 bytes at .*, of "),
+    "elsewhere": (
+        {"chunks": [{"filename": "../b.radc"}]},
+        "chunks in '../b.radc'..., expected names of different files",
+    ),
+    "again": ({"chunks": 2 * [{"filename": "b.radc"}]}, "chunks in 'b.radc'..., expected names of"),
 }
 OF_CHUNK = {
     "version of a chunk": ("version", True, "chunk 0: version True, expected 1"),
-    "count of a chunk": ("count", 4, "property 'center': 49 bytes, expected 48"),
+    "many in a chunk": ("count", 1 << 39, "chunks of 549,755,813,888 Gaussians, expected"),
+    "count of a chunk": ("count", 4, "chunks of 4 Gaussians, expected 5"),
     "properties": ("properties", {}, "chunk 0: properties: expected a list"),
     "twice": ("properties.1.property", "center", "properties: two with the same name"),
     "absent": ("properties.1.property", "beta", "property 'alpha': missing"),
     "encoding": ("properties.0.encoding", "f64", "'center': encoding 'f64', expected f32, f16"),
     "other type": ("properties.0.encoding", "f16", "'center': 31 bytes, expected 30"),
     "compression": ("properties.0.compression", "zstd", "compression 'zstd', expected gz"),
-    "offset": ("properties.0.offset", 9999, "bytes at .*, of a chunk of"),
+    "offset": ("properties.0.offset", 9999, "'center': .* bytes at .*, of "),
     "size": ("properties.0.bytes", 4, "deflate stream: cut off"),
     "start": ("properties.1.offset", 3, "'alpha': deflate stream: 'Error"),
-    "bound": ("properties.2.max", "x", "'rgb': max 'x', expected a float32 number"),
+    "bound": ("properties.2.max", "x", "'rgb': bound 'x', expected a float32 number"),
 }
 
 
@@ -158,7 +162,7 @@ OF_CHUNK = {
 def test_damaged_files_are_refused_in_one_line(case, tmp_path):
     values = foreign.rad_values(5, 1, seed=3)
     about, payload = foreign.rad_chunk(values, {"rgb": "r8"})
-    changes, message = OF_FILE.get(case, ({}, ""))
+    changes, message = OF_FILE.get(case, ({"count": 5, "maxSh": 1}, ""))
     if case in OF_CHUNK:
         where, value, message = OF_CHUNK[case]
         *keys, last = (int(key) if key.isdigit() else key for key in where.split("."))
@@ -214,7 +218,7 @@ def test_every_gaussian_but_the_root_has_one_parent_before_it(count, tmp_path):
     with opened(path) as data:
         chunks = [
             (c.count, c.read("child_count").numbers[0], c.read("child_start").numbers[0])
-            for c in RadFile.of(path, data).chunks()
+            for c in RadFile(path, data).chunks()
         ]
     sizes, *columns = zip(*chunks, strict=True)
     assert all(size == 1 << 16 for size in sizes[:-1])
@@ -232,7 +236,7 @@ def test_coarser_levels_hide_as_much(tmp_path):
     tenth = np.full_like(scene.opacity, np.log(0.1 / 0.9))
     path = written(tmp_path, {"": pack_rad(replace(scene, opacity=tenth))[0]})
     with opened(path) as data:
-        [chunk] = RadFile.of(path, data).chunks()
+        [chunk] = RadFile(path, data).chunks()
         alpha, scales = chunk.read("alpha").scaled()[0], chunk.read("scales").numbers
     assert alpha[0] == pytest.approx(4 * alpha[1], rel=0.03)
     np.testing.assert_array_equal(np.sort(scales[:, 0]), np.sort(scales[:, 1]))

@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.runtime.wording import counted
@@ -49,6 +50,15 @@ def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None)
             f"{counted(count, 'Gaussian')} of {counted(wanted, 'byte')}; at most "
             f"{limit:,} are read from a file of {file_bytes:,} (max-bytes)"
         )
+
+
+def is_file_name(name: Any) -> bool:
+    """Whether a value from a file is the name of a file in the same folder.
+
+    Paths to other folders, and alternate streams of a file on Windows, are not.
+    """
+    plain = isinstance(name, str) and name.isprintable() and not set(name) & set("/\\:")
+    return plain and name.strip(".") != "" and len(name) <= 255
 
 
 @contextmanager

@@ -135,10 +135,15 @@ class SceneFile:
         """Reference size for ratios: of a PLY, or of the floats (`raw_bytes`) if compressed."""
         return raw_bytes if self.is_compressed else self.stored_bytes
 
+    def stated_size(self) -> tuple[int, int]:
+        """Number of Gaussians and SH degree from the header, except of `.egs` and PLY."""
+        assert self._recognised.stated_size is not None
+        return self._recognised.stated_size(self.path, self._whole)
+
     def stated_bytes(self) -> int:
         """Bytes of floats stated in the header (not for `.egs`); reads only the header."""
-        if (stated := self._recognised.stated_size) is not None:
-            return float_bytes(*stated(self.path, self._whole))
+        if self._recognised.stated_size is not None:
+            return float_bytes(*self.stated_size())
         header = self.ply.header
         if is_packed(header):
             return float_bytes(*packed_size(header))

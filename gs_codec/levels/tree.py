@@ -13,7 +13,7 @@ from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.packed_values import check_finite
-from gs_codec.formats.rad.writer import Nodes, pack_tree
+from gs_codec.formats.rad.writer import pack_tree
 from gs_codec.levels.adding import COARSER
 from gs_codec.levels.quarter import Clusters
 from gs_codec.runtime.threads import run_all
@@ -52,8 +52,8 @@ def pack_rad(
         scenes.insert(0, _merged(scenes[0]))
         of_levels.insert(0, of_levels[0].take(np.arange(0, count, FANOUT)).times(factor))
         children.insert(0, np.diff([*range(0, count, FANOUT), count]))
-    nodes = Nodes(join_scenes(scenes), AttributeSteps.joined(of_levels), np.concatenate(children))
-    return pack_tree(nodes, effort)
+    wanted = AttributeSteps.joined(of_levels)
+    return pack_tree(join_scenes(scenes), wanted, np.concatenate(children), effort)
 
 
 def _merged(scene: Scene) -> Scene:

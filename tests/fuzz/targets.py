@@ -38,6 +38,7 @@ from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.sog.files import parse_meta, read_pixels
+from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.adding import add_levels
@@ -290,6 +291,34 @@ def _ksplats() -> list[bytes]:
     return files
 
 
+def _lcc(name: str, folder: Path, data: bytes) -> object:
+    """A scene with one of its files replaced."""
+    from gs_codec.files.scenes import read_scene
+
+    write_files(folder, foreign.lcc_files("Quality")[0] | {name: data})
+    return read_scene(folder / "a.lcc")
+
+
+def _lcc_seeds(name: str) -> list[bytes]:
+    return [foreign.lcc_files("Quality")[0][name]]
+
+
+@cache
+def _lcc2_parts() -> dict[str, bytes]:
+    return {f"{n}.sog": pack_sog(random_scene(4, 0, seed=n))[0] for n in range(4)}
+
+
+def _lcc2(folder: Path, data: bytes) -> object:
+    from gs_codec.files.scenes import read_scene
+
+    write_files(folder, {**_lcc2_parts(), "a.lcc2": data})
+    return read_scene(folder / "a.lcc2")
+
+
+def _lcc2s() -> list[bytes]:
+    return [foreign.lcc2_files([*_lcc2_parts()], earlier)["a.lcc2"] for earlier in (False, True)]
+
+
 _ROUNDED = {"alpha": "r8", "rgb": "r8_delta", "scales": "ln_0r8", "orientation": "oct88r8"}
 
 
@@ -483,6 +512,13 @@ TARGETS = {
     "spz": Target(_scene_file(".spz"), lambda: [*_spzs(), *_unzipped_spzs()]),
     "gltf": Target(_scene_file(".gltf"), _gltfs),
     "ksplat": Target(_scene_file(".ksplat"), _ksplats),
+    **{
+        f"lcc-{name.partition('.')[0]}": Target(
+            partial(_in_folder, partial(_lcc, name)), partial(_lcc_seeds, name)
+        )
+        for name in ("a.lcc", "index.bin", "environment.bin")
+    },
+    "lcc2": Target(partial(_in_folder, _lcc2), _lcc2s),
     "rad": Target(_scene_file(".rad"), _rads),
     "rad-description": Target(_rad_description, _rad_descriptions),
     "pcodec": Target(_pcodec, _columns),

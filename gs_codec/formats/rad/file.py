@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import RAD
-from gs_codec.formats.limits import refusing
+from gs_codec.formats.limits import is_file_name, refusing
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located, opened
 from gs_codec.runtime.wording import counted
@@ -55,6 +54,9 @@ PROPERTIES = {
 _TYPES = {"f32": "<f4", "f16": "<f2", "ln_f16": "<f2", "s8": "i1", "u16": "<u2", "u32": "<u4"}
 _ORDERS = re.compile("_(lebytes|delta)$")
 
+#: Encodings of values between two bounds.
+_BOUNDED = ("r8", "r8_delta", "s8", "s8_delta", "ln_0r8")
+
 
 class Values(NamedTuple):
     """Stored values of a property, one row each: ``(rows, N)``; their encoding and bounds."""
@@ -75,33 +77,21 @@ class Values(NamedTuple):
             return self.numbers.astype(np.float32, copy=False)
 
 
-@dataclass(frozen=True)
 class Chunk:
-    """A chunk with only its description read.
+    """A chunk with only its description read: a number of Gaussians, and their properties."""
 
-    Attributes
-    ----------
-    data : FileBytes
-    count : int
-        Number of Gaussians.
-    sh_degree : int
-    properties : mapping of str to mapping
-        Descriptions of properties.
-    start : int
-        Where the data of properties begin.
-    """
-
-    data: FileBytes
-    count: int
-    sh_degree: int
-    properties: dict[str, dict[str, Any]]
-    start: int
+    def __init__(self, data: FileBytes) -> None:
+        about, start = _described(data, CHUNK_MAGIC)
+        self.data, self.start, self.count = data, start + UNIT, _whole(about, "count")
+        found = _dictionaries(about, "properties")
+        self.properties = {str(each.get("property")): each for each in found}
+        if len(self.properties) < len(found):
+            raise InvalidInput("properties: two with the same name")
 
     def read(self, name: str, most: int | None = None) -> Values:
-        """The values of a property.
+        """The values of a property: one for each Gaussian or, with `most`, up to so many bytes.
 
-        With `most`, as many as there are, but at most this number of bytes; else one for each
-        Gaussian. Raises InvalidInput if there are fewer or more, or the property is missing.
+        Raises InvalidInput if the property is missing, or not valid.
         """
         with located(f"property '{name}'"):
             if name not in self.properties:
@@ -115,18 +105,12 @@ class Chunk:
             raw = self._unpacked(about, wanted)
             if len(raw) % (rows * dtype.itemsize) or (most is None and len(raw) != wanted):
                 raise InvalidInput(f"{counted(len(raw), 'byte')}, expected {wanted:,}")
-            bounds = (_number(about, end) for end in _ends(encoding))
-            return Values(_rows(raw, encoding, dtype, rows), encoding, *bounds)
+            bounds = (about.get("min", 0), about.get("max")) if encoding in _BOUNDED else (0, 0)
+            return Values(_rows(raw, encoding, dtype, rows), encoding, *map(_number, bounds))
 
     def _unpacked(self, about: dict[str, Any], most: int) -> bytes:
         """The bytes of a property, up to one more than `most`."""
-        offset, size = whole(about, "offset"), whole(about, "bytes")
-        if self.start + offset + size > len(self.data):
-            raise InvalidInput(
-                f"{counted(size, 'byte')} at {self.start + offset}, of a chunk of "
-                f"{len(self.data):,}"
-            )
-        data = self.data[self.start + offset : self.start + offset + size]
+        data = _part(self.data, self.start + _whole(about, "offset"), _whole(about, "bytes"))
         compression = about.get("compression")
         if compression not in (None, "gz"):
             raise InvalidInput(f"compression {compression!a:.40}, expected gz")
@@ -134,7 +118,7 @@ class Chunk:
             return bytes(data[: most + 1])
         with refusing("deflate stream"):
             inflater = zlib.decompressobj(-15)
-            raw = inflater.decompress(data, most + 1)
+            raw = inflater.decompress(data[:], most + 1)
         if len(raw) <= most and not inflater.eof:
             raise InvalidInput("deflate stream: cut off")
         return raw
@@ -152,38 +136,39 @@ def _rows(raw: bytes, encoding: str, dtype: np.dtype, rows: int) -> NDArray:
     return np.frombuffer(raw, dtype).reshape(rows, -1)
 
 
-def _ends(encoding: str) -> tuple[str | None, str | None]:
-    """The bounds that an encoding needs."""
-    if encoding in ("r8", "r8_delta", "ln_0r8"):
-        return "min", "max"
-    return None, "max" if encoding.startswith("s8") else None
-
-
-def _number(about: dict[str, Any], key: str | None) -> float:
-    """A bound; 0 without a key."""
-    value = 0 if key is None else about.get(key)
+def _number(value: Any) -> float:
     limit = float(np.finfo(np.float32).max)
     if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= limit:
-        raise InvalidInput(f"{key} {value!a:.40}, expected a float32 number")
+        raise InvalidInput(f"bound {value!a:.40}, expected a float32 number")
     return float(value)
 
 
-def whole(about: dict[str, Any], key: str, default: int | None = None) -> int:
-    """A whole number of a description."""
-    value = about.get(key, default)
+def _whole(about: dict[str, Any], key: str) -> int:
+    value = about.get(key, 0)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 40:
         raise InvalidInput(f"{key} {value!a:.40}, expected a whole number")
     return value
+
+
+def _dictionaries(about: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    found = about.get(key)
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise InvalidInput(f"{key}: expected a list")
+    return found
+
+
+def _part(data: FileBytes, start: int, size: int) -> FileBytes:
+    if start + size > len(data):
+        raise InvalidInput(f"{counted(size, 'byte')} at {start}, of {len(data):,}")
+    return data.window(start, size)
 
 
 def _described(data: FileBytes, magic: bytes) -> tuple[dict[str, Any], int]:
     """A description, and where the rest of the data begins."""
     head = bytes(data[:UNIT])
     size = int.from_bytes(head[4:], "little")
-    if head[:4] != magic or len(head) < UNIT:
-        raise InvalidInput(f"begins with {head[:4]!a}, expected {magic!a} (.rad)")
-    if not 0 < size <= min(_META_BYTES, len(data) - UNIT):
-        raise InvalidInput(f"description of {counted(size, 'byte')}, of {len(data):,}")
+    if head[:4] != magic or not 0 < size <= min(_META_BYTES, len(data) - UNIT):
+        raise InvalidInput(f"begins with {head!a}, expected {magic!a} and a description (.rad)")
     with refusing("description"):
         about = parse_json(bytes(data[UNIT : UNIT + size]))
     version = about.get("version") if isinstance(about, dict) else None
@@ -192,96 +177,37 @@ def _described(data: FileBytes, magic: bytes) -> tuple[dict[str, Any], int]:
     return about, UNIT + size + -size % UNIT
 
 
-def _degree(about: dict[str, Any]) -> int:
-    degree = whole(about, "maxSh", 0)
-    if degree >= len(SH_COEFFICIENTS):
-        raise InvalidInput(f"SH degree {degree}, expected 0 to {len(SH_COEFFICIENTS) - 1}")
-    return degree
-
-
-def _chunk(data: FileBytes) -> Chunk:
-    about, start = _described(data, CHUNK_MAGIC)
-    found = about.get("properties")
-    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
-        raise InvalidInput("properties: expected a list")
-    properties = {str(each.get("property")): each for each in found}
-    if len(properties) < len(found):
-        raise InvalidInput("properties: two with the same name")
-    return Chunk(data, whole(about, "count"), _degree(about), properties, start + UNIT)
-
-
-@dataclass(frozen=True)
 class RadFile:
-    """A `.rad` file with only its description read, or a `.radc` file.
+    """A `.rad` or `.radc` file with only its description read; `InvalidInput` if it is not valid.
 
-    Attributes
-    ----------
-    path : Path
-    data : FileBytes
-    about : mapping, optional
-        The description; None in a `.radc`.
-    start : int
-        Where chunks begin.
+    `stated_size` has the number of Gaussians of all levels and the SH degree, `others` the `.radc`
+    files next to a `.rad`.
     """
 
-    path: Path
-    data: FileBytes
-    about: dict[str, Any] | None
-    start: int
-
-    @classmethod
-    def of(cls, path: Path, data: FileBytes) -> RadFile:
-        """Read the description; `InvalidInput` if it is not valid."""
-        if bytes(data[: len(MAGIC)]) == CHUNK_MAGIC:
-            return cls(path, data, None, 0)
-        about, start = _described(data, MAGIC)
-        if about.get("type") != "gsplat":
+    def __init__(self, path: Path, data: FileBytes) -> None:
+        self.data, self.is_part = data, bytes(data[: len(MAGIC)]) == CHUNK_MAGIC
+        about, self.start = _described(data, CHUNK_MAGIC if self.is_part else MAGIC)
+        if not self.is_part and about.get("type") != "gsplat":
             raise InvalidInput(f"type {about.get('type')!a:.40}, expected gsplat")
-        return cls(path, data, about, start)
-
-    @property
-    def stated_size(self) -> tuple[int, int]:
-        """Number of Gaussians of all levels, and SH degree."""
-        if self.about is None:
-            only = _chunk(self.data)
-            return only.count, only.sh_degree
-        return whole(self.about, "count"), _degree(self.about)
-
-    def _ranges(self) -> Sequence[dict[str, Any]]:
-        ranges = [] if self.about is None else self.about.get("chunks")
-        if not isinstance(ranges, list) or not all(isinstance(each, dict) for each in ranges):
-            raise InvalidInput("chunks: expected a list")
-        return ranges
-
-    @property
-    def others(self) -> list[Path]:
-        """The `.radc` files next to a `.rad`."""
-        names = [each["filename"] for each in self._ranges() if "filename" in each]
-        for name in names:
-            plain = isinstance(name, str) and name.isprintable() and not set(name) & set("/\\:")
-            if not plain or name.strip(".") == "" or len(name) > 255:
-                raise InvalidInput(f"chunk {name!a:.60}, expected a file's name")
-        if len(set(names)) < len(names):
-            raise InvalidInput("chunks: two in the same file")
-        return [self.path.with_name(name) for name in names]
+        _, degree = self.stated_size = _whole(about, "count"), _whole(about, "maxSh")
+        if degree >= len(SH_COEFFICIENTS):
+            raise InvalidInput(f"SH degree {degree}, expected 0 to {len(SH_COEFFICIENTS) - 1}")
+        self.ranges = [] if self.is_part else _dictionaries(about, "chunks")
+        names = [each["filename"] for each in self.ranges if "filename" in each]
+        if not all(map(is_file_name, names)) or len(set(names)) < len(names):
+            raise InvalidInput(f"chunks in {names[0]!a:.60}..., expected names of different files")
+        self.others = [path.with_name(name) for name in names]
 
     def chunks(self) -> Iterator[Chunk]:
         """All chunks, each open until the next; `InvalidInput` if one is not valid."""
-        if self.about is None:
-            yield _chunk(self.data)
+        if self.is_part:
+            yield Chunk(self.data)
         others = iter(self.others)
-        for number, each in enumerate(self._ranges()):
+        for number, each in enumerate(self.ranges):
             with located(f"chunk {number}"):
                 if "filename" in each:
                     with opened(next(others)) as data:
-                        yield _chunk(data)
+                        yield Chunk(data)
                 else:
-                    yield _chunk(self._window(whole(each, "offset"), whole(each, "bytes")))
-
-    def _window(self, offset: int, size: int) -> FileBytes:
-        if self.start + offset + size > len(self.data):
-            raise InvalidInput(
-                f"chunk of {counted(size, 'byte')} at {self.start + offset}, of a file of "
-                f"{len(self.data):,}"
-            )
-        return self.data.window(self.start + offset, size)
+                    start = self.start + _whole(each, "offset")
+                    yield Chunk(_part(self.data, start, _whole(each, "bytes")))

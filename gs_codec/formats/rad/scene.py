@@ -29,9 +29,6 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, group_rows, sh_bands
 
 log = logging.getLogger(__name__)
 
-_CHILDREN = "child_count"
-_LABEL = "sh_label"
-
 #: Steps between the bounds of logarithms of scales; byte 0 is a scale of 0.
 STEPS = 254
 
@@ -39,33 +36,33 @@ STEPS = 254
 def stated_size(path: Path, data: FileBytes) -> tuple[int, int]:
     """Number of Gaussians of all levels, and SH degree, from the header."""
     with located(path):
-        return RadFile.of(path, data).stated_size
+        return RadFile(path, data).stated_size
 
 
 def rad_bytes(path: Path, data: FileBytes) -> int:
     """Size of a file, and of the files of its chunks."""
     with located(path):
-        others = RadFile.of(path, data).others
+        others = RadFile(path, data).others
     return len(data) + sum(other.stat().st_size for other in others if other.is_file())
 
 
 def read_rad(path: Path, data: FileBytes, max_bytes: int | None) -> Scene:
     """Read the leaves of a `.rad` or `.radc` file; see `SceneFile.scene`."""
     with located(path):
-        file, file_bytes = RadFile.of(path, data), rad_bytes(path, data)
+        file, file_bytes = RadFile(path, data), rad_bytes(path, data)
         check_count(*file.stated_size, file_bytes, max_bytes)
-        leaves = [_leaves_of(path, chunk) for chunk in file.chunks()]
-        total, count = sum(map(len, leaves)), file.stated_size[0]
+        leaves, total, count = [], 0, file.stated_size[0]
+        for chunk in file.chunks():
+            total += chunk.count
+            if total <= count:
+                leaves.append(_leaves_of(path, chunk))
         if total != count:
             raise InvalidInput(f"chunks of {counted(total, 'Gaussian')}, expected {count:,}")
         left = sum(int(each.sum()) for each in leaves)
         if count and not left:
             raise InvalidInput(f"a tree of {counted(count, 'Gaussian')} without leaves")
-        if file.about is None:
+        if file.is_part:
             log.warning("%s: one of several files; the others contain the rest of the scene", path)
-        if left < count:
-            of_all = f"{left:,} of {counted(count, 'Gaussian')}"
-            log.info("%s: levels of detail: only the leaves were read, %s", path, of_all)
         return _read_leaves(file, leaves, left, most_bytes(file_bytes, max_bytes))
 
 
@@ -74,9 +71,9 @@ def _leaves_of(path: Path, chunk: Chunk) -> NDArray[np.bool_]:
     unknown = sorted({*chunk.properties} - {*PROPERTIES})
     if unknown:
         say_left_out(path, unknown)
-    if _CHILDREN not in chunk.properties:
+    if "child_count" not in chunk.properties:
         return np.ones(chunk.count, bool)
-    return chunk.read(_CHILDREN).numbers[0] == 0
+    return chunk.read("child_count").numbers[0] == 0
 
 
 def _read_leaves(file: RadFile, leaves: list[NDArray[np.bool_]], count: int, most: int) -> Scene:
@@ -135,10 +132,10 @@ def _quaternions(values: Values) -> NDArray[np.floating]:
 
 def _sh(chunk: Chunk, band: int, tables: dict[int, NDArray]) -> NDArray | None:
     """SH-AC of a band, ``(3 k, N)``, with the colours of a coefficient together; None if absent."""
-    if _LABEL not in chunk.properties:
+    if "sh_label" not in chunk.properties:
         name = f"sh{band}"
         return chunk.read(name).scaled() if name in chunk.properties else None
-    rows = chunk.read(_LABEL).numbers[0]
+    rows = chunk.read("sh_label").numbers[0]
     number = tables[band].shape[1] if band in tables else 0
     if rows.max(initial=0) >= max(number, 1):
         raise InvalidInput(f"row {rows.max()} of a table of {number:,} (sh{band}_code)")

@@ -9,7 +9,7 @@ import json
 import zlib
 from collections.abc import Iterator
 from itertools import accumulate, pairwise, starmap
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,34 +44,23 @@ _NARROWEST = 1e-3
 _LEAST_SINE = 1e-6
 
 
-class Nodes(NamedTuple):
-    """Gaussians of a tree, with wanted step sizes; each has the next children in order.
+def pack_tree(
+    scene: Scene, steps: AttributeSteps, children: NDArray[np.integer], effort: Effort
+) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a `.rad` file of a tree, and sentences on what it cannot represent.
 
-    Attributes
-    ----------
-    scene : Scene
-    steps : AttributeSteps
-    children : ndarray, shape (N,)
-        Number of children of each Gaussian.
+    Of the Gaussians after the first, each takes the next ``children (N,)`` in order.
     """
-
-    scene: Scene
-    steps: AttributeSteps
-    children: NDArray[np.integer]
-
-
-def pack_tree(nodes: Nodes, effort: Effort) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.rad` file, and sentences on what it cannot represent."""
-    scene, bounds, common = nodes.scene, _bounds(nodes.scene), {"maxSh": nodes.scene.sh_degree}
-    starts = np.where(nodes.children, 1 + np.cumsum(nodes.children) - nodes.children, 0)
-    if nodes.children.any():
+    bounds, common = _bounds(scene), {"maxSh": scene.sh_degree}
+    starts = np.where(children, 1 + np.cumsum(children) - children, 0)
+    if children.any():
         common["lodTree"] = True
 
     def chunk(some: slice) -> tuple[bytes, Clipped]:
         part, clipped = scene.between(some.start, some.stop), Clipped()
-        values = dict(_values(part, nodes.steps.take(some), bounds, clipped))
-        if nodes.children.any():
-            values["child_count", "u16"] = nodes.children[some].astype("<u2")
+        values = dict(_values(part, steps.take(some), bounds, clipped))
+        if children.any():
+            values["child_count", "u16"] = children[some].astype("<u2")
             values["child_start", "u32"] = starts[some].astype("<u4")
         about = {"version": VERSION, "base": some.start, "count": part.count} | common
         return _chunk(about, values, bounds, effort), clipped
@@ -102,7 +91,8 @@ def _bounds(scene: Scene) -> dict[str, tuple[float, float]]:
         most = min(float(np.abs(rest[:, columns.start : columns.stop]).max()), _SH)
         bounds[f"sh{band}"] = (-most, most)
     narrow = {name: _NARROWEST * max(1.0, abs(low)) for name, (low, _) in bounds.items()}
-    return {n: (_float32(a), _float32(max(b, a + narrow[n]))) for n, (a, b) in bounds.items()}
+    ends = [(low, max(high, low + narrow[name])) for name, (low, high) in bounds.items()]
+    return dict(zip(bounds, map(tuple, np.array(ends, np.float32).tolist()), strict=True))
 
 
 def _encoding(bounds: dict[str, tuple[float, float]], has_tree: bool) -> dict[str, Any]:
@@ -127,7 +117,8 @@ def _values(
         found = multiples((inside - start) / unit, step / unit)
         return np.clip(found, (low - start) / unit, most)
 
-    yield ("center", "f32_lebytes"), _byte_planes(_centres(scene.positions, steps.positions))
+    centres = _centres(scene.positions, steps.positions)[..., None].view(np.uint8)
+    yield ("center", "f32_lebytes"), np.moveaxis(centres, 2, 0)
     share = sigmoid(scene.opacity.astype(np.float64))
     step = share[0] * (1 - share[0]) * steps.opacity
     yield ("alpha", "r8"), levels("alpha", "opacities", share, step, 255, 0)
@@ -152,11 +143,6 @@ def _centres(positions: NDArray[np.float32], steps: NDArray) -> NDArray[np.float
         unit = np.exp2(np.floor(np.log2(steps)))
         rounded = np.rint(positions / unit) * unit
     return np.where(unit > 0, rounded, positions).astype("<f4")
-
-
-def _byte_planes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The lowest byte of all values, then the next."""
-    return np.moveaxis(np.ascontiguousarray(values)[..., None].view(np.uint8), 2, 0)
 
 
 def _rotations(rot: NDArray[np.float32], steps: NDArray) -> NDArray[np.float64]:
@@ -199,7 +185,3 @@ def _chunk(
 def _described(magic: bytes, about: dict[str, Any]) -> bytes:
     text = json.dumps(about, separators=(",", ":")).encode()
     return magic + len(text).to_bytes(4, "little") + text + bytes(-len(text) % UNIT)
-
-
-def _float32(value: float) -> float:
-    return float(np.float32(value))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import STREAMED, UNBUNDLED, ZIP
 from gs_codec.formats import images
-from gs_codec.formats.limits import DECODED_BYTES, refusing
+from gs_codec.formats.limits import DECODED_BYTES, is_file_name, refusing
 from gs_codec.formats.zip_file import Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import located
@@ -177,9 +177,7 @@ def _list(group: dict[str, Any], name: str, key: str, length: int | None) -> lis
 def _names(group: dict[str, Any], name: str, number: int) -> list[str]:
     names = _list(group, name, "files", number)
     for item in names:
-        # Reject paths to other folders, and alternate streams of a file on Windows.
-        plain = isinstance(item, str) and item.isprintable() and not set(item) & set("/\\:")
-        if not plain or item.strip(".") == "" or len(item) > 255:
+        if not is_file_name(item):
             raise InvalidInput(f"meta.json: {name}.files has {item!a:.60}, expected a file's name")
     return names
 

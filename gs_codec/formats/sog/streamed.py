@@ -201,7 +201,7 @@ def _names(text: bytes, finest: bool) -> list[str]:
             used = {run["file"] for run in _finest_runs(meta["tree"])}
             wanted = [wanted[index] for index in sorted(used)]
         wanted += [meta["environment"]] if meta.get("environment") else []
-        wanted = list(_checked(wanted))
+        wanted = list(inner_names(wanted, STREAMED))
     if not wanted or len(set(wanted)) != len(wanted):
         raise InvalidInput(f"{STREAMED}: no files of the level, or one twice")
     return wanted
@@ -216,11 +216,11 @@ def _finest_runs(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
             yield node["lods"]["0"]
 
 
-def _checked(names: Iterable[Any]) -> Iterator[str]:
-    """Names with forward slashes; rejects files outside the folder of `lod-meta.json`."""
+def inner_names(names: Iterable[Any], where: str) -> Iterator[str]:
+    """Names with forward slashes; rejects files outside the folder of the file `where`."""
     for name in names:
         plain = isinstance(name, str) and name.isprintable() and ":" not in name
         parts = name.replace("\\", "/").split("/") if plain else [""]
         if any(part.strip(".") == "" for part in parts):
-            raise InvalidInput(f"{STREAMED}: file {name!a:.60}, expected one in its folder")
+            raise InvalidInput(f"{where}: file {name!a:.60}, expected one in its folder")
         yield "/".join(parts)

@@ -1,0 +1,1 @@
+"""Scenes of XGRIDS: `.lcc` and `.lcc2`."""

@@ -1,0 +1,45 @@
+"""Read the finest level of `.lcc` and `.lcc2` scenes, which a file of JSON describes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gs_codec.format_table import LCC
+from gs_codec.formats.lcc.cell_tables import Grid
+from gs_codec.formats.lcc.node_scenes import Octree
+from gs_codec.formats.limits import check_count, refusing
+from gs_codec.runtime.json_text import parse_json
+from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.scene import Scene
+
+
+def is_lcc(path: Path, data: FileBytes) -> bool:
+    """Whether a file of JSON has a suffix of these formats."""
+    return path.suffix.lower() in LCC.read
+
+
+def _described(path: Path, data: memoryview) -> Grid | Octree:
+    with refusing("description", AttributeError):
+        about = parse_json(bytes(data))
+        return Octree(path, about) if "root" in about else Grid(path, about)
+
+
+def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
+    """Number of Gaussians of the finest level and of the environment, and SH degree."""
+    with located(path):
+        return _described(path, data).stated_size()
+
+
+def lcc_bytes(path: Path, data: memoryview) -> int:
+    """Size of the description, and of the files that are read."""
+    with located(path):
+        files = _described(path, data).files
+    return len(data) + sum(file.stat().st_size for file in files if file.is_file())
+
+
+def read_lcc(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
+    """Read the files that a `.lcc` or `.lcc2` describes; see `SceneFile.scene`."""
+    with located(path):
+        described = _described(path, data)
+        check_count(*described.stated_size(), lcc_bytes(path, data), max_bytes)
+        return described.read(max_bytes)

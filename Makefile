@@ -117,15 +117,17 @@ fuzz: $(VENV)/installed-test
 # cannot be linked into a module. SPZ=FOLDER: from a checkout.
 SPZ ?= git+https://github.com/nianticlabs/spz
 PEERS_LOG := $(VENV)/peers.log
-NODE_PACKAGES := @playcanvas/splat-transform@3 playcanvas@2 @sparkjsdev/spark@2 three gltf-validator playwright-core@1.56
+NODE_PACKAGES := @playcanvas/splat-transform@3 playcanvas@2 @sparkjsdev/spark@2 three gltf-validator playwright-core@1.56 cesium@>=1.145
 peers: $(VENV)/installed-test
 	@.ci/system-packages peers || true
 	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >$(PEERS_LOG) 2>&1 \
 	    || echo "spz: not installed (needs git, a C++ compiler and GitHub); see $(PEERS_LOG)"
 	@$(PIP) install 'gsply[sogs]' gsplat >>$(PEERS_LOG) 2>&1 || echo "gsply, gsplat: not installed; see $(PEERS_LOG)"
-	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund $(NODE_PACKAGES) \
-	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform, PlayCanvas, Spark, gltf-validator: not installed (need Node 18 and npm); see $(PEERS_LOG)"
-	$(PYTEST) tests/test_peers.py tests/test_programs.py
+	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund $(NODE_PACKAGES:%='%') \
+	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform, PlayCanvas, Spark, CesiumJS, gltf-validator: not installed (need Node 18 and npm); see $(PEERS_LOG)"
+	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund 3d-tiles-validator \
+	    >>$(PEERS_LOG) 2>&1 || echo "3d-tiles-validator: not installed; see $(PEERS_LOG)"
+	$(PYTEST) tests/test_peers.py tests/test_programs.py tests/test_tiles.py
 
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
 boundscheck: $(VENV)/installed-test

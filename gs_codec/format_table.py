@@ -22,6 +22,9 @@ STREAMED = "lod-meta.json"
 #: Suffix of a zip of a streamed SOG scene.
 SSOG = ".ssog"
 
+#: File name of a scene as 3D Tiles.
+TILESET = "tileset.json"
+
 #: First bytes of a zip.
 ZIP = b"PK\x03\x04"
 
@@ -402,6 +405,27 @@ STREAMED_SOG = SceneFormat(
     floats_per_byte=20,
 )
 
+TILES = SceneFormat(
+    name="3d tiles",
+    read=(TILESET,),
+    short_signatures=(b"{",),
+    recognises=_ours("tiles.tileset", "is_tileset"),
+    reader=_ours("tiles.tileset", "read_tiles"),
+    stated_size=_ours("tiles.tileset", "stated_size"),
+    stored_bytes=_ours("tiles.tileset", "tiles_bytes"),
+    checker=_ours("tiles.tileset", "check_all"),
+    written={TILESET: {}},
+    writes="levels",
+    options={"effort": "effort"},
+    coded_as="spz",
+    rounding=SPZ.rounding,
+    is_rounded=True,
+    keeps=SPZ.keeps,
+    system="RUB",
+    in_folders=(),
+    floats_per_byte=SPZ.floats_per_byte,
+)
+
 #: All formats, in the order in which commands list them.
 FORMATS = (
     PLY,
@@ -420,6 +444,7 @@ FORMATS = (
     CSV,
     COLLISION_MESH,
     STREAMED_SOG,
+    TILES,
 )
 
 

@@ -120,7 +120,7 @@ LINES = {
     "convert a.toy back.ply": "back.ply: 60 Gaussians, SH degree 0",
     "encode scene.ply b.toy --coarseness 2": "--coarseness has no effect on b.toy",
     "convert scene.ply a.obj": ".usdz, .toy, ",
-    "inspect text": ".ssog, .toy of a scene",
+    "inspect text": ", tileset.json, .toy of a scene",
     "convert --help": ".usdz or .toy;",
     "inspect --help": "or .toy; - is stdin.",
 }

@@ -79,7 +79,7 @@ def documents(name: str) -> Iterator[tuple[bytes, Any]]:
 @pytest.mark.parametrize(
     "name",
     [
-        *("sog-meta", thorough("lod-meta"), "cameras", "pruned", "ledger", "gltf"),
+        *("sog-meta", thorough("lod-meta"), "cameras", "pruned", "ledger", "gltf", "tileset"),
         *("rad-description", "lcc-a", "lcc2"),
     ],
 )

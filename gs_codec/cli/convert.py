@@ -24,6 +24,7 @@ from gs_codec.cli.typed_request import action_plan, config_of
 from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.combinations import refuse_coding
+from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, PLAIN, format_name, known_suffix
 from gs_codec.plan import CAMERAS, Plan
 from gs_codec.report import bits_per_gaussian
@@ -59,6 +60,14 @@ def command(
             "or keep (that of IN); FROM sets that of IN, if it is missing or wrong.",
         ),
     ] = "RDF",
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LON,LAT,HEIGHT",
+            help="Place of the origin of 3D Tiles, degrees and metres; right is east, forward "
+            "north.",
+        ),
+    ] = None,
     cameras: Annotated[
         str | None,
         typer.Option(
@@ -79,6 +88,7 @@ def command(
                 files, out, config, coordinates, actions=typed.actions, plan=plan,
                 progress=progress, max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
                 overwrite=typed["overwrite"], by_profile=typed.has("profile", "coarseness"),
+                at=_place(at),
             )  # fmt: skip
         _say_what_changed(done)
         if typed["json"]:
@@ -97,6 +107,17 @@ def command(
             )
             if done.rendered is not None:
                 print_rendered(done.rendered)
+
+
+def _place(typed: str | None) -> tuple[float, float, float] | None:
+    """The place that was typed."""
+    if typed is None:
+        return None
+    try:
+        longitude, latitude, height = map(float, typed.split(","))
+    except ValueError:
+        raise InvalidInput(f"--at {typed}: expected LON,LAT,HEIGHT") from None
+    return longitude, latitude, height
 
 
 def _say_what_changed(done: ConvertReport) -> None:

@@ -21,7 +21,7 @@ from gs_codec.config import (
 )
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import FORMATS, format_of
+from gs_codec.format_table import FORMATS, TILESET, format_of
 from gs_codec.plan import Plan, Steps
 
 _ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)
@@ -60,8 +60,11 @@ def check_conversion(
     plan: Plan | None,
     actions: Sequence[Action],
     max_memory: int | None,
+    at: Sequence[float] | None = None,
 ) -> None:
     """Check the options of a conversion to the format of a suffix. Raises InvalidInput."""
+    if at is not None and suffix != TILESET:
+        raise InvalidInput(f"{target}: at: has no effect, expected {TILESET}")
     if max_memory is not None and not format_of(suffix).in_parts:
         known = [s for each in FORMATS if each.in_parts for s in each.written]
         raise InvalidInput(f"{target}: max-memory: expected one of {', '.join(known)}")

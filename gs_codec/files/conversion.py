@@ -19,10 +19,10 @@ from gs_codec.edit.actions import Action
 from gs_codec.edit.apply import edit_scenes
 from gs_codec.encoding.combinations import check_conversion
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import early_shifts, read_scene, turn_scene
+from gs_codec.files.scenes import blocks_in, early_shifts, read_scene, turn_scene
 from gs_codec.files.suffixes import check_target
 from gs_codec.files.writing import keeps_rounding, write_scene, written_bytes
-from gs_codec.format_table import format_of
+from gs_codec.format_table import TILESET, format_of
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of, turn_axes
 from gs_codec.report import ActionReport, Progress, RenderedLoss, StageTimes
 from gs_codec.runtime.arguments import checked
@@ -97,6 +97,7 @@ def convert_file(
     max_bytes: int | None = None,
     overwrite: bool = False,
     by_profile: bool = False,
+    at: tuple[float, float, float] | None = None,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix, atomically.
 
@@ -131,6 +132,9 @@ def convert_file(
         Whether values from a format that quantises are rounded to the steps of the profile. By
         default they keep the precision of the output format, unless `config` is a profile name, or
         changes the default profile or coarseness.
+    at : tuple of three float, optional
+        Longitude and latitude in degrees and height in metres of the origin of 3D Tiles, on the
+        ellipsoid WGS 84: right becomes east, forward north. Default: not on the earth.
 
     Returns
     -------
@@ -152,7 +156,7 @@ def convert_file(
     config = as_config(config)
     sources = [source] if isinstance(source, str | Path) else list(source)
     suffix = check_target(sources, target, overwrite=overwrite)
-    check_conversion(target, suffix, config, plan, actions, max_memory)
+    check_conversion(target, suffix, config, plan, actions, max_memory, at)
     stated, _, wanted = coordinates.rpartition(":")
     known = format_of(suffix)
     own = known.system
@@ -180,7 +184,10 @@ def convert_file(
             else:
                 scene = turn_scene(scene, before if wanted == "keep" else wanted.upper())
         with times.stage("write"):
-            lost, rendered = write_scene(target, scene, config, finest=finest)
+            blocks = None
+            if suffix == TILESET and len(sources) == 1 and chosen is None and not actions:
+                blocks = blocks_in(sources[0], scene)
+            lost, rendered = write_scene(target, scene, config, finest=finest, at=at, blocks=blocks)
     after = own or system_of(scene)
     size = written_bytes(target)
     return ConvertReport(

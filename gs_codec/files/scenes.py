@@ -18,11 +18,20 @@ from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
 from gs_codec.edit.actions import Action
 from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
+from gs_codec.egs.index import errors_of, levels_of
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes, turn_shift
+from gs_codec.formats.coordinates import (
+    CONVENTION,
+    state_system,
+    system_of,
+    turn_axes,
+    turn_shift,
+)
 from gs_codec.formats.extra_properties import scene_without
 from gs_codec.formats.ply.dialects import with_filter
 from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.levels.building import Level
+from gs_codec.levels.tiling import Blocks
 from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.metrics.comparison import Comparison
 from gs_codec.report import Progress
@@ -79,6 +88,24 @@ def turn_scene(scene: Scene, coordinates: str) -> Scene:
     if system_of(scene) == coordinates:
         return scene
     return turn_axes(matching.without_order(scene), coordinates)
+
+
+def blocks_in(path: str | Path, scene: Scene) -> Blocks | None:
+    """The coarser levels of an `.egs` file of a scene, in its system; None if it has none."""
+    with open_scene(path) as file, located(path):
+        if file.format != "egs":
+            return None
+        whole = read_file(file.data, lambda section, _: section in DESCRIPTIONS)
+        found = [decode_part(file.data, Part(level=level)) for level in levels_of(whole)]
+    header = whole.header
+    if not found or header.count != scene.count:
+        return None
+    stated, system = header.coordinates or CONVENTION, system_of(scene)
+    levels = [
+        Level(turn_axes(state_system(coarser, stated), system), errors_of(own))
+        for coarser, own in found
+    ]
+    return Blocks(levels, header.block_size)
 
 
 def stated_bytes(path: str | Path) -> int:

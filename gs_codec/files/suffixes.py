@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gs_codec.config import EGS, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import FORMATS, STREAMED, format_of, read, written
+from gs_codec.format_table import FORMATS, STREAMED, TILESET, format_of, read, written
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.wording import listed
 
@@ -71,7 +71,7 @@ def check_target(
     for source in sources:
         if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
             raise InvalidInput(f"{target}: input and output are the same file")
-    check_writable(target, overwrite)
     suffix = suffix_of(target, known)
+    check_writable(target, overwrite, suffix == TILESET)
     format_of(suffix).check_installed()
     return suffix

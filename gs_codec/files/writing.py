@@ -16,17 +16,22 @@ from gs_codec.config import Config
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
-from gs_codec.format_table import SSOG, STREAMED, UNBUNDLED, format_of
+from gs_codec.format_table import SSOG, STREAMED, TILESET, UNBUNDLED, format_of
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.registry import open_scene
+from gs_codec.formats.tiles.earth import Place
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.streaming import stream_levels
+from gs_codec.levels.tiling import Blocks, tile_levels
 from gs_codec.report import RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
+
+#: Of the reader of 3D Tiles, which says that their place on the earth is left out.
+_of_tiles = logging.getLogger("gs_codec.formats.tiles.tileset")
 
 
 class Written(NamedTuple):
@@ -50,15 +55,17 @@ def write_scene(
     config: Config,
     overwrite: bool = True,
     finest: bool = False,
+    at: Place | None = None,
+    blocks: Blocks | None = None,
 ) -> Written:
     """Write a scene in any supported output format.
 
     If `finest`, it is written as finely as possible, whatever the profile; coarser levels of detail
-    still follow the profile. Raises InvalidInput if the suffix is not supported, or the file cannot
-    be written or, without `overwrite`, exists.
+    still follow the profile. `at` and `blocks` are those of 3D Tiles. Raises InvalidInput if the
+    suffix is not supported, or the file cannot be written or, without `overwrite`, exists.
     """
     suffix = suffix_of(path)
-    check_writable(path, overwrite)
+    check_writable(path, overwrite, suffix == TILESET)
     known = format_of(suffix)
     if known.writes == "floats":
         assert known.writer is not None
@@ -66,7 +73,10 @@ def write_scene(
     elif known.writes == "levels":
         with located(path):
             config = config_for(path, config, LEVELLED)
-            files, lost = stream_levels(scene, config, finest=finest)
+            if suffix == TILESET:
+                files, lost = tile_levels(scene, config, at, finest=finest, blocks=blocks)
+            else:
+                files, lost = stream_levels(scene, config, finest=finest)
         if suffix == SSOG:
             with atomic_writer(path) as file:
                 write_zip(file, {STREAMED: files.pop(STREAMED), **files})
@@ -108,7 +118,11 @@ def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | N
 
     clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
     with open_scene(path) as file:
-        decoded, _ = finite_ends(file.scene(exact=True))
+        _of_tiles.disabled = True
+        try:
+            decoded, _ = finite_ends(file.scene(exact=True))
+        finally:
+            _of_tiles.disabled = False
         return Check.by_plan(clean, None).measure(turn_axes(decoded))
 
 
@@ -136,7 +150,7 @@ def tell_lost(path: str | Path, lost: Sequence[str]) -> None:
 
 def written_bytes(path: str | Path) -> int:
     """Total bytes of the files of a written scene."""
-    if Path(path).name not in (UNBUNDLED, STREAMED):
+    if not Path(path).name.endswith((UNBUNDLED, STREAMED, TILESET)):
         return os.path.getsize(path)
     with open_scene(path) as file:
         return file.stored_bytes

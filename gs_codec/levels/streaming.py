@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_steps
+from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.far import bring_nearer
@@ -64,23 +66,15 @@ def stream_levels(
     lost : tuple of str
     """
     with using_threads(config.threads, scene.count):
-        scene = turn_axes(clean_scene(scene, config)[0])
-        if not scene.count:
-            raise InvalidInput(f"no Gaussians, {STREAMED} has at least one")
-        nearer, moved = bring_nearer(scene, REACH)
-        leaves = _leaves(nearer.take(spatial_order(scene.positions, scene.log_scale)), leaf)
+        scene, order, moved = prepared(scene, config, STREAMED)
+        leaves = _leaves(scene.take(order), leaf)
         files: dict[str, bytes] = {}
         runs: list[list[Run]] = []
         losses: list[str] = [*moved]
         names: list[str] = []
-        chosen = config
-        for level, parts in enumerate(zip(*leaves, strict=True)):
-            whole = join_scenes(parts)
-            # Step sizes are chosen as for the levels of an .egs.
-            if level < 2:
-                chosen = calibrated(whole, config)
-                chosen = config_of_levels(chosen) if level else chosen
-            steps = wanted_steps(whole, camera_free_steps(whole, chosen.adaptive_profile()))
+        levels = [*zip(*leaves, strict=True)]
+        coded = steps_of_levels(map(join_scenes, levels), config)
+        for level, (parts, (whole, steps)) in enumerate(zip(levels, coded, strict=True)):
             runs.append(_runs([part.count for part in parts], most, len(names)))
             for number, (start, stop) in enumerate(_extents(runs[-1])):
                 part = whole.between(start, stop)
@@ -96,6 +90,32 @@ def stream_levels(
         Leaf(*box, of_levels) for box, of_levels in zip(boxes, zip(*runs, strict=True), strict=True)
     ]
     return files | {STREAMED: describe_levels(described, names)}, tuple(dict.fromkeys(losses))
+
+
+def prepared(
+    scene: Scene, config: Config, name: str
+) -> tuple[Scene, NDArray[np.int64], tuple[str, ...]]:
+    """A scene to divide: cleaned, in ``RDF``, far Gaussians nearer; its Morton order; what moved.
+
+    Raises InvalidInput if it is empty or not finite; `name` is the file's.
+    """
+    scene = turn_axes(without_order(clean_scene(scene, config)[0]))
+    if not scene.count:
+        raise InvalidInput(f"no Gaussians, {name} has at least one")
+    nearer, moved = bring_nearer(scene, REACH)
+    return nearer, spatial_order(scene.positions, scene.log_scale), moved
+
+
+def steps_of_levels(
+    levels: Iterable[Scene], config: Config
+) -> Iterator[tuple[Scene, AttributeSteps]]:
+    """Levels, the finest first, with their step sizes, chosen as for the levels of an .egs."""
+    chosen = config
+    for level, scene in enumerate(levels):
+        if level < 2:
+            chosen = calibrated(scene, config)
+            chosen = config_of_levels(chosen) if level else chosen
+        yield scene, wanted_steps(scene, camera_free_steps(scene, chosen.adaptive_profile()))
 
 
 def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
@@ -139,10 +159,13 @@ def _extents(runs: Sequence[Run]) -> list[tuple[int, int]]:
     return list(pairwise([*starts, ends[-1]]))
 
 
+def box_of(scene: Scene) -> NDArray[np.float32]:
+    """The box around the ellipsoids of a scene: lowest x, y, z, then the highest."""
+    return block_extent(scene.positions, scene.log_scale - _SMALLER, scene.rot)[6:]
+
+
 def _box(levels: Sequence[Scene]) -> tuple[list[float], list[float]]:
-    """The box around the ellipsoids of all levels of a leaf."""
-    corners = [
-        block_extent(each.positions, each.log_scale - _SMALLER, each.rot)[6:] for each in levels
-    ]
+    """The box of all levels of a leaf."""
+    corners = list(map(box_of, levels))
     low, high = np.min(corners, axis=0)[:3], np.max(corners, axis=0)[3:]
     return numbers(low), numbers(high)

@@ -20,11 +20,11 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 
-def check_writable(path: str | Path, overwrite: bool = True) -> None:
+def check_writable(path: str | Path, overwrite: bool = True, makes_folder: bool = False) -> None:
     """Check that a file can be written to a path.
 
     Raises InvalidInput if it is a directory or device, its directory is missing or not writable,
-    or, without `overwrite`, it exists.
+    or, without `overwrite`, it exists. If it `makes_folder`, only the directory above must exist.
     """
     target = Path(path)
     if os.path.isdir(target):
@@ -33,10 +33,13 @@ def check_writable(path: str | Path, overwrite: bool = True) -> None:
         raise InvalidInput(f"{target}: not a regular file")
     if os.path.lexists(target) and not overwrite:
         raise InvalidInput(f"{target}: already exists; choose another name or pass overwrite=True")
-    if not target.parent.is_dir():
-        raise InvalidInput(f"{target}: no directory '{target.parent}'")
-    if not os.access(target.parent, os.W_OK):
-        raise InvalidInput(f"{target}: no permission to write in '{target.parent}'")
+    folder = target.parent
+    if makes_folder and not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InvalidInput(f"{target}: no directory '{folder}'")
+    if not os.access(folder, os.W_OK):
+        raise InvalidInput(f"{target}: no permission to write in '{folder}'")
 
 
 def check_folder(path: str | Path, overwrite: bool = True) -> None:

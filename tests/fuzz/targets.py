@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import browser
 import foreign
@@ -31,7 +32,7 @@ from gs_codec.codecs.lossless.columns import read_integers, write_integers
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
-from gs_codec.format_table import STREAMED, UNBUNDLED
+from gs_codec.format_table import STREAMED, TILESET, UNBUNDLED
 from gs_codec.formats import checkpoint as of_trainers
 from gs_codec.formats.gltf.compressed import pack_gltf_spz
 from gs_codec.formats.gltf.scene import pack_gltf
@@ -43,6 +44,7 @@ from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.adding import add_levels
 from gs_codec.levels.streaming import stream_levels
+from gs_codec.levels.tiling import tile_levels
 from gs_codec.preparation.adam import (
     AdamState,
     Checkpoint,
@@ -408,6 +410,30 @@ def _lod_meta(folder: Path, data: bytes) -> object:
     return read_scene(folder / STREAMED)
 
 
+def _tileset(folder: Path, data: bytes) -> object:
+    """A `tileset.json` next to the files of a scene, which also have a tileset."""
+    from gs_codec.files.scenes import read_scene
+
+    own = _tiled()
+    for name, content in {**own, "inner.json": own[TILESET], TILESET: data}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return read_scene(folder / TILESET)
+
+
+@cache
+def _tiled() -> dict[str, bytes]:
+    return tile_levels(random_scene(30, 0, seed=3), Config("m"), (8.5, 47.4, 400.0), most=16)[0]
+
+
+def _tilesets() -> list[bytes]:
+    tiles: list[dict[str, Any]] = [{"content": {"uri": "tiles/1/0.glb"}, "refine": "ADD"}]
+    shift = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
+    tiles[0]["children"] = [{"contents": [{"url": "inner.json"}], "transform": shift}]
+    other = {"asset": {"version": "1.0"}, "geometricError": 1, "root": tiles[0]}
+    return [_tiled()[TILESET], json.dumps(other).encode()]
+
+
 @cache
 def _ssogs() -> list[bytes]:
     """Zips of streamed SOG as written, and with bundles in place of folders."""
@@ -529,6 +555,7 @@ TARGETS = {
     "ssog": Target(_scene_file(".ssog"), _ssogs),
     "sog-meta": Target(parse_meta, _sog_metas),
     "lod-meta": Target(partial(_in_folder, _lod_meta), lambda: [bytes(_streamed()[STREAMED])]),
+    "tileset": Target(partial(_in_folder, _tileset), _tilesets),
     "sog-image": Target(partial(read_pixels, name="image", most=1 << 16), _pixels),
     "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
     "image": Target(partial(_from_file, read_image, ".png"), _images),

@@ -7,6 +7,7 @@ do not convert them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ from gs_codec.config import Effort
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import GLTF
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.gltf.file import FLOAT, UNSIGNED_BYTE, GltfFile, pack_binary
+from gs_codec.formats.packed_values import Clipped
+from gs_codec.formats.similarity import move_scene
 from gs_codec.formats.spz.file import read_streams, stated_size
 from gs_codec.formats.spz.scene import centre_range, pack_spz, scene_of_streams
 from gs_codec.runtime.mapped import located
@@ -116,15 +120,24 @@ def pack_gltf_spz(
     steps: AttributeSteps | None = None,
     effort: Effort = "normal",
     as_text: bool = False,
+    clipped: Clipped | None = None,
+    place: tuple[str, Sequence[float]] | None = None,
 ) -> tuple[bytes, tuple[str, ...]]:
     """Bytes of a `.glb`, or of a `.gltf` if `as_text`; see `pack_spz`.
 
-    Raises InvalidInput if there are no Gaussians, or a value is not finite.
+    Centres may be relative to a place in another coordinate system, whose numbers are those of the
+    glTF. Raises InvalidInput if there are no Gaussians, or a value is not finite.
     """
     if not scene.count:
         raise InvalidInput("no Gaussians, glTF has at least one")
-    data, lost = pack_spz(scene, _VERSION, steps, effort, GLTF.system)
+    system, middle = place or (GLTF.system, (0.0, 0.0, 0.0))
+    matrix = np.eye(4)
+    matrix[:3, 3] = middle
+    if place is not None:
+        scene = move_scene(turn_axes(scene, system), np.linalg.inv(matrix))
+    data, lost = pack_spz(scene, _VERSION, steps, effort, system, clipped)
     document = document_of({}, {SPZ_2: {"bufferView": 0}})
+    document["nodes"][0]["matrix"] = matrix.T.ravel().tolist()
     return _with_spz(document, data, scene.count, scene.sh_degree, as_text), lost
 
 
@@ -146,7 +159,6 @@ def _with_spz(
         attributes |= {sh_name(degree, n): floats | {"type": "VEC3"} for n in range(len(band))}
     [primitive] = document["meshes"][0]["primitives"]
     primitive["attributes"] = {name: number for number, name in enumerate(attributes)}
-    document["nodes"][0]["matrix"] = np.eye(4).ravel().tolist()
     views = [{"buffer": 0, "byteOffset": 0, "byteLength": len(data)}]
     document |= {"bufferViews": views, "accessors": [*attributes.values()]}
     return pack_binary(document, data, as_text)

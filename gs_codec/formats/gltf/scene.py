@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import GLTF
-from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4
 from gs_codec.formats.gltf.compressed import (
     EXTENSION,
@@ -51,6 +51,20 @@ _SHOWN = 16
 
 def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.glb` or `.gltf` file; see `SceneFile.scene`."""
+    return join_scenes(placed_scenes(path, view, max_bytes))
+
+
+def placed_scenes(
+    path: Path,
+    view: memoryview,
+    max_bytes: int | None,
+    matrix: NDArray[np.float64] | None = None,
+    system: str = _SYSTEM,
+) -> list[Scene]:
+    """The scene of each primitive, moved by a matrix ``(4, 4)``; raises like `read_gltf`.
+
+    `system` is the coordinate system then.
+    """
     with located(path):
         file = open_gltf(path, view)
         placed = _placed_primitives(file)
@@ -61,7 +75,10 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
         plain = [each.primitive for each in placed if not is_compressed(each.primitive)]
         if any(sh_name(4, 0) in primitive["attributes"] for primitive in plain):
             say_degree_4(path)
-        return join_scenes([_scene_of(file, each, degree, max_bytes) for each in placed])
+        above = np.eye(4) if matrix is None else matrix
+        return [
+            state_system(_scene_of(file, each, degree, max_bytes, above), system) for each in placed
+        ]
 
 
 def variant_of(path: Path, view: memoryview) -> str:
@@ -187,12 +204,19 @@ def _size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
     return file.count(attributes.get("POSITION")), degree
 
 
-def _scene_of(file: GltfFile, placed: _Placed, degree: int, max_bytes: int | None) -> Scene:
+def _scene_of(
+    file: GltfFile,
+    placed: _Placed,
+    degree: int,
+    max_bytes: int | None,
+    above: NDArray[np.float64],
+) -> Scene:
     if is_compressed(placed.primitive):
         scene = compressed_scene(file, placed.primitive, max_bytes)
     else:
         scene = _plain_scene(file, placed.primitive, degree)
-    return move_scene(scene, placed.matrix)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return move_scene(scene, above @ placed.matrix)
 
 
 def _plain_scene(file: GltfFile, primitive: dict[str, Any], degree: int) -> Scene:

@@ -14,7 +14,7 @@ from gs_codec.format_table import LCC, SOG, SPZ
 from gs_codec.formats.coordinates import state_system
 from gs_codec.formats.lcc.cell_tables import level_count
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.formats.sog.streamed import inner_names
+from gs_codec.formats.relative_name import relative_name
 from gs_codec.scene import Scene, join_scenes
 
 
@@ -35,7 +35,7 @@ class Octree:
             used.add(environment["name"])
         if not used <= {*range(len(names))}:
             raise InvalidInput(f"a file beyond the {len(names)} of splatFiles")
-        found = inner_names([names[index] for index in sorted(used)], path.name)
+        found = (relative_name(names[index], path.name) for index in sorted(used))
         self.files = [path.parent / name for name in found]
 
     def _opened(self) -> Iterator[SceneFile]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import STREAMED, ZIP
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.formats.relative_name import relative_name
 from gs_codec.formats.sog.files import Files, Unit, opened_files, opened_unit
 from gs_codec.formats.sog.scene import SPARE, scene_of_unit
 from gs_codec.formats.zip_file import opened_zip
@@ -201,7 +202,7 @@ def _names(text: bytes, finest: bool) -> list[str]:
             used = {run["file"] for run in _finest_runs(meta["tree"])}
             wanted = [wanted[index] for index in sorted(used)]
         wanted += [meta["environment"]] if meta.get("environment") else []
-        wanted = list(inner_names(wanted, STREAMED))
+        wanted = [relative_name(name, STREAMED) for name in wanted]
     if not wanted or len(set(wanted)) != len(wanted):
         raise InvalidInput(f"{STREAMED}: no files of the level, or one twice")
     return wanted
@@ -214,13 +215,3 @@ def _finest_runs(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
         left += node.get("children", ())
         if "0" in node.get("lods", ()):
             yield node["lods"]["0"]
-
-
-def inner_names(names: Iterable[Any], where: str) -> Iterator[str]:
-    """Names with forward slashes; rejects files outside the folder of the file `where`."""
-    for name in names:
-        plain = isinstance(name, str) and name.isprintable() and ":" not in name
-        parts = name.replace("\\", "/").split("/") if plain else [""]
-        if any(part.strip(".") == "" for part in parts):
-            raise InvalidInput(f"{where}: file {name!a:.60}, expected one in its folder")
-        yield "/".join(parts)

@@ -128,6 +128,7 @@ def pack_spz(
     steps: AttributeSteps | None = None,
     effort: Effort = "normal",
     system: str = SYSTEM,
+    clipped: Clipped | None = None,
 ) -> tuple[bytes, tuple[str, ...]]:
     """Bytes of an `.spz` file of version 3 or 4; sentences on what it cannot represent.
 
@@ -146,6 +147,8 @@ def pack_spz(
         How long to compress.
     system : str
         Coordinate system of the values, which is not stated. Default: the format's own.
+    clipped : Clipped, optional
+        Counts what is clipped, without a sentence.
     """
     check_finite(scene, ".spz")
     order = spatial_order(scene.positions, scene.log_scale)
@@ -160,13 +163,14 @@ def pack_spz(
     flags = ANTIALIASED if scene.antialiased else 0
     header = SpzHeader(version, scene.count, scene.sh_degree, bits, flags)
     streams = [np.empty((scene.count, size), np.uint8) for size in header.sizes]
-    clipped = Clipped()
+    own = Clipped() if clipped is None else clipped
     for some in spans(scene.count):
         part = turned.between(some.start, some.stop)
-        packed = _bytes_of(part, steps.take(some), bits, clipped)
+        packed = _bytes_of(part, steps.take(some), bits, own)
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
-    lost = (SPZ.rounding, *moved, *clipped.sentences(), *left_out_of(scene, SPZ))
+    said = () if clipped is not None else own.sentences()
+    lost = (SPZ.rounding, *moved, *said, *left_out_of(scene, SPZ))
     return pack_streams(header, streams, effort), lost
 
 

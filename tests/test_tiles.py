@@ -1,0 +1,492 @@
+"""3D Tiles: the tree and its files, places on the earth, rejected input, and CesiumJS."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from orbits import cameras
+from other_programs import PACKAGES
+from scenes import SmallBlocks, assert_same_floats, random_scene
+from web_pages import CHROMIUM, NODE, decibels, drawn, seen
+
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.encode_file import encode_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.format_table import TILESET
+from gs_codec.formats.coordinates import state_system, turn_axes
+from gs_codec.formats.gltf.scene import pack_gltf
+from gs_codec.formats.ply.writer import write_ply
+from gs_codec.formats.registry import check_file, open_scene, overview_of
+from gs_codec.formats.tiles.earth import frame_at, place_of
+from gs_codec.levels.building import error_of
+from gs_codec.levels.tiling import Blocks, tile_levels
+from gs_codec.runtime.atomic import write_files
+from gs_codec.scene import ANTIALIASED, Scene
+from samples.generate import generate
+
+MOST = 200
+CONFIG = Config(format="spz")
+AT = (8.54, 47.37, 410.0)
+
+
+def tiled(folder: Path, scene: Scene, **options: Any) -> dict[str, Any]:
+    """Write the files of a scene with small tiles; return its `tileset.json`."""
+    files, _ = tile_levels(scene, CONFIG, **{"most": MOST, **options})
+    write_files(folder, files)
+    return json.loads(files[TILESET])
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return random_scene(1150, 2, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scene) -> Path:
+    """A scene with six tiles at the finest of three levels."""
+    folder = tmp_path_factory.mktemp("tiles")
+    tiled(folder, scene)
+    return folder
+
+
+@pytest.fixture
+def copy(folder, tmp_path) -> Path:
+    shutil.copytree(folder, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def below(tile: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A tile and all tiles below."""
+    yield tile
+    for child in tile.get("children", []):
+        yield from below(child)
+
+
+def corners(tile: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """The box of a tile, in the axes of glTF."""
+    box = np.array(tile["boundingVolume"]["box"]).reshape(4, 3)
+    half = np.diag(box[1:])
+    np.testing.assert_array_equal(box[1:], np.diag(half))
+    east, north, up = box[0]
+    return (
+        np.array([east, up, -north]) - half[[0, 2, 1]],
+        np.array([east, up, -north]) + half[[0, 2, 1]],
+    )
+
+
+# Writing
+
+
+def test_the_tree_has_the_layout_viewers_expect(folder, scene):
+    document = json.loads((folder / TILESET).read_text())
+    assert document["asset"] == {"version": "1.1"}
+    [needed] = [document["extensions"]["3DTILES_content_gltf"]]
+    for of in ("extensionsUsed", "extensionsRequired"):
+        assert needed[of] == [
+            "KHR_gaussian_splatting",
+            "KHR_gaussian_splatting_compression_spz_2",
+        ]
+    root = document["root"]
+    assert root["refine"] == "REPLACE"
+    assert document["geometricError"] >= root["geometricError"]
+    names = [tile["content"]["uri"] for tile in below(root)]
+    assert sorted(names) == sorted(
+        [*(f"tiles/0/{k}.glb" for k in range(6)), "tiles/1/0.glb", "tiles/1/1.glb", "tiles/2/0.glb"]
+    )
+    for tile in below(root):
+        children = tile.get("children", [])
+        assert (tile["geometricError"] == 0) == (not children)
+        low, high = corners(tile)
+        for child in children:
+            assert child["geometricError"] < tile["geometricError"]
+            inner = corners(child)
+            assert (low <= inner[0]).all()
+            assert (inner[1] <= high).all()
+        assert len(children) <= 4
+
+
+def test_tiles_are_in_their_boxes_and_relative_to_their_middle(folder, scene):
+    document = json.loads((folder / TILESET).read_text())
+    count = 0
+    for tile in below(document["root"]):
+        part = read_scene(folder / tile["content"]["uri"], coordinates=None)
+        low, high = corners(tile)
+        assert (part.positions >= low[:, None] - 1e-3).all()
+        assert (part.positions <= high[:, None] + 1e-3).all()
+        assert part.count <= MOST
+        count += part.count * ("children" not in tile)
+    assert count == scene.count
+
+
+def test_the_finest_tiles_are_the_scene(folder, scene):
+    back = read_scene(folder / TILESET)
+    assert back.count == scene.count
+    assert back.coordinates == "RDF"
+    rank = np.lexsort(np.round(back.positions, 2)), np.lexsort(np.round(scene.positions, 2))
+    np.testing.assert_allclose(
+        back.positions[:, rank[0]].mean(axis=1), scene.positions.mean(axis=1), atol=1e-3
+    )
+    told = overview_of(folder / TILESET)
+    assert (told.format, told.count, told.sh_degree) == ("3d tiles", 1150, 2)
+    assert told.file_bytes == sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+    with open_scene(folder / TILESET) as file:
+        assert file.stated_bytes() == scene.float_bytes
+
+
+def test_errors_are_those_of_blocks_in_16_pixels(tmp_path, scene):
+    one = scene.between(0, 3 * MOST)
+    document = tiled(tmp_path, one)
+    assert document["root"]["geometricError"] > 0
+    whole = read_scene(tmp_path / TILESET, coordinates=None)
+    assert document["root"]["geometricError"] == pytest.approx(16 * error_of(whole, False), rel=0.5)
+
+
+def test_centres_far_from_the_origin_keep_their_details(tmp_path):
+    """2,000 units away, a scene of 2 units keeps 16 bits after the point."""
+    scene = random_scene(500, 0)
+    positions = (np.round(scene.positions * 64) / 64 + 2048).astype(np.float32)
+    tiled(tmp_path, replace(scene, positions=positions), finest=True)
+    back = read_scene(tmp_path / TILESET)
+    np.testing.assert_allclose(np.sort(back.positions), np.sort(positions), atol=2**-12)
+    (part, *_) = (tmp_path / "tiles/0").iterdir()
+    length = int.from_bytes(part.read_bytes()[12:16], "little")
+    node = json.loads(part.read_bytes()[20 : 20 + length])["nodes"][0]
+    assert min(abs(value) for value in node["matrix"][12:15]) > 2000
+
+
+def test_levels_of_an_egs_are_used(tmp_path, monkeypatch):
+    scene = random_scene(900, 1)
+    write_ply(tmp_path / "a.ply", scene)
+    encode_file(tmp_path / "a.ply", tmp_path / "a.egs", SmallBlocks("m", lod=True, block_size=64))
+    used: list[Blocks | None] = []
+
+    def watched(*of: Any, blocks: Blocks | None = None, **options: Any) -> Any:
+        used.append(blocks)
+        return tile_levels(*of, blocks=blocks, most=300, **options)
+
+    monkeypatch.setattr("gs_codec.files.writing.tile_levels", watched)
+    convert_file(tmp_path / "a.egs", tmp_path / "new" / TILESET)
+    [blocks] = used
+    assert blocks is not None
+    assert blocks.size == 60
+    assert [len(level.errors) for level in blocks.coarser] == [4, 1]
+    names = sorted(str(p.relative_to(tmp_path / "new")) for p in (tmp_path / "new").rglob("*.glb"))
+    # A tile of 240 Gaussians has four blocks.
+    assert names == [*(f"tiles/0/{k}.glb" for k in range(4)), "tiles/1/0.glb", "tiles/2/0.glb"]
+    np.testing.assert_allclose(
+        np.sort(read_scene(tmp_path / "new/tiles/1/0.glb", coordinates=None).positions),
+        np.sort(turn_axes(blocks.coarser[0].scene, "RUB").positions),
+        atol=1e-2,
+    )
+    root = json.loads((tmp_path / "new" / TILESET).read_text())["root"]
+    assert root["geometricError"] == 16 * float(blocks.coarser[1].errors[0])
+    convert_file(tmp_path / "a.ply", tmp_path / "other" / TILESET)
+    assert used[1] is None
+
+
+def test_the_antialias_flag_is_in_all_tiles(tmp_path, scene):
+    tiled(tmp_path, replace(scene, comments=(ANTIALIASED,)))
+    assert read_scene(tmp_path / TILESET).antialiased
+    assert read_scene(tmp_path / "tiles/1/0.glb").antialiased
+
+
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_do_not_matter(threads, scene, folder):
+    files, _ = tile_levels(scene, replace(CONFIG, threads=threads), most=MOST)
+    assert list(files)[-1] == TILESET
+    for name, data in files.items():
+        assert (folder / name).read_bytes() == data, name
+
+
+# Places
+
+
+def test_places_on_the_earth():
+    np.testing.assert_allclose(frame_at((0, 0, 10))[:3, 3], [6378147, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(frame_at((0, 90, 0))[:3, 3], [0, 0, 6356752.3142], atol=1e-4)
+    frame = frame_at((90, 0, 0))
+    np.testing.assert_allclose(frame[:3, :3].T, [[-1, 0, 0], [0, 0, 1], [0, 1, 0]], atol=1e-9)
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        place = (rng.uniform(-180, 180), rng.uniform(-90, 90), rng.uniform(-400, 9000))
+        found = place_of(frame_at(place)[:3, 3])
+        assert found is not None
+        np.testing.assert_allclose(found, place, atol=1e-6)
+    assert place_of(np.zeros(3)) is None
+    assert place_of(np.array([500_000.0, 5_400_000.0, 300.0])) is None
+
+
+def test_a_place_changes_no_numbers_of_the_scene(folder, tmp_path, scene, caplog):
+    document = tiled(tmp_path, scene, at=AT)
+    matrix = np.array(document["root"]["transform"]).reshape(4, 4).T
+    np.testing.assert_array_equal(matrix, frame_at(AT))
+    assert_same_floats(read_scene(tmp_path / TILESET), read_scene(folder / TILESET))
+    path = tmp_path / TILESET
+    said = f"{path}: left out: its place on the earth, --at 8.5400000,47.3700000,410.000"
+    assert caplog.messages == [said]
+
+
+@pytest.mark.parametrize("at", [(181, 0, 0), (0, -91, 0), (0, 0, 1e6), (0, math.nan, 0)])
+def test_places_elsewhere_are_refused(at, scene):
+    with pytest.raises(InvalidInput, match="expected a longitude"):
+        tile_levels(scene, CONFIG, at)
+
+
+# Conversions
+
+
+def test_a_conversion_makes_its_folder_and_counts_all_files(tmp_path, caplog):
+    write_ply(tmp_path / "scene.ply", random_scene(300, 1))
+    done = convert_file(tmp_path / "scene.ply", tmp_path / "new" / TILESET, at=AT)
+    files = [path for path in (tmp_path / "new").rglob("*") if path.is_file()]
+    assert done.file_bytes == sum(path.stat().st_size for path in files)
+    assert (done.count, done.coordinates) == (300, "RUB")
+    assert not any("left out" in line for line in caplog.messages)
+    assert done.lost[0].endswith("or to the steps of profile m")
+    again = convert_file(tmp_path / "new" / TILESET, tmp_path / "again" / TILESET)
+    assert not again.lost[0].endswith("profile m")
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "version": ({"config": Config(format="spz", spz_version=4)}, "spz_version"),
+    "format": ({"config": Config(format="sog")}, "format 'sog', expected"),
+    "profile": ({"config": Config("lossless")}, "profile 'lossless'"),
+    "max-memory": ({"max_memory": 10**9}, "max-memory"),
+    "place": ({"at": (0, 100, 0)}, "at 0,100,0: expected"),
+    "coordinates": ({"coordinates": "LUF"}, "coordinates 'LUF', expected RUB"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_incompatible_options_are_refused(case, tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(30, 1))
+    options, said = REFUSED[case]
+    with pytest.raises(InvalidInput, match=said):
+        convert_file(tmp_path / "scene.ply", tmp_path / "new" / TILESET, **options)
+    assert [path.name for path in tmp_path.rglob("*")] == ["scene.ply"]
+
+
+def test_a_place_is_of_tiles_alone(tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(30, 1))
+    with pytest.raises(InvalidInput, match=r"at: has no effect, expected tileset\.json"):
+        convert_file(tmp_path / "scene.ply", tmp_path / "a.spz", at=AT)
+    with pytest.raises(InvalidInput, match="no directory"):
+        convert_file(tmp_path / "scene.ply", tmp_path / "a" / "b" / TILESET)
+
+
+def test_no_gaussians_and_nan_are_refused():
+    with pytest.raises(InvalidInput, match=r"no Gaussians, tileset\.json has at least one"):
+        tile_levels(random_scene(0, 1), CONFIG)
+    scene = random_scene(30, 1)
+    scene.positions[1, 7] = np.nan
+    with pytest.raises(InvalidInput, match="not finite"):
+        tile_levels(scene, CONFIG)
+    assert tile_levels(scene, replace(CONFIG, nonfinite="drop"))[0]
+
+
+# Tilesets of others
+
+
+def glb(count: int, seed: int) -> bytes:
+    return pack_gltf(random_scene(count, 0, seed=seed))[0]
+
+
+def made(folder: Path, root: dict[str, Any], **others: Any) -> Path:
+    """A handwritten tileset with contents `a.glb`, `b.glb` and `c.glb`."""
+    for seed, name in enumerate("abc"):
+        (folder / f"{name}.glb").write_bytes(glb(5 + seed, seed))
+    described = {"asset": {"version": "1.0"}, "geometricError": 9, "root": root, **others}
+    path = folder / "any.json"
+    path.write_text(json.dumps(described))
+    return path
+
+
+def uri(name: str) -> dict[str, Any]:
+    return {"content": {"uri": name}}
+
+
+@pytest.mark.parametrize(("refine", "count"), [("REPLACE", 13), ("ADD", 18), ("add", 18)])
+def test_children_replace_their_parent_or_add_to_it(refine, count, tmp_path):
+    root = {**uri("a.glb"), "refine": refine, "children": [uri("b.glb"), uri("./c.glb")]}
+    path = made(tmp_path, root)
+    assert read_scene(path).count == count
+    told = overview_of(path)
+    assert (told.format, told.count) == ("3d tiles", count)
+    assert told.file_bytes == sum(p.stat().st_size for p in tmp_path.iterdir())
+
+
+def test_transforms_and_tilesets_in_tilesets(tmp_path):
+    shift = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 10, 20, 30, 1]
+    turn = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    root = {"children": [{"transform": turn, **uri("in/tileset.json")}], "transform": shift}
+    path = made(tmp_path, root)
+    (tmp_path / "in").mkdir()
+    inner = {"contents": [{"url": "x%20y.glb"}]}
+    (tmp_path / "in/tileset.json").write_text(json.dumps({"root": inner}))
+    (tmp_path / "in/x y.glb").write_bytes(glb(5, 0))
+    plain = state_system(read_scene(tmp_path / "a.glb", coordinates=None), "RUB")
+    back = read_scene(path, coordinates=None)
+    x, y, z = plain.positions
+    # East, north, up are x, -z, y; turned by a quarter, then shifted.
+    east, north, up = z + 10, x + 20, y + 30
+    np.testing.assert_allclose(back.positions, [east, up, -north], rtol=1e-5, atol=1e-5)
+
+
+TREE = ("root", "children", 0)
+
+
+def edited(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
+    def edit(document: dict[str, Any]) -> None:
+        *above, last = path
+        place: Any = document
+        for step in above:
+            place = place[step]
+        place[last] = to
+
+    return edit
+
+
+BAD = {
+    "no root": (edited("root", to=None), "no root tile"),
+    "root of text": (edited("root", to="a"), "no root tile"),
+    "no content": (edited("root", to={}), "no tile with content"),
+    "children of text": (edited("root", "children", to=["a"]), "children is not a list of objects"),
+    "children of an object": (edited("root", "children", to={}), "children is not a list"),
+    "content of text": (edited(*TREE, "content", to="a.glb"), "content 'a.glb', expected an obj"),
+    "contents of text": (
+        edited("root", "children", to=[{"contents": "a"}]),
+        "contents is not a list of objects",
+    ),
+    "no name": (edited(*TREE, "content", to={}), "content: file None, expected one in its folder"),
+    "name of a number": (edited(*TREE, "content", "uri", to=7), "file 7, expected one"),
+    "elsewhere": (edited(*TREE, "content", "uri", to="../a.glb"), r"file '\.\./a\.glb', expected"),
+    "escaped": (edited(*TREE, "content", "uri", to="%2e%2e/a.glb"), "expected one in its folder"),
+    "root folder": (edited(*TREE, "content", "uri", to="/a.glb"), "expected one in its folder"),
+    "other host": (edited(*TREE, "content", "uri", to="https://a/a.glb"), "in its folder"),
+    "query": (edited(*TREE, "content", "uri", to="a.glb?v=1"), "expected one in its folder"),
+    "b3dm": (edited(*TREE, "content", "uri", to="a.b3dm"), r"'a\.b3dm' is not read, expected"),
+    "missing": (edited(*TREE, "content", "uri", to="d.glb"), r"d\.glb: No such file"),
+    "twice": (edited(*TREE, "content", "uri", to="b.glb"), "belongs to several tiles"),
+    "itself": (edited(*TREE, "content", "uri", to="any.json"), "belongs to several tiles"),
+    "implicit": (edited(*TREE, "implicitTiling", to={}), "implicitTiling is not read"),
+    "no matrix": (edited(*TREE, "transform", to=[1]), "tile.transform is not a list of 16"),
+    "stretched": (
+        edited(*TREE, "transform", to=np.diag([1.0, 2, 3, 1]).ravel().tolist()),
+        "stretches or shears",
+    ),
+    "flat": (edited(*TREE, "transform", to=[0] * 16), "stretches or shears"),
+    "huge": (edited(*TREE, "transform", to=[1e300] * 16), "stretches or shears|glTF|not finite"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_tilesets_are_refused_in_one_line(name, tmp_path):
+    path = made(tmp_path, {"children": [uri("a.glb"), uri("b.glb")]})
+    document = json.loads(path.read_text())
+    edit, message = BAD[name]
+    edit(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_scene(path)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_what_is_no_tileset_is_refused(tmp_path):
+    path = made(tmp_path, uri("a.glb"))
+    data = path.read_bytes()
+    for end in (1, len(data) // 2, len(data) - 1):
+        (tmp_path / TILESET).write_bytes(data[:end])
+        with pytest.raises(InvalidInput):
+            read_scene(tmp_path / TILESET)
+    (tmp_path / "a.glb").write_bytes((tmp_path / "a.glb").read_bytes()[:-1])
+    with pytest.raises(InvalidInput, match=r"any\.json: a\.glb: glTF"):
+        read_scene(path)
+
+
+def test_many_large_tiles_in_small_files_are_refused(tmp_path):
+    path = made(tmp_path, {"children": [uri("a.glb"), uri("b.glb")]})
+    with pytest.raises(InvalidInput, match="11 Gaussians of 616 bytes; at most 300"):
+        read_scene(path, max_bytes=300)
+
+
+def test_verify_reads_all_levels(copy):
+    check_file(copy / TILESET)
+    (copy / "tiles/1/0.glb").write_bytes(b"glTF")
+    assert read_scene(copy / TILESET).count == 1150
+    with pytest.raises(InvalidInput, match=r"tiles/1/0\.glb"):
+        check_file(copy / TILESET)
+
+
+# CesiumJS
+
+
+@pytest.mark.slow
+def test_the_validator_of_3d_tiles_finds_nothing_but_unknown_attributes(tmp_path):
+    program = PACKAGES / "3d-tiles-validator/build/main.js"
+    if not (NODE and program.is_file()):
+        pytest.skip("3d-tiles-validator: not installed ('make peers')")
+    tiled(tmp_path, random_scene(500, 1), at=AT)
+    command = [NODE, str(program), "--tilesetFile", str(tmp_path / TILESET)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+
+    def found(issues: list[dict[str, Any]]) -> Iterator[str]:
+        for issue in issues:
+            if "causes" in issue:
+                yield from found(issue["causes"])
+            elif issue["severity"] != "INFO":
+                yield issue["message"]
+
+    issues = json.loads(ended.stdout[ended.stdout.index("{") :]).get("issues", [])
+    assert {*found(issues)} <= {"Invalid attribute name."}
+
+
+@pytest.mark.slow
+def test_cesium_shows_coarse_tiles_first_and_then_the_same_picture(tmp_path):
+    if not (NODE and CHROMIUM and (PACKAGES / "cesium").is_dir()):
+        pytest.skip("CesiumJS: not installed ('make peers')")
+    scene = generate(4000, 3, seed=5)
+    # Without background: a viewer inside the box of a tile shows it in full detail.
+    scene = scene.take(np.abs(scene.positions).max(axis=0) < 1.5)
+    document = tiled(tmp_path, scene, most=1000, at=AT)
+    errors = [document["geometricError"], document["root"]["geometricError"]]
+    views = [replace(each, fx=each.fx, fy=each.fx) for each in cameras(2, 480, 320)]
+    # Right, up, back of the scene are east, up, south.
+    turn = frame_at(AT)[:3, :3] @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    described = [
+        {
+            "width": view.width, "height": view.height, "focal": view.fx, "near": 0.1, "far": 100,
+            "position": (turn @ view.position + frame_at(AT)[:3, 3]).tolist(),
+            "direction": (turn @ view.rotation[2]).tolist(),
+            "up": (turn @ -view.rotation[1]).tolist(),
+            # Between the errors of the root and of no tile, a unit away.
+            "coarse": view.fx * math.sqrt(math.prod(errors)),
+        }
+        for view in views
+    ]  # fmt: skip
+    (tmp_path / "views.json").write_text(json.dumps(described))
+    script = Path(__file__).with_name("cesium_view.mjs")
+    command = [NODE, script, PACKAGES, CHROMIUM, tmp_path / TILESET, tmp_path / "views.json"]
+    subprocess.run([*map(str, command), str(tmp_path)], check=True, timeout=400)
+    shown = json.loads((tmp_path / "drawn.json").read_text())
+    names = [[name.partition("/files/")[2] for name in tiles] for tiles in shown if tiles]
+    assert names[0] == ["tiles/1/0.glb"]
+    assert names[-1] == [f"tiles/0/{k}.glb" for k in range(3)]
+    coarse, *fine = (
+        decibels(seen(tmp_path / f"{name}.png"), drawn(scene, view))
+        for name, view in zip(("first", 0, 1), (views[0], *views), strict=True)
+    )
+    assert min(fine) > 38
+    assert coarse < min(fine)

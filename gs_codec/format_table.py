@@ -341,11 +341,11 @@ USD = SceneFormat(
     require=_ours("usd.scene", "require_usd_core"),
 )
 
-#: Checkpoints of gsplat (`.pt`) and splatfacto (`.ckpt`). Files with these suffixes in folders may
-#: be anything.
+#: Checkpoints of gsplat (`.pt`), splatfacto (`.ckpt`) and INRIA's trainer (`.pth`). Files with
+#: these suffixes in folders may be anything.
 CHECKPOINT = SceneFormat(
     name="pt",
-    read=(".pt", ".ckpt"),
+    read=(".pt", ".ckpt", ".pth"),
     signatures=(ZIP,),
     recognises=_ours("checkpoint", "is_checkpoint"),
     reader=_ours("checkpoint", "read_checkpoint"),

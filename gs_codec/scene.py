@@ -57,6 +57,9 @@ NORMALS = ("nx", "ny", "nz")
 
 #: PLY comment of a scene that was trained with opacity compensation.
 ANTIALIASED = "SplatRenderMode: mip"
+
+#: PLY comment of a scene of flat Gaussians (2DGS), as of splat-transform.
+FLAT = "SplatRenderMode: 2dgs"
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 
 
@@ -142,8 +145,13 @@ def coordinates_of(comments: Iterable[str]) -> str | None:
 
 def antialiased_of(comments: Iterable[str]) -> bool:
     """Whether comments ask for opacity compensation, as in `Scene.antialiased`."""
+    return render_mode(comments) in ("mip", "1")
+
+
+def render_mode(comments: Iterable[str]) -> str:
+    """The last render mode in comments, in lower case; empty if there is none."""
     found = [m[1].lower() for m in map(_RENDER_MODE.fullmatch, comment_lines(comments)) if m]
-    return bool(found) and found[-1] in ("mip", "1")
+    return found[-1] if found else ""
 
 
 def offset_of(comments: Iterable[str]) -> Shift | None:

@@ -120,6 +120,51 @@ def test_losses_of_a_checkpoint_are_reported(tmp_path, caplog):
     assert report.lost[0] in caplog.text
 
 
+def captured(scene: Scene) -> tuple[dict, tuple]:
+    """Storages by name, and what INRIA's trainer saves of a scene."""
+    arrays = tensors_of(scene)
+    arrays["opacities"] = arrays["opacities"][:, None]
+    names = ("means", "sh0", "shN", "scales", "quats", "opacities")
+    storages = {f"data/{i}": arrays[name].tobytes() for i, name in enumerate(names)}
+    tensors = [
+        StoredTensor(
+            *("torch FloatStorage", str(i), arrays[name].size, 0, arrays[name].shape),
+            tuple(stride // 4 for stride in np.ascontiguousarray(arrays[name]).strides),
+        )
+        for i, name in enumerate(names)
+    ]
+    return storages, ((3, *tensors, {"state": {}}, 5), 30000)
+
+
+def test_checkpoints_of_inrias_trainer_are_read(tmp_path):
+    scene = random_scene(20, 3)
+    storages, root = captured(scene)
+    path = tmp_path / "chkpnt30000.pth"
+    path.write_bytes(zipped(**{"data.pkl": write_pickle(root), **storages}))
+    assert_same(read_scene(path), scene)
+    assert stated_bytes(path) == scene.float_bytes
+    path.write_bytes(zipped(**{"data.pkl": write_pickle(((3, *root[0][1:6]), 1)), **storages}))
+    assert_refused(path, "without 'means', expected one of gsplat, splatfacto or INRIA's trainer")
+
+
+@needs_torch
+def test_what_pytorch_saves_of_inrias_trainer_is_read(tmp_path):
+    """Parameters, and an optimiser with a learning rate of NumPy."""
+    import torch
+
+    splats = trained()
+    names = ("means", "sh0", "shN", "scales", "quats", "opacities")
+    values = [torch.nn.Parameter(splats[name].detach().clone()) for name in names]
+    values[-1] = torch.nn.Parameter(values[-1].detach()[:, None])
+    optimizer = torch.optim.Adam([{"params": values, "name": "xyz", "lr": np.float64(1e-3)}])
+    sum(value.sum() for value in values).backward()
+    optimizer.step()
+    others = (torch.zeros(30), torch.zeros(30, 1), torch.zeros(30, 1), optimizer.state_dict(), 1.5)
+    torch.save(((3, *values, *others), 7000), tmp_path / "chkpnt7000.pth")
+    expected = {name: value.detach() for name, value in zip(names, values, strict=True)}
+    assert_trained(read_scene(tmp_path / "chkpnt7000.pth"), expected)
+
+
 @pytest.mark.one_in(4)
 @needs_torch
 @pytest.mark.parametrize("mapped", [False, True])

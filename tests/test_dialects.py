@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import foreign
 import numpy as np
 import pytest
 from refusals import assert_refused
@@ -187,6 +189,33 @@ def test_2d_gaussians_are_flat(tmp_path, caplog):
     assert caplog.messages == [f"{path}: a 2DGS scene without scale_2; its Gaussians are flat"]
     path.write_text(text_ply([*names, "scale_2"], ["1 2 3 4 5 6 7 8 9 1 0 0 0 -inf"] * 2))
     np.testing.assert_array_equal(read_scene(path).log_scale, scene.log_scale)
+
+
+def test_2d_gaussians_stay_so_in_sog_and_ply(tmp_path, caplog):
+    """SOG states the model, as splat-transform does; a PLY has its comment."""
+    names = [name for name in LAYOUT if name != "scale_2"]
+    (tmp_path / "a.ply").write_text(text_ply(names, ["1 2 3 4 5 6 7 -3 -4 1 0 0 0"] * 2))
+    convert_file(tmp_path / "a.ply", tmp_path / "a.sog")
+    convert_file(tmp_path / "a.sog", tmp_path / "b.ply")
+    convert_file(tmp_path / "b.ply", tmp_path / "meta.json")
+    for path in (tmp_path / "meta.json", tmp_path / "a.sog"):
+        caplog.clear()
+        scene = read_scene(path)
+        assert caplog.messages == [f"{path}: a 2DGS scene; its Gaussians are flat"]
+        np.testing.assert_allclose(scene.log_scale[:, 0], [-3, -4, -14], atol=1e-3)
+    assert scene.comments == read_ply(tmp_path / "b.ply").comments == ("SplatRenderMode: 2dgs",)
+    assert json.loads((tmp_path / "meta.json").read_text())["model"] == "2dgs"
+
+
+def test_the_first_frame_of_an_animation_of_brush_is_read(tmp_path, caplog):
+    vertex = np.zeros(3, [(name, "<f4") for name in LAYOUT])
+    vertex["rot_0"] = 1
+    more = np.zeros(3, [(name, "u1") for name in ("x", "y", "z")])
+    elements = [("vertex", vertex), ("meta_delta_min_1", more[:1]), ("delta_vertex_1", more)]
+    (tmp_path / "a.ply").write_bytes(foreign.ply_file(elements))
+    assert read_scene(tmp_path / "a.ply").count == 3
+    told = "left out: elements meta_delta_min_1, delta_vertex_1"
+    assert caplog.messages == [f"{tmp_path / 'a.ply'}: {told}"]
 
 
 @pytest.mark.parametrize("profile", ["m", "paper-m"])

@@ -814,7 +814,6 @@ BAD_SOG = {
     "a number": (zip_of(b"2"), "no 'means', not a SOG"),
     "version 3": (bad_sog(setting("version", value=3)), "version 3, expected 1 or 2"),
     "version []": (bad_sog(setting("version", value=[])), r"version \[\], expected"),
-    "2DGS": (bad_sog(setting("model", value="2dgs")), "flat Gaussians"),
     "model of a list": (bad_sog(setting("model", value=[1])), "expected a name"),
     "no quats": (bad_sog(lambda meta: meta.pop("quats")), "no 'quats'"),
     "quats of a list": (bad_sog(setting("quats", value=[1])), "no 'quats'"),

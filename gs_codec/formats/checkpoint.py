@@ -1,4 +1,4 @@
-"""Checkpoints of trainers in PyTorch's files: gsplat's ``.pt``, and splatfacto's ``.ckpt``.
+"""Checkpoints of gsplat (``.pt``), splatfacto (``.ckpt``) and INRIA's trainer (``.pth``).
 
 A file is a zip of a pickle, which describes the content, and of an entry with each tensor's values.
 Nothing named in the pickle is executed.
@@ -53,6 +53,9 @@ _FLOAT = "torch FloatStorage"
 #: Entries of a checkpoint begin at multiples of this offset, as in PyTorch's files.
 _MULTIPLE = 64
 
+#: Tensors of INRIA's trainer, after the SH degree; `opacities` are a column.
+_CAPTURED = ("means", "sh0", "shN", "scales", "quats", "opacities")
+
 #: Prefix of splatfacto's tensor names.
 _MODEL = "_model.gauss_params."
 
@@ -79,7 +82,14 @@ def _opened(path: Path) -> Iterator[tuple[Archive, str, dict[str, StoredTensor]]
 
 
 def _splats(root: Any) -> dict[str, StoredTensor]:
-    """Tensors by name, from the first dictionary with ``means``; prefixes are ignored."""
+    """Tensors by name, from the first dictionary with ``means``; prefixes are ignored.
+
+    INRIA's trainer and trainers built on it (``chkpnt30000.pth``) have a tuple of tensors in it.
+    """
+    state = root[0] if isinstance(root, tuple) and root else ()
+    captured = state[1:7] if isinstance(state, tuple) else ()
+    if len(captured) == 6 and all(isinstance(each, StoredTensor) for each in captured):
+        return dict(zip(_CAPTURED, captured, strict=True))
     outer = [root, *root.values()] if isinstance(root, dict) else []
     # Each dictionary once, because a hostile file may contain one a million times.
     for state in {id(state): state for state in outer if isinstance(state, dict)}.values():
@@ -90,7 +100,8 @@ def _splats(root: Any) -> dict[str, StoredTensor]:
                 known = (*NAMES, *NERFSTUDIO)
                 return {n: tensors[before + dot + n] for n in known if before + dot + n in tensors}
     raise InvalidInput(
-        "a checkpoint of PyTorch without 'means', expected one of gsplat or splatfacto"
+        "a checkpoint of PyTorch without 'means', expected one of gsplat, splatfacto or INRIA's "
+        "trainer"
     )
 
 

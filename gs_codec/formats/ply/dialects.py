@@ -21,7 +21,7 @@ from gs_codec.formats.packed_values import spans
 from gs_codec.formats.ply.ply_header import Element
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import Scene, is_extra_name
+from gs_codec.scene import FLAT, Scene, is_extra_name, render_mode
 
 log = logging.getLogger(__name__)
 
@@ -89,6 +89,11 @@ def say_dialect(where: str | Path, names: Collection[str]) -> None:
 def is_flat(names: Collection[str]) -> bool:
     """Whether properties are those of 2D Gaussians."""
     return {"scale_0", "scale_1"} <= {*names} and "scale_2" not in names
+
+
+def with_model(comments: tuple[str, ...], names: Collection[str]) -> tuple[str, ...]:
+    """Comments of a PLY with these properties; of 2D Gaussians, they say so."""
+    return (*comments, FLAT) if is_flat(names) and not render_mode(comments) else comments
 
 
 def fuse_filter(

@@ -25,6 +25,7 @@ from gs_codec.formats.ply.dialects import (
     refuse_no_gaussians,
     say_dialect,
     with_flat,
+    with_model,
 )
 from gs_codec.formats.ply.packed import PACKED_ELEMENTS, beyond_packed, is_packed, read_packed
 from gs_codec.formats.ply.ply_header import PlyHeader
@@ -215,7 +216,7 @@ def scene_of(
             named = {*columns, *moving(others)}
             left_out = [name for name in others if name not in named]
             say_left_out(path, left_out, elements, _lines(ply.header))
-        comments = ply.header.comments
+        comments = with_model(ply.header.comments, data.dtype.names or ())
         if shift is not None:
             before = offset_of(comments) or (0.0, 0.0, 0.0)
             comments = with_offset(comments, np.subtract(before, shift))

@@ -19,6 +19,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
+from gs_codec.formats.ply.dialects import with_flat
 from gs_codec.formats.sog.files import (
     FIRST_TAG,
     PALETTE_COLUMNS,
@@ -30,7 +31,7 @@ from gs_codec.formats.sog.files import (
 )
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, FLAT, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
 
@@ -65,9 +66,10 @@ def scene_of_unit(
     `spare` replaces `SPARE`, with less for each of many scenes.
     """
     meta = unit.meta
-    if meta.model == "2dgs":
-        raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
-    if meta.model not in ("default", "antialiased"):
+    is_flat = meta.model == "2dgs"
+    if is_flat:
+        log.warning("%s: a 2DGS scene; its Gaussians are flat", where)
+    elif meta.model not in ("default", "antialiased"):
         say_left_out(where, others=[f"unknown model '{ascii(meta.model)[1:40]}'"])
 
     def load(name: str, rows: int, width: int = 1) -> NDArray[np.uint8]:
@@ -81,14 +83,15 @@ def scene_of_unit(
         opacity = meta.tables["sh0"][colours[3], 3][None]
     else:
         opacity = opacities_of(where, colours[3])
+    log_scale = _looked_up(meta.tables["scales"], _values(meta, "scales", load))
     return Scene(
         _centres(meta, load),
         _looked_up(meta.tables["sh0"], colours),
         _read_palette(meta, load, file_bytes, max_bytes),
         opacity,
-        _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
+        with_flat(log_scale[:2]) if is_flat else log_scale,
         _quaternions(where, _values(meta, "quats", load)),
-        comments=(ANTIALIASED,) if meta.antialiased else (),
+        comments=(FLAT,) if is_flat else (ANTIALIASED,) if meta.antialiased else (),
     )
 
 

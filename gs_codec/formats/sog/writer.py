@@ -33,7 +33,7 @@ from gs_codec.formats.sog.palette import fit_palette
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, render_mode
 
 #: Maximum pixels along a side of an image.
 _LARGEST_SIDE = (1 << 14) - 4
@@ -95,6 +95,8 @@ def sog_files_of(
     if scene.antialiased:
         # As specified, and as splat-transform reads it.
         meta |= {"antialias": True, "model": "antialiased"}
+    elif render_mode(scene.comments) == "2dgs":
+        meta["model"] = "2dgs"
     images: dict[str, NDArray[np.uint8]] = {}
     groups = dict(_GROUPS)
     if scene.sh_degree:

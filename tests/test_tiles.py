@@ -422,6 +422,26 @@ def test_many_large_tiles_in_small_files_are_refused(tmp_path):
         read_scene(path, max_bytes=300)
 
 
+def test_coarser_levels_can_be_read(folder, tmp_path):
+    for level, count in enumerate([1150, 288, 72]):
+        done = convert_file(folder / TILESET, tmp_path / f"{level}.ply", level=level)
+        assert abs(done.count - count) <= 4
+    with pytest.raises(InvalidInput, match="level 3: the tileset has levels 0 to 2"):
+        convert_file(folder / TILESET, tmp_path / "3.ply", level=3)
+    with pytest.raises(InvalidInput, match=r"level: expected an \.egs or a tileset\.json"):
+        convert_file(folder / "tiles/0/0.glb", tmp_path / "3.ply", level=1)
+    root = {**uri("a.glb"), "children": [uri("b.glb"), {"children": [uri("c.glb")]}]}
+    # A tile without content is replaced by its children.
+    for level, count in enumerate([13, 13, 5]):
+        assert read_scene(made(tmp_path, root), level=level).count == count
+
+
+def test_levels_of_an_egs_can_be_read(tmp_path):
+    write_ply(tmp_path / "a.ply", random_scene(900, 1))
+    encode_file(tmp_path / "a.ply", tmp_path / "a.egs", SmallBlocks("m", lod=True, block_size=64))
+    assert convert_file(tmp_path / "a.egs", tmp_path / "b.ply", level=1).count == 225
+
+
 def test_verify_reads_all_levels(copy):
     check_file(copy / TILESET)
     (copy / "tiles/1/0.glb").write_bytes(b"glTF")

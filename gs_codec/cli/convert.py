@@ -68,6 +68,10 @@ def command(
             "north.",
         ),
     ] = None,
+    level: Annotated[
+        int,
+        typer.Option(metavar="N", min=0, help="Coarser level to read of an .egs or 3D Tiles."),
+    ] = 0,
     cameras: Annotated[
         str | None,
         typer.Option(
@@ -88,7 +92,7 @@ def command(
                 files, out, config, coordinates, actions=typed.actions, plan=plan,
                 progress=progress, max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
                 overwrite=typed["overwrite"], by_profile=typed.has("profile", "coarseness"),
-                at=_place(at),
+                at=_place(at), level=level,
             )  # fmt: skip
         _say_what_changed(done)
         if typed["json"]:

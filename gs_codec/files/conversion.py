@@ -98,6 +98,7 @@ def convert_file(
     overwrite: bool = False,
     by_profile: bool = False,
     at: tuple[float, float, float] | None = None,
+    level: int = 0,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix, atomically.
 
@@ -135,6 +136,8 @@ def convert_file(
     at : tuple of three float, optional
         Longitude and latitude in degrees and height in metres of the origin of 3D Tiles, on the
         ellipsoid WGS 84: right becomes east, forward north. Default: not on the earth.
+    level : int
+        Level of detail of the sources; 1 and more, which are coarser, for `.egs` and 3D Tiles only.
 
     Returns
     -------
@@ -168,7 +171,7 @@ def convert_file(
     shifts = early_shifts(sources, actions, stated)
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            read = partial(_read, config, stated, progress, max_bytes, exact)
+            read = partial(_read, config, stated, progress, max_bytes, exact, level)
             scenes = list(map(read, shifts or repeat(None), sources))
         with located(" + ".join(map(str, sources))):
             before = system_of(scenes[0])
@@ -185,7 +188,8 @@ def convert_file(
                 scene = turn_scene(scene, before if wanted == "keep" else wanted.upper())
         with times.stage("write"):
             blocks = None
-            if suffix == TILESET and len(sources) == 1 and chosen is None and not actions:
+            changes = chosen is not None or actions or level
+            if suffix == TILESET and len(sources) == 1 and not changes:
                 blocks = blocks_in(sources[0], scene)
             lost, rendered = write_scene(target, scene, config, finest=finest, at=at, blocks=blocks)
     after = own or system_of(scene)
@@ -223,10 +227,12 @@ def _read(
     progress: Progress | None,
     most: int | None,
     exact: bool,
+    level: int,
     shift: Shift | None,
     source: str | Path,
 ) -> Scene:
     """The scene of a file, in the system that the file states or that the caller states for it."""
-    scene = read_scene(source, config.chosen_extra(keeps=True), progress, None, most, exact, shift)
+    extra = config.chosen_extra(keeps=True)
+    scene = read_scene(source, extra, progress, None, most, exact, shift, level)
     with located(source):
         return state_system(scene, stated.upper()) if stated else scene

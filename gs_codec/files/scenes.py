@@ -48,13 +48,14 @@ def read_scene(
     max_bytes: int | None = None,
     exact: bool = False,
     shift: Shift | None = None,
+    level: int = 0,
 ) -> Scene:
     """Read a scene in any format; see `gs_codec.read` for the options.
 
     It is converted to the system `coordinates`; None keeps the file's. If `exact`, floats are as in
-    the file, including infinite opacities. For `shift`, see `SceneFile`.
+    the file, including infinite opacities. For `shift` and `level`, see `SceneFile`.
     """
-    with open_scene(path, shift) as file:
+    with open_scene(path, shift, level) as file:
         return scene_in(file, extra, progress, coordinates, max_bytes, exact)
 
 
@@ -69,7 +70,8 @@ def scene_in(
     """The scene of an opened file; see `read_scene`."""
     if file.format == "egs":
         with located(file.path):
-            scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
+            part = Part(level=file.level)
+            scene, read = decode_part(file.data, part, max_bytes=max_bytes, progress=progress)
             scene = matching.with_order(scene, matching.order_of_file(describe(read)))
             scene = scene_without(file.path, with_filter(file.path, scene), extra)
         scene = scene if exact else with_finite_ends(scene, file.path)

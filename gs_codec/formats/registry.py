@@ -18,6 +18,8 @@ from gs_codec.format_table import (
     COMPRESSED_PLY,
     FORMATS,
     PLY,
+    TILES,
+    TILESET,
     SceneFormat,
     read,
     unmarked_names,
@@ -50,11 +52,14 @@ class SceneFile:
         The bytes of the file.
     shift : tuple of three float, optional
         Translation of centres before rounding; see `has_doubles`.
+    level : int
+        Level of detail to read; only `.egs` and 3D Tiles have coarser ones than 0.
     """
 
     path: Path
     data: FileBytes
     shift: Shift | None = None
+    level: int = 0
 
     @cached_property
     def format(self) -> str:
@@ -162,8 +167,11 @@ class SceneFile:
         return scene if exact else with_finite_ends(scene, self.path)
 
     def _scene(self, extra: Extra, max_bytes: int | None) -> Scene:
+        if self.level and self._recognised is not TILES:
+            raise InvalidInput(f"{self.path}: level: expected an .egs or a {TILESET}")
         if (reader := self._recognised.reader) is not None:
-            scene = reader(self.path, self._whole, max_bytes)
+            coarser = (self.level,) if self.level else ()
+            scene = reader(self.path, self._whole, max_bytes, *coarser)
         else:
             scene = scene_of(self.ply, extra, max_bytes, shift=self.shift)
         self.data.check_unchanged()
@@ -171,10 +179,10 @@ class SceneFile:
 
 
 @contextmanager
-def open_scene(path: str | Path, shift: Shift | None = None) -> Iterator[SceneFile]:
+def open_scene(path: str | Path, shift: Shift | None = None, level: int = 0) -> Iterator[SceneFile]:
     """Open the file of a scene, in any format; raises like `opened`."""
     with opened(path) as data:
-        yield SceneFile(Path(path), data, shift)
+        yield SceneFile(Path(path), data, shift, level)
 
 
 @dataclass(frozen=True)

@@ -144,27 +144,37 @@ class _Tileset:
         with opened(self._folder / content.name) as file:
             return reader(Path(content.name), file[:])
 
-    def contents(self, finest: bool) -> list[_Content]:
-        """Contents of the finest tiles, or of all; every file once."""
-        found = [*self._contents(finest)]
+    def contents(self, level: int | None = 0) -> list[_Content]:
+        """Contents of the tiles of a level, 0 for the finest, or of all; every file once.
+
+        Raises InvalidInput if there are none.
+        """
+        most = _heights(self._root)[id(self._root)]
+        if level is not None and not 0 <= level <= most:
+            raise InvalidInput(f"level {level}: the tileset has levels 0 to {most}")
+        found = [*self._contents(level)]
         if not found:
             raise InvalidInput("tileset: no tile with content")
         return found
 
-    def _contents(self, finest: bool) -> Iterator[_Content]:
+    def _contents(self, level: int | None) -> Iterator[_Content]:
         left = [("", self._root, np.eye(4), "")]
+        heights, roots = _heights(self._root), []
         while left:
             base, tile, above, refine = left.pop()
             refine = str(tile.get("refine", refine)).upper()
             matrix = above @ _transform(tile)
-            children = _objects(tile, "children")
-            left += [(base, child, matrix, refine) for child in reversed(children)]
-            if finest and children and refine != "ADD":
-                continue
-            for content in _contents(tile):
+            children, contents = _objects(tile, "children"), _contents(tile)
+            if level is None or heights[id(tile)] > level or not contents:
+                left += [(base, child, matrix, refine) for child in reversed(children)]
+                if children and level is not None and refine != "ADD":
+                    continue
+            for content in contents:
                 found = self._file(base, content.get("uri", content.get("url")))
                 if found.lower().endswith(".json"):
-                    left.append((found, self._root_in(found), matrix, refine))
+                    roots.append(self._root_in(found))  # kept, so that every `id` stays its own
+                    heights |= _heights(roots[-1])
+                    left.append((found, roots[-1], matrix, refine))
                 else:
                     yield _Content(found, matrix)
 
@@ -195,6 +205,16 @@ def _root_of(data: memoryview) -> dict[str, Any]:
     return root
 
 
+def _heights(root: dict[str, Any]) -> dict[int, int]:
+    """Number of levels below each tile of a file, by the tile's `id`."""
+    tiles, heights = [root], dict[int, int]()
+    for tile in tiles:
+        tiles += _objects(tile, "children")
+    for tile in reversed(tiles):
+        heights[id(tile)] = max((heights[id(x)] + 1 for x in _objects(tile, "children")), default=0)
+    return heights
+
+
 def _objects(tile: dict[str, Any], name: str) -> list[dict[str, Any]]:
     found = tile.get(name, [])
     if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
@@ -219,14 +239,14 @@ def _transform(tile: dict[str, Any]) -> NDArray[np.float64]:
     return np.array(numbers(tile["transform"], 16, "tile.transform")).reshape(4, 4).T
 
 
-def read_tiles(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
-    """Read the finest tiles of a tileset; see `SceneFile.scene`.
+def read_tiles(path: Path, data: memoryview, max_bytes: int | None, level: int = 0) -> Scene:
+    """Read the tiles of a level of a tileset, 0 for the finest; see `SceneFile.scene`.
 
     If it is on the earth, axes are those at its first tile, and the place is left out.
     """
     with located(path):
         tileset = _Tileset(path, data)
-        contents = tileset.contents(finest=True)
+        contents = tileset.contents(level)
         stated = _stated(tileset, contents)
         check_count(*stated, tileset.stored_bytes(contents), max_bytes)
         inverse = _from_earth(path, contents[0].matrix)
@@ -273,7 +293,7 @@ def check_all(path: Path, data: memoryview, max_bytes: int | None) -> None:
     """Read all tiles; raises like `read_tiles`."""
     with located(path):
         tileset = _Tileset(path, data)
-        for each in tileset.contents(finest=False):
+        for each in tileset.contents(level=None):
             _scenes(tileset, each, max_bytes, np.eye(4))
 
 
@@ -281,11 +301,11 @@ def tiles_bytes(path: Path, data: memoryview) -> int:
     """Size of a tileset with all its tiles."""
     with located(path):
         tileset = _Tileset(path, data)
-        return tileset.stored_bytes(tileset.contents(finest=False))
+        return tileset.stored_bytes(tileset.contents(level=None))
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
     """Number of Gaussians of the finest tiles, and their largest SH degree."""
     with located(path):
         tileset = _Tileset(path, data)
-        return _stated(tileset, tileset.contents(finest=True))
+        return _stated(tileset, tileset.contents())

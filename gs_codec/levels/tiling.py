@@ -89,15 +89,15 @@ def tile_levels(
         levels = [Level(bare, np.zeros(-(-bare.count // size), np.float32)), *blocks.coarser]
         while FANOUT * size <= most:
             size *= FANOUT
-        comments = stated_comments(TILES.system, clean.antialiased)
+        comments = stated_comments(None, clean.antialiased)
+        del clean, order
         files: dict[str, bytes] = {}
         tiles: list[list[Tile]] = []
         clipped: list[Clipped] = []
         coded = steps_of_levels((level.scene for level in levels), config)
         for number, (level, (whole, steps)) in enumerate(zip(levels, coded, strict=True)):
             wanted = AttributeSteps.least(whole) if finest and not number else steps
-            turned = replace(turn_axes(whole, TILES.system), comments=comments)
-            packed = _packed(turned, wanted, size, config.effort)
+            packed = _packed(replace(whole, comments=comments), wanted, size, config.effort)
             names = [f"tiles/{number}/{k}.glb" for k in range(len(packed))]
             errors = np.maximum.reduceat(
                 level.errors, range(0, len(level.errors), size // blocks.size)
@@ -114,11 +114,11 @@ def tile_levels(
 def _packed(
     scene: Scene, steps: AttributeSteps, size: int, effort: Effort
 ) -> list[tuple[bytes, NDArray[np.float64], Clipped]]:
-    """Bytes, box, and numbers of clipped Gaussians of each tile of a level in `TILES.system`."""
+    """Bytes, box in `TILES.system`, and numbers of clipped Gaussians of each tile of a level."""
 
     def pack(start: int) -> tuple[bytes, NDArray[np.float64], Clipped]:
         some, clipped = slice(start, min(start + size, scene.count)), Clipped()
-        part = scene.between(some.start, some.stop)
+        part = turn_axes(scene.between(some.start, some.stop), TILES.system)
         middle = (part.positions.min(axis=1) + part.positions.max(axis=1)) / 2
         place = (TILES.system, middle.tolist())
         data, _ = pack_gltf_spz(part, steps.take(some), effort, clipped=clipped, place=place)

@@ -30,7 +30,7 @@ VALUES = {
     "device": "--device cpu", "overwrite": "--overwrite", "channels": "--channels",
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
     "lpips": "--lpips weights.pth", "effort": "--effort fast",
-    "gltf-compression": "--gltf-compression spz",
+    "gltf-compression": "--gltf-compression spz", "at": "--at 8,47,400", "level": "--level 1",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -57,6 +57,7 @@ IGNORED = {
     "batch scene.ply out --target-ratio 9": ("max-memory",),
     "convert scene.ply o.splat": (
         *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER, "gltf-compression",
+        *("at", "level"),
     ),
     "encode scene.ply o.glb": ("profile", "effort", "cameras"),
     "convert scene.egs o.ply": ("keep-order",),

@@ -16,8 +16,10 @@ import pytest
 from orbits import cameras
 from other_programs import PACKAGES
 from scenes import SmallBlocks, assert_same_floats, random_scene
+from typer.testing import CliRunner
 from web_pages import CHROMIUM, NODE, decibels, drawn, seen
 
+from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.conversion import convert_file
@@ -276,6 +278,15 @@ def test_incompatible_options_are_refused(case, tmp_path):
     with pytest.raises(InvalidInput, match=said):
         convert_file(tmp_path / "scene.ply", tmp_path / "new" / TILESET, **options)
     assert [path.name for path in tmp_path.rglob("*")] == ["scene.ply"]
+
+
+@pytest.mark.parametrize("typed", ["8,47", "8,47,x", "8,47,400,1", ""])
+def test_a_place_that_is_no_place_is_refused(typed, tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(30, 1))
+    command = ["convert", str(tmp_path / "scene.ply"), str(tmp_path / TILESET), f"--at={typed}"]
+    error = CliRunner().invoke(app, command).exception
+    assert isinstance(error, InvalidInput)
+    assert str(error) == f"--at {typed}: expected LON,LAT,HEIGHT"
 
 
 def test_a_place_is_of_tiles_alone(tmp_path):

@@ -134,7 +134,8 @@ OF_FILE = {
     "degree": ({"maxSh": 4}, "SH degree 4, expected 0 to 3"),
     "chunks": ({"chunks": 3}, "chunks: expected a list"),
     "no chunks": ({"chunks": []}, "chunks of 0 Gaussians, expected 5"),
-    "beyond": ({"chunks": [{"offset": 9, "bytes": 9999}]}, "chunk 0: 9,999 bytes at .*, of "),
+    "beyond": ({"chunks": [{"offset": 9999, "bytes": 9}]}, "chunk 0: 9 bytes at .*, of "),
+    "overlap": ({"chunks": 99 * [{"bytes": 900}]}, "chunks of 89,100 bytes, of "),
     "elsewhere": (
         {"chunks": [{"filename": "../b.radc"}]},
         "chunks in '../b.radc'..., expected names of different files",

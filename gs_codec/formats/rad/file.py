@@ -193,6 +193,9 @@ class RadFile:
         if degree >= len(SH_COEFFICIENTS):
             raise InvalidInput(f"SH degree {degree}, expected 0 to {len(SH_COEFFICIENTS) - 1}")
         self.ranges = [] if self.is_part else _dictionaries(about, "chunks")
+        own = [_whole(each, "bytes") for each in self.ranges if "filename" not in each]
+        if sum(own) > len(data):  # reading them would take long
+            raise InvalidInput(f"chunks of {counted(sum(own), 'byte')}, of {len(data):,}")
         names = [each["filename"] for each in self.ranges if "filename" in each]
         if not all(map(is_file_name, names)) or len(set(names)) < len(names):
             raise InvalidInput(f"chunks in {names[0]!a:.60}..., expected names of different files")

@@ -117,8 +117,8 @@ def _packed(
     """Bytes, box in `TILES.system`, and numbers of clipped Gaussians of each tile of a level."""
 
     def pack(start: int) -> tuple[bytes, NDArray[np.float64], Clipped]:
-        some, clipped = slice(start, min(start + size, scene.count)), Clipped()
-        part = turn_axes(scene.between(some.start, some.stop), TILES.system)
+        some, clipped = np.arange(start, min(start + size, scene.count)), Clipped()
+        part = turn_axes(scene.take(some), TILES.system)
         middle = (part.positions.min(axis=1) + part.positions.max(axis=1)) / 2
         place = (TILES.system, middle.tolist())
         data, _ = pack_gltf_spz(part, steps.take(some), effort, clipped=clipped, place=place)

@@ -199,6 +199,7 @@ SPZ = SceneFormat(
     system="RUB",
     sorts=True,
     floats_per_byte=20,
+    in_parts=True,
 )
 
 SOG = SceneFormat(
@@ -403,6 +404,7 @@ STREAMED_SOG = SceneFormat(
     is_rounded=True,
     keeps=(FLAG,),
     floats_per_byte=20,
+    in_parts=True,
 )
 
 TILES = SceneFormat(

@@ -448,7 +448,7 @@ def test_versions_of_spz_are_chosen(ply, tmp_path):
         ("o.spz --block-size 2048", "--block-size has no effect on o.spz, expected an .egs"),
         ("o.spz --depth sh-ac=3", "--depth has no effect on o.spz"),
         ("o.spz -p paper-m", "format 'spz': profile 'paper-m', expected l, m, s"),
-        ("o.spz --max-memory 1GB", "--max-memory has no effect on o.spz"),
+        ("o.sog --max-memory 1GB", "--max-memory has no effect on o.sog"),
         ("o.glb --cameras auto", "--cameras has no effect on .glb, whose values are exact"),
         ("o.usdz --cameras auto", "--cameras has no effect on .usdz, whose values are exact"),
         ("o.splat --views 8", "--views has no effect without views"),

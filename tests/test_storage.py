@@ -19,6 +19,7 @@ from gs_codec.codecs.memory_limit import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput
+from gs_codec.files.conversion import convert_file
 from gs_codec.files.decode_file import decode_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.formats.ply.file import read_ply
@@ -95,6 +96,21 @@ def test_files_are_the_same_with_constant_page_release(profile, tmp_path, monkey
     decode_file(whole, tmp_path / "within.ply", max_memory=1)
     assert (tmp_path / "within.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
     assert slabs.verify_file(within, max_memory=1).count == 6000
+
+
+@pytest.mark.usefixtures("everything_on_disk")
+@pytest.mark.parametrize("name", ["a.spz", "a.ssog"])
+def test_other_formats_are_the_same_with_constant_page_release(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(memory_limit, "_check", lambda least, what: None)
+    write_ply(tmp_path / "scene.ply", generate(6000, 1, 1))
+    written = []
+    for limit in (None, 1):
+        folder = tmp_path / f"{limit}"
+        folder.mkdir()
+        found = convert_file(tmp_path / "scene.ply", folder / name, max_memory=limit)
+        written.append(((folder / name).read_bytes(), found.rendered))
+    assert written[0] == written[1]
+    assert written[0][1] is not None
 
 
 @pytest.mark.thorough

@@ -243,10 +243,6 @@ REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
         lambda source, target: prepare_file(source, target, Plan(Steps(prune=9), width=16)),
         "`convert` writes that",
     ),
-    "max-memory": (
-        lambda source, target: convert_file(source, target, max_memory=10**9),
-        "max-memory",
-    ),
     "lod": (lambda source, target: convert_file(source, target, Config(lod=True)), "lod"),
     "profile": (
         lambda source, target: convert_file(source, target, Config("lossless")),

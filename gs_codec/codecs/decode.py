@@ -58,7 +58,7 @@ def decode_as(config: Config, data: bytes | Readable, progress: Progress | None 
         return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
     from gs_codec.codecs.interchange import decode_interchange
 
-    return decode_interchange(bytes(data), config)
+    return decode_interchange(data[:], config)
 
 
 def decode_part(

@@ -21,10 +21,13 @@ from gs_codec.config import (
 )
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import FORMATS, TILESET, format_of
+from gs_codec.format_table import FORMATS, TILESET, format_of, format_of_file
 from gs_codec.plan import Plan, Steps
 
 _ADAPTIVE = ", ".join(ADAPTIVE_PROFILES)
+
+#: Formats in which scenes are encoded below a memory limit.
+_IN_PARTS = ", ".join(each.name for each in FORMATS if each.in_parts and each.writes == "steps")
 
 # Values, for all callers
 
@@ -44,8 +47,8 @@ def check_request(
         if plan is not None or rate is not None:
             raise InvalidInput("max-memory: cannot be combined with views, preparation or a target")
         _check_levels(config)
-        if config.format != EGS:
-            raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
+        if not config.scene_format.in_parts:
+            raise InvalidInput(f"max-memory: format '{config.format}', expected {_IN_PARTS}")
     check_actions(actions, plan, max_memory is not None, coded=plan is not None)
     if config.effort == "high" and config.format == EGS and plan is None:
         raise InvalidInput("effort 'high': has no effect on an .egs without cameras")
@@ -169,7 +172,8 @@ def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
         settings += [RateTarget, Steps]
         typed.refuse(["gt_images"], f"has no effect on {where}")
     used = (*_OF_ALL, *known.options, *(_OF_STEPS if known.writes == "steps" else ()))
-    used = (*used, "max_memory") if known.in_parts else used
+    written = (target and format_of_file(target.name)) or known  # streamed SOG is coded as SOG
+    used = (*used, "max_memory") if written.in_parts else used
     names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
     unused = [name for name in ("preset", "max_memory", *names) if name not in used]
     for name in unused:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.scene import Scene
+from gs_codec.runtime.arrays import empty
+from gs_codec.scene import Scene, gather
 
 
 class ShGrid(NamedTuple):
@@ -24,6 +25,10 @@ class ShGrid(NamedTuple):
 
     steps: NDArray[np.float32]
     offset: float
+
+
+#: Attributes with step sizes for each band or axis.
+_OF_ROWS = ("f_rest", "log_scale")
 
 
 @dataclass(frozen=True)
@@ -53,10 +58,16 @@ class AttributeSteps:
     rot: NDArray[np.floating]
 
     @classmethod
+    def of_size(cls, count: int) -> AttributeSteps:
+        """Step sizes of a number of Gaussians, to be set."""
+        return cls(**{f.name: empty(_shape(f.name, count), np.float64) for f in fields(cls)})
+
+    @classmethod
     def least(cls, scene: Scene) -> AttributeSteps:
         """Step sizes finer than those of any format."""
-        rows = {"f_rest": (3, scene.count), "log_scale": (3, scene.count)}
-        return cls(**{f.name: np.zeros(rows.get(f.name, scene.count)) for f in fields(cls)})
+        zero = np.zeros(())
+        count = scene.count
+        return cls(**{f.name: np.broadcast_to(zero, _shape(f.name, count)) for f in fields(cls)})
 
     @classmethod
     def joined(cls, parts: Sequence[AttributeSteps]) -> AttributeSteps:
@@ -68,6 +79,21 @@ class AttributeSteps:
         """Step sizes multiplied by a factor."""
         return replace(self, **{f.name: factor * getattr(self, f.name) for f in fields(self)})
 
-    def take(self, index: NDArray[np.integer] | slice) -> AttributeSteps:
+    def set(self, some: slice, values: AttributeSteps) -> None:
+        """Set the step sizes of a span of Gaussians."""
+        for f in fields(self):
+            getattr(self, f.name)[..., some] = getattr(values, f.name)
+
+    def take(self, index: NDArray[np.integer]) -> AttributeSteps:
         """Step sizes of the Gaussians selected by `index`, in that order."""
-        return replace(self, **{f.name: getattr(self, f.name)[..., index] for f in fields(self)})
+        rows = {f.name: np.atleast_2d(getattr(self, f.name)) for f in fields(self)}
+        taken = {name: gather(planes, index) for name, planes in rows.items()}
+        return replace(self, **{n: t if n in _OF_ROWS else t[0] for n, t in taken.items()})
+
+    def between(self, some: slice) -> AttributeSteps:
+        """Step sizes of a span of Gaussians, without copying."""
+        return replace(self, **{f.name: getattr(self, f.name)[..., some] for f in fields(self)})
+
+
+def _shape(name: str, count: int) -> tuple[int, ...]:
+    return (3, count) if name in _OF_ROWS else (count,)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
@@ -32,7 +33,7 @@ def planes_of(channels: int, count: int, values: Callable[[slice], NDArray]) -> 
 
     The temporary arrays of `values`, often larger than the result, then stay small.
     """
-    planes = np.empty((channels, count), np.float32)
+    planes = empty((channels, count), np.float32)
     for some in spans(count):
         planes[:, some] = values(some)
     return planes

@@ -26,6 +26,7 @@ from gs_codec.formats.sog.writer import REACH, numbers, sog_files_of
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.adding import config_of_levels
 from gs_codec.levels.building import coarsen
+from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import ANTIALIASED, Scene, join_scenes
 
@@ -42,7 +43,7 @@ _SMALLER = np.float32(np.log(3))
 
 def stream_levels(
     scene: Scene, config: Config, leaf: int = LEAF, most: int = FILE, finest: bool = False
-) -> tuple[dict[str, bytes], tuple[str, ...]]:
+) -> tuple[dict[str, bytes | memoryview], tuple[str, ...]]:
     """The files of a scene as streamed SOG, and sentences on what they cannot represent.
 
     Every leaf has all levels, made only from its own Gaussians, so that viewers can choose a level
@@ -61,14 +62,14 @@ def stream_levels(
 
     Returns
     -------
-    files : dict of str to bytes
+    files : dict of str to bytes or memoryview
         Files by name, which may include a folder; `lod-meta.json` comes last.
     lost : tuple of str
     """
     with using_threads(config.threads, scene.count):
         scene, order, moved = prepared(scene, config, STREAMED)
         leaves = _leaves(scene.take(order), leaf)
-        files: dict[str, bytes] = {}
+        files: dict[str, bytes | memoryview] = {}
         runs: list[list[Run]] = []
         losses: list[str] = [*moved]
         names: list[str] = []
@@ -78,11 +79,14 @@ def stream_levels(
             runs.append(_runs([part.count for part in parts], most, len(names)))
             for number, (start, stop) in enumerate(_extents(runs[-1])):
                 part = whole.between(start, stop)
-                own = steps.take(slice(start, stop))
+                own = steps.between(slice(start, stop))
                 if finest and not level:
                     own = AttributeSteps.least(part)
                 contents, lost = sog_files_of(part, own, config.effort)
-                files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
+                files |= {
+                    f"{level}_{number}/{name}": current().keep_bytes(data)
+                    for name, data in contents.items()
+                }
                 names.append(f"{level}_{number}/{UNBUNDLED}")
                 losses += lost
         boxes = run_all(_box, leaves)

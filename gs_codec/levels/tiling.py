@@ -47,7 +47,7 @@ def tile_levels(
     finest: bool = False,
     blocks: Blocks | None = None,
     most: int = TILE,
-) -> tuple[dict[str, bytes], tuple[str, ...]]:
+) -> tuple[dict[str, bytes | memoryview], tuple[str, ...]]:
     """The files of a scene as 3D Tiles, and sentences on what they cannot represent.
 
     Raises InvalidInput if there are no Gaussians, or if values are not finite and
@@ -69,7 +69,7 @@ def tile_levels(
 
     Returns
     -------
-    files : dict of str to bytes
+    files : dict of str to bytes or memoryview
         Files by name, which may include a folder; `tileset.json` comes last.
     lost : tuple of str
     """
@@ -91,7 +91,7 @@ def tile_levels(
             size *= FANOUT
         comments = stated_comments(None, clean.antialiased)
         del clean, order
-        files: dict[str, bytes] = {}
+        files: dict[str, bytes | memoryview] = {}
         tiles: list[list[Tile]] = []
         clipped: list[Clipped] = []
         coded = steps_of_levels((level.scene for level in levels), config)
@@ -121,7 +121,7 @@ def _packed(
         part = turn_axes(scene.take(some), TILES.system)
         middle = (part.positions.min(axis=1) + part.positions.max(axis=1)) / 2
         place = (TILES.system, middle.tolist())
-        data, _ = pack_gltf_spz(part, steps.take(some), effort, clipped=clipped, place=place)
+        data, _ = pack_gltf_spz(part, steps.between(some), effort, clipped=clipped, place=place)
         return data, box_of(part).astype(np.float64), clipped
 
     return run_all(pack, range(0, scene.count, size))

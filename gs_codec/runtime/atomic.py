@@ -193,7 +193,7 @@ def _keep_name(folder: Path) -> None:
             os.close(descriptor)
 
 
-def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
+def write_files(folder: str | Path, files: Mapping[str, bytes | memoryview]) -> None:
     """Write files by name into a folder; missing folders are created.
 
     Raises InvalidInput if a folder cannot be made, or a file cannot be written; files already

@@ -26,6 +26,8 @@ from gs_codec.coding.exact_math import combine
 from gs_codec.coding.far import bring_nearer
 from gs_codec.config import AdaptiveProfile
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.packed_values import spans
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
 #: Maximum difference between step sizes of SH-AC and SH-DC, in octaves.
@@ -104,17 +106,35 @@ def camera_free_steps(scene: Scene, profile: AdaptiveProfile) -> StepSizes:
 
 def wanted_steps(scene: Scene, steps: StepSizes) -> AttributeSteps:
     """Step sizes of each attribute of a scene without NaN, infinity or quaternions of norm 0."""
+    # Camera-guided step sizes are whole octaves apart. Without this dither, writers that round to
+    # powers of two would switch all of them at once, and file sizes would jump.
+    dithered = {
+        rule
+        for rule, row in steps.coefficients.items()
+        if _octaves_of(rule, steps).any() and not row[1:].any()
+    }
+    wanted = AttributeSteps.of_size(scene.count)
+
+    def fill(some: slice) -> None:
+        wanted.set(some, _wanted(scene.between(some.start, some.stop), steps, some, dithered))
+
+    run_all(fill, spans(scene.count))
+    return wanted
+
+
+def _octaves_of(rule: str, steps: StepSizes) -> NDArray[np.uint8]:
+    return steps.colour_class if rule == "colour" else steps.shape_class
+
+
+def _wanted(scene: Scene, steps: StepSizes, some: slice, dithered: set[str]) -> AttributeSteps:
+    """Step sizes of the Gaussians `some`, which are those of `scene`."""
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     known = features(scene.opacity[0].astype(np.float64), scales)
 
     def wanted(rule: str, more: NDArray | float = 0.0) -> NDArray[np.float64]:
-        octaves = steps.colour_class if rule == "colour" else steps.shape_class
-        row = steps.coefficients[rule]
-        whole = octaves + combine(row, known) + more
-        if octaves.any() and not row[1:].any():
-            # Camera-guided step sizes are whole octaves apart. Without this dither, writers that
-            # round to powers of two would switch all of them at once, and file sizes would jump.
-            whole += np.arange(scene.count) * _GOLDEN % 1 - 0.5
+        whole = _octaves_of(rule, steps)[some] + combine(steps.coefficients[rule], known) + more
+        if rule in dithered:
+            whole += np.arange(some.start, some.stop) * _GOLDEN % 1 - 0.5
         return np.exp2(np.clip(whole, _FINEST, _COARSEST[rule]))
 
     alike = likeness(to_fixed(scales, LARGEST)[0])

@@ -58,7 +58,7 @@ def pack_tree(
 
     def chunk(some: slice) -> tuple[bytes, Clipped]:
         part, clipped = scene.between(some.start, some.stop), Clipped()
-        values = dict(_values(part, steps.take(some), bounds, clipped))
+        values = dict(_values(part, steps.between(some), bounds, clipped))
         if children.any():
             values["child_count", "u16"] = children[some].astype("<u2")
             values["child_start", "u32"] = starts[some].astype("<u4")

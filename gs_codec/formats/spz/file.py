@@ -21,6 +21,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.format_table import SPZ
 from gs_codec.formats.extra_properties import say_degree_4, say_left_out
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
@@ -57,6 +58,9 @@ _SYSTEMS = (
     *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
     *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
 )
+
+#: Bytes of a gzip stream that are inflated at once.
+_PIECE = 1 << 20
 
 #: Compression levels of gzip: 0.7, 2.5 and 10 seconds of processor time per million Gaussians.
 GZIP_LEVELS: Mapping[Effort, int] = {"fast": 1, "normal": 6, "high": 9}
@@ -116,13 +120,13 @@ def read_streams(
 
     Raises InvalidInput if it is not a valid file, or decodes to more than `max_bytes`.
     """
-    data = bytes(view)
-    if data.startswith(MAGIC) and int.from_bytes(data[4:8], "little") > 3:
-        header, streams, extensions = _decompress(data, max_bytes)
-    elif data.startswith((GZIP, MAGIC)):
-        header, streams, extensions = _read_one_stream(data, max_bytes)
+    start = bytes(view[:8])
+    if start.startswith(MAGIC) and int.from_bytes(start[4:], "little") > 3:
+        header, streams, extensions = _decompress(view, max_bytes)
+    elif start.startswith((GZIP, MAGIC)):
+        header, streams, extensions = _read_one_stream(view, max_bytes)
     else:
-        raise InvalidInput(f"begins with {data[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
+        raise InvalidInput(f"begins with {start[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
     if header.unknown:
         say_left_out(path, others=[f"unknown flags {header.unknown:#x}"])
     if header.sh_degree == len(SH_COEFFICIENTS):
@@ -173,17 +177,46 @@ def _check_header(
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
     """Number of Gaussians and SH degree stated in the header; raises like `read_spz`."""
     with located(path):
-        head, _ = _head_of(bytes(view[:1024]))
+        head, _ = _head_of(view[:1024])
         _, version, *fields, _ = _HEADER.unpack(head)
         header = _check_header(version, tuple(fields), len(view), None)
         return header.count, header.read_degree
 
 
-def _head_of(data: bytes) -> tuple[bytes, zlib._Decompress | None]:
-    """The plain header; or the one in a gzip stream, and the decompressor for the rest."""
-    inflater = None if data.startswith(MAGIC) else zlib.decompressobj(wbits=31)
-    with refusing("gzip stream"):
-        head = inflater.decompress(data, _HEADER.size) if inflater else data[: _HEADER.size]
+class _Inflater:
+    """Inflates a gzip stream piece by piece, so that neither form of it is copied as a whole."""
+
+    def __init__(self, data: memoryview) -> None:
+        self._data, self._fed = data, 0
+        self._object = zlib.decompressobj(wbits=31)
+
+    def inflate(self, most: int) -> memoryview:
+        """At most this number of further bytes; fewer only at the end."""
+        inflated, size = empty((most,), np.uint8), 0
+        with refusing("gzip stream"):
+            while size < most and not self._object.eof:
+                piece: bytes | memoryview = self._object.unconsumed_tail
+                if not piece:
+                    piece = self._data[self._fed : self._fed + _PIECE]
+                    self._fed += len(piece)
+                found = self._object.decompress(piece, most - size)
+                if not found and self._fed == len(self._data):
+                    break
+                inflated[size : size + len(found)] = np.frombuffer(found, np.uint8)
+                size += len(found)
+        return inflated[:size].data
+
+    @property
+    def ended(self) -> bool:
+        """Whether the stream is complete, and ends with the data."""
+        whole = self._fed == len(self._data) and not self._object.unused_data
+        return self._object.eof and whole
+
+
+def _head_of(data: memoryview) -> tuple[bytes, _Inflater | None]:
+    """The plain header; or the one in a gzip stream, and the inflater for the rest."""
+    inflater = None if data[: len(MAGIC)] == MAGIC else _Inflater(data)
+    head = bytes(inflater.inflate(_HEADER.size) if inflater else data[: _HEADER.size])
     if not head.startswith(MAGIC) or (inflater and len(head) < _HEADER.size):
         raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
     if len(head) < _HEADER.size:
@@ -191,7 +224,9 @@ def _head_of(data: bytes) -> tuple[bytes, zlib._Decompress | None]:
     return head, inflater
 
 
-def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
+def _read_one_stream(
+    data: memoryview, max_bytes: int | None
+) -> tuple[SpzHeader, list[Bytes], bytes]:
     """Header, attributes and trailing data of versions 1 to 3, from a gzip stream or plain."""
     head, inflater = _head_of(data)
     _, version, *fields, _ = _HEADER.unpack(head)
@@ -202,13 +237,12 @@ def _read_one_stream(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, lis
     bounds = np.cumsum([0, *(size * header.count for size in header.sizes)]).tolist()
     least = bounds[-1] + (_NODE * header.count if header.has_tree else 0)
     limit = least + (1 << 20 if header.flags & _EXTENSIONS else 0)
-    body, ended = memoryview(data)[_HEADER.size :], True
+    body, ended = data[_HEADER.size :], True
     if inflater:
-        with refusing("gzip stream"):
-            body = memoryview(inflater.decompress(inflater.unconsumed_tail, limit + 1))
-            while header.unknown and inflater.unconsumed_tail:
-                inflater.decompress(inflater.unconsumed_tail, 1 << 20)
-        ended = inflater.eof and not inflater.unused_data
+        body = inflater.inflate(limit + 1)
+        while header.unknown and inflater.inflate(_PIECE):
+            pass
+        ended = inflater.ended
     if len(body) < least:
         raise InvalidInput(f"{counted(len(body), 'byte')} of attributes, expected {least:,}")
     if not ended or (len(body) > limit and not header.unknown):
@@ -245,7 +279,7 @@ def _leaves(
     return replace(header, count=count), [rows.data.cast("B") for rows in kept]
 
 
-def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
+def _decompress(data: memoryview, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
     """Header, attributes and extensions of version 4."""
     if len(data) < _ZSTD_HEADER.size:
         raise InvalidInput(
@@ -276,13 +310,13 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Byt
     offset += sum(packed for packed, _ in entries)  # possible data of unknown flags
     if offset != len(data):
         raise InvalidInput(f"{counted(len(data) - offset, 'byte')} left over after the last stream")
-    return header, streams, data[_ZSTD_HEADER.size : table]
+    return header, streams, bytes(data[_ZSTD_HEADER.size : table])
 
 
 _STREAMS = ("positions", "opacities", "colours", "scales", "rotations", "SH")
 
 
-def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
+def _decompress_stream(packed: memoryview, name: str, size: int) -> bytes:
     """Decompress one zstd frame; check its stated size, if any, before allocating memory."""
     if not size:
         return b""

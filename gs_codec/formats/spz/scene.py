@@ -39,6 +39,7 @@ from gs_codec.formats.spz.file import (
     pack_streams,
     read_streams,
 )
+from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, stated_comments
 
@@ -162,11 +163,11 @@ def pack_spz(
     turned = turn_axes(nearer.take(order), system)
     flags = ANTIALIASED if scene.antialiased else 0
     header = SpzHeader(version, scene.count, scene.sh_degree, bits, flags)
-    streams = [np.empty((scene.count, size), np.uint8) for size in header.sizes]
+    streams = [empty((scene.count, size), np.uint8) for size in header.sizes]
     own = Clipped() if clipped is None else clipped
     for some in spans(scene.count):
         part = turned.between(some.start, some.stop)
-        packed = _bytes_of(part, steps.take(some), bits, own)
+        packed = _bytes_of(part, steps.between(some), bits, own)
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
     said = () if clipped is not None else own.sentences()

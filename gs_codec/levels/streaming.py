@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_steps
 from gs_codec.codecs.matching import without_order
+from gs_codec.codecs.memory_limit import check_encoding
 from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.far import bring_nearer
@@ -48,7 +49,7 @@ def stream_levels(
 
     Every leaf has all levels, made only from its own Gaussians, so that viewers can choose a level
     for each leaf without drawing anything twice. Raises InvalidInput if there are no Gaussians, or
-    if values are not finite and ``config.nonfinite`` is not ``drop``.
+    if values are not finite and ``config.nonfinite`` is not ``drop``, or a memory limit is too low.
 
     Parameters
     ----------
@@ -66,6 +67,7 @@ def stream_levels(
         Files by name, which may include a folder; `lod-meta.json` comes last.
     lost : tuple of str
     """
+    check_encoding(scene.count, config)
     with using_threads(config.threads, scene.count):
         scene, order, moved = prepared(scene, config, STREAMED)
         leaves = _leaves(scene.take(order), leaf)

@@ -121,7 +121,7 @@ def _packed(
         part = turn_axes(scene.take(some), TILES.system)
         middle = (part.positions.min(axis=1) + part.positions.max(axis=1)) / 2
         place = (TILES.system, middle.tolist())
-        data, _ = pack_gltf_spz(part, steps.between(some), effort, clipped=clipped, place=place)
+        data, _ = pack_gltf_spz(part, steps.take(some), effort, clipped=clipped, place=place)
         return data, box_of(part).astype(np.float64), clipped
 
     return run_all(pack, range(0, scene.count, size))

@@ -18,7 +18,7 @@ from gs_codec.coding.axes import sort_axes, with_real_part
 from gs_codec.preparation.adam import LARGEST
 from gs_codec.preparation.optimise import view_of
 from gs_codec.preparation.reference_views import ReferenceViews
-from gs_codec.rendering.gradients import Differentiated, differentiate
+from gs_codec.rendering.gradients import FROM_END, Differentiated, differentiate
 from gs_codec.rendering.image_loss import differentiate_squares
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
@@ -50,13 +50,10 @@ _BETA_1 = 0.9
 _BETA_2 = 0.99
 
 #: Number of Gaussians that a task moves.
-_CHUNK = 1000
+_CHUNK = 1 << 12
 
 #: Number of Gaussians between the one whose values are requested from memory and the one moved.
 _AHEAD = 8
-
-#: Columns of derivatives by opacity, log-scales and rotation, from the end of a row of slopes.
-_FROM_END = 8
 
 
 def round_jointly(
@@ -129,7 +126,7 @@ class _Descent:
             slopes = np.zeros((stop - start, VALUES), np.float32)
             for view in seen:
                 bounds = np.searchsorted(view.chosen, (start, stop))
-                own = view.slopes(*bounds)
+                own = view.slopes(*bounds, sh_ac=False)
                 places = view.chosen[slice(*bounds)]
                 _add(own, places, start, self.shaped.order, self.decoded.rot, source.rot, slopes)
             _move(
@@ -184,7 +181,7 @@ def _half_turn(a, b, i, j):
 @kernel
 def _add(own, places, start, order, decoded, rot, slopes):
     """Add a view's derivatives of Gaussians `places` to ``slopes (chunk, 13)`` from `start`."""
-    end = own.shape[1] - _FROM_END
+    end = own.shape[1] - FROM_END
     half = np.float32(0.5)
     for row in range(len(places)):
         i = places[row]

@@ -45,8 +45,11 @@ Loss = Callable[[NDArray, NDArray], tuple[NDArray, float]]
 #: First f_dc column of a row of slopes.
 _F_DC = 3
 
-#: First f_rest column; opacity, log_scale and rot follow.
+#: First f_rest column.
 _F_REST = 6
+
+#: Columns of opacity, log_scale and rot, the last ones.
+FROM_END = 8
 
 
 @kernel
@@ -57,13 +60,13 @@ def differentiate_gaussians(
     """Fill ``slopes (stop - start, 14 + 3 K)``, with columns in the order of `GROUPS`.
 
     They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (M, 9)`` of
-    `sum_gradients`.
+    `sum_gradients`. With 14 columns, f_rest has none.
     """
     fx, fy, cx, cy = intrinsics
     to_world = rotation.T
     basis, weights = np.zeros(15), np.zeros(15)
     by_turn = np.empty((3, 3))
-    after = _F_REST + len(f_rest)
+    after = slopes.shape[1] - FROM_END
     for j in range(stop - start):
         i = chosen[start + j]
         total, slope = sums[start + j], slopes[j]
@@ -135,8 +138,10 @@ def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, sl
         by_value = total[BY_RED + channel] if value > 0.0 else 0.0
         slope[_F_DC + channel] = SH_C0 * by_value
         for k in range(coefficients):
-            slope[_F_REST + row + k] = basis[k] * by_value
             weights[k] += f_rest[row + k, i] * by_value
+        if len(slope) > _F_REST + FROM_END:
+            for k in range(coefficients):
+                slope[_F_REST + row + k] = basis[k] * by_value
     by_x, by_y, by_z = sh_slope(x, y, z, coefficients, weights)
     along = x * by_x + y * by_y + z * by_z
     return (
@@ -219,12 +224,13 @@ class Differentiated(NamedTuple):
     sums: NDArray[np.float64]
     chosen: NDArray[np.int64]
 
-    def slopes(self, start: int, stop: int) -> NDArray[np.float32]:
+    def slopes(self, start: int, stop: int, sh_ac: bool = True) -> NDArray[np.float32]:
         """Derivatives ``(stop - start, 14 + 3 K)`` by attributes of ``chosen[start:stop]``.
 
-        Columns are the channels of the groups, in the order of `GROUPS`.
+        Columns are the channels of the groups, in the order of `GROUPS`; without `sh_ac`, all but
+        those of f_rest.
         """
-        channels = channel_count(len(self.scene.f_rest) // 3)
+        channels = channel_count(len(self.scene.f_rest) // 3 if sh_ac else 0)
         slopes = np.empty((stop - start, channels), np.float32)
         differentiate_gaussians(
             *(getattr(self.scene, group) for group in GROUPS),

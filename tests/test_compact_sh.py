@@ -78,7 +78,7 @@ def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
     compacted, _ = compact_sh(scene, cameras, strength, smallest=smallest)
     weights = squared_weights(scene, cameras).astype(np.float64)
     before, after = (coefficients_of(x).astype(np.float64) for x in (scene, compacted))
-    ac = before.shape[2] - 1
+    ac, found = before.shape[2] - 1, set()
     penalty = strength * sum(c.width * c.height for c in cameras) / (ac * scene.count)
     for i in range(scene.count):
         offsets = [scene.positions[:, i].astype(np.float64) - c.position for c in cameras]
@@ -87,14 +87,21 @@ def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
         inertia = 1e-9 * weights[:, i].sum()
         solutions, turn = before[i].copy(), 0
         seen = solutions @ rows.T
+        form = known @ rows
+        for solution in solutions:
+            of_ac = form[:, 1:] @ solution[1:]
+            if solution[1:] @ of_ac[1:] - of_ac[0] ** 2 / form[0, 0] <= penalty:
+                solution[0] += of_ac[0] / form[0, 0]
+                solution[1:] = 0.0
+        flat = ~solutions[:, 1:].any(axis=1)
         while turn < 12:
             start = solutions.copy()
             for channel, solution in enumerate(start):
-                used = np.ones(1 + ac, bool) if turn == 0 else (solution != 0)
+                used = (solution != 0) | (turn == 0 and not flat[channel])
                 used[0] = True
                 damping = inertia + penalty / (np.abs(solution) + smallest / 2) ** 2
                 damping[0] = inertia
-                system = (known @ rows + np.diag(damping))[np.ix_(used, used)]
+                system = (form + np.diag(damping))[np.ix_(used, used)]
                 right = known @ seen[channel] + inertia * solution
                 solutions[channel] = 0.0
                 solutions[channel, used] = np.linalg.solve(system, right[used])
@@ -104,6 +111,11 @@ def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
             if np.abs(solutions - start).max() < 0.02 * smallest:
                 turn = max(turn, 10)
         np.testing.assert_allclose(after[i], solutions, rtol=1e-3, atol=1e-5)
+        found |= {
+            (bool(kept), bool(solution[1:].any()))
+            for kept, solution in zip(~flat, solutions, strict=True)
+        }
+    assert {(True, True), (False, False)} <= found
 
 
 # What must hold

@@ -52,6 +52,9 @@ _WORST = 16.0
 #: Share of the allowed cost below which one fold is enough to decide.
 _CLEAR = 0.5
 
+#: It is first tried on every n-th Gaussian. If errors do not grow, this decides.
+_TRIED = 4
+
 #: Values of a Gaussian without SH-AC; each takes one more bit when step sizes are halved.
 _OTHERS = 14
 
@@ -152,15 +155,17 @@ class Guidance:
         weights = self.weights[:, shaped.order]
         likely = likely_views(decoded, weights) if self.views.origin == "estimated" else None
 
-        def compacted(seen: Sequence[int]) -> Scene:
-            """The scene compacted with some of the views."""
+        def compacted(seen: Sequence[int], every: int = 1) -> Scene:
+            """Every n-th Gaussian, compacted with some of the views."""
+            part = np.arange(0, decoded.count, every)
+            some = decoded if every == 1 else decoded.take(part)
             return compact_sh(
-                decoded,
+                some,
                 [self.views.cameras[i] for i in seen],
-                profile.compaction / profile.left,
-                smallest=0.5 * steps,
-                weights=weights[list(seen)],
-                likely=likely,
+                profile.compaction / profile.left * some.count / decoded.count,
+                smallest=0.5 * steps[part],
+                weights=weights[list(seen), ::every],
+                likely=likely and likely._replace(weights=likely.weights[:, part]),
                 progress=self.progress,
             )[0]
 
@@ -172,33 +177,45 @@ class Guidance:
         self,
         decoded: Scene,
         steps: NDArray[np.float32],
-        compacted: Callable[[Sequence[int]], Scene],
+        compacted: Callable[[Sequence[int], int], Scene],
     ) -> bool:
         """Whether compaction pays off, measured in held-out views.
 
         Each fold compacts with most of the views and measures in the others. Compaction pays off
         if, in every fold, it saves more bits than finer steps would need to compensate for the
         error, and the largest error grows by at most `_WORST`. One fold is enough if the cost is
-        much lower. If views are few or far apart, compaction does not pay off: it would keep only
-        the colours visible in these views.
+        much lower, and every n-th Gaussian of it if there is no cost at all. If views are few or
+        far apart, compaction does not pay off: it would keep only the colours visible in these
+        views.
         """
         count = len(self.weights)
         if count < 2:
             return False
         operator = self._operator_of(decoded)
         plain, plain_bits, levels = _rounded(decoded, steps)
-        for first in range(0, min(_FOLD, count), 2):
-            others = range(first, count, _FOLD)
+
+        def tried(first: int, every: int) -> tuple[float, float, float]:
+            """Cost and saving in bits, and the growth of the largest error, of `_WORST`."""
+            others, part = range(first, count, _FOLD), slice(None, None, every)
             most = sorted(set(range(count)) - set(others))
-            sparse, sparse_bits, _ = _rounded(compacted(most), steps)
-            lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
+            sparse, sparse_bits, _ = _rounded(compacted(most, every), steps[part])
+            coded = replace(plain, f_dc=plain.f_dc.copy(), f_rest=plain.f_rest.copy())
+            coded.f_dc[:, part], coded.f_rest[:, part] = sparse.f_dc, sparse.f_rest
+            found, before = (self._errors(scene, operator, others) for scene in (coded, plain))
+            lost = np.maximum(before + every * (found - before), _EPS)
             # Halving all steps takes one bit for each non-zero value and divides the error by 4.
             octaves = 0.5 * math.log2(lost.mean() / before.mean())
-            saved, worst = plain_bits - sparse_bits, _WORST * before.max()
-            cost = (_OTHERS + levels) * octaves
-            if cost >= saved or lost.max() > worst:
+            growth = float(lost.max() / before.max()) / _WORST
+            return (_OTHERS + levels) * octaves, plain_bits - sparse_bits, growth
+
+        cost, _, growth = tried(0, _TRIED)
+        if cost <= 0 and growth < _CLEAR:
+            return True
+        for first in range(0, min(_FOLD, count), 2):
+            cost, saved, growth = tried(first, 1)
+            if cost >= saved or growth > 1:
                 return False
-            if cost < _CLEAR * saved and lost.max() < _CLEAR * worst:
+            if cost < _CLEAR * saved and growth < _CLEAR:
                 break
         return True
 

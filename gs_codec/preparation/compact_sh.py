@@ -64,8 +64,9 @@ def compact_sh(
 
     where S_v sums (alpha T)^2 over the pixels of a view, and d_k = 1 / (abs(a_k) + smallest / 2)^2
     comes from the previous solution. At the end each non-zero coefficient costs at most L, so it is
-    kept if it explains more squared error than L. In views where R, G or B is clamped at black, any
-    value below black is equally good.
+    kept if it explains more squared error than L. If all of a channel explain no more than L, all
+    become 0 at once. In views where R, G or B is clamped at black, any value below black is equally
+    good.
 
     Errors of Gaussians that overlap in a pixel are treated as independent. `refit_colour` includes
     their cross terms and recovers some of the loss.
@@ -179,6 +180,11 @@ def _sparsify(rows, seen, shared, size, penalty, smallest, solution):
     dark, inertia = _sum_up(rows, seen, solution, targets, sums), 0.0
     if dark:
         _darken(rows, targets, solution)
+    flat = np.empty(3, np.bool_)
+    for channel in range(3):
+        flat[channel] = _flatten(shared, size, penalty, solution[channel])
+    if flat[0] and flat[1] and flat[2] and not dark:
+        return True
     for j in range(count):
         inertia += _INERTIA * seen[j]
     turn = 0
@@ -189,7 +195,7 @@ def _sparsify(rows, seen, shared, size, penalty, smallest, solution):
         for channel in range(3):
             now, number = solution[channel], np.int64(0)
             for k in range(size):
-                if k == 0 or turn == 0 or now[k] != 0.0:
+                if k == 0 or now[k] != 0.0 or (turn == 0 and not flat[channel]):
                     used[number] = k
                     number += 1
             _set_up(
@@ -277,6 +283,24 @@ def _darken(rows, targets, solution):
         values = luma_chroma(colour[k, 0], colour[k, 1], colour[k, 2])
         for channel in range(3):
             solution[channel, k] = values[channel]
+
+
+@kernel
+def _flatten(matrix, size, penalty, solution):
+    """Set SH-AC to 0 if all together explain no more than one may cost; return whether they do."""
+    dc, of_dc, by_ac = solution[0], 0.0, repeated(0.0)
+    solution[0] = 0.0
+    for k in range(1, size):
+        by_ac += solution[k] * load(matrix, k * LANES)
+        of_dc += solution[k] * matrix[k, 0]
+    explained = total(by_ac * load(solution, 0)) - of_dc * of_dc / matrix[0, 0]
+    solution[0] = dc
+    if not explained <= penalty:
+        return False
+    solution[0] += of_dc / matrix[0, 0]
+    for k in range(1, size):
+        solution[k] = 0.0
+    return True
 
 
 @kernel

@@ -26,7 +26,7 @@ from gs_codec.guidance.joint_rounding import round_jointly
 from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.guidance.sensitivity import sensitivity
 from gs_codec.preparation.compact_sh import compact_sh
-from gs_codec.preparation.image_operator import ImageOperator
+from gs_codec.preparation.image_operator import ImageOperator, Places
 from gs_codec.preparation.likely_views import likely_views
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
@@ -224,7 +224,9 @@ class Guidance:
     ) -> NDArray[np.float64]:
         """Mean squared errors in some of the views."""
         advance = step_counter(self.progress, "measure", len(seen))
-        errors = operator.errors(coefficients_of(scene), seen, advance)
+        coefficients = coefficients_of(scene)
+        used = coefficients != 0
+        errors = operator.errors(coefficients[used], Places.of(used), seen, advance)
         values = [3 * operator.pixels(view) for view in seen]
         return np.maximum(errors / values, _EPS)
 

@@ -125,9 +125,8 @@ class _Descent:
             stop = min(start + _CHUNK, count)
             slopes = np.zeros((stop - start, VALUES), np.float32)
             for view in seen:
-                bounds = np.searchsorted(view.chosen, (start, stop))
-                own = view.slopes(*bounds, sh_ac=False)
-                places = view.chosen[slice(*bounds)]
+                first, end = np.searchsorted(view.chosen, (start, stop))
+                own, places = view.slopes(first, end, sh_ac=False), view.chosen[first:end]
                 _add(own, places, start, self.shaped.order, self.decoded.rot, source.rot, slopes)
             _move(
                 slopes, self.steps, start, self.shaped.order, self.first, self.second,

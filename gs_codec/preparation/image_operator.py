@@ -19,9 +19,10 @@ from gs_codec.coding.ycocg import luma_chroma, red_green_blue
 from gs_codec.preparation.reference_views import ReferenceViews, evenly
 from gs_codec.preparation.sh_weights import sh_row
 from gs_codec.rendering.traced_view import SQUARED, TraceBuffers, TracedView, trace_view
-from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.simd import LANES
 from gs_codec.runtime.threads import available_threads, run_all
-from gs_codec.scene import Scene
+from gs_codec.scene import SH_C0, Scene
 
 Advance = Callable[[], None] | None
 Result = TypeVar("Result")
@@ -39,33 +40,56 @@ _KEPT_BYTES = 1 << 30
 _SAMPLE = 8
 
 
+class Places(NamedTuple):
+    """Which coefficients ``(N, 3, 1 + K)`` may differ from 0: M of them, in order.
+
+    Attributes
+    ----------
+    starts : ndarray, shape (3 N + 1,), int64
+        Start of those of each Gaussian and colour.
+    numbers : ndarray, shape (M,), uint8
+        The number of each, 0 to K.
+    """
+
+    starts: NDArray[np.int64]
+    numbers: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, used: NDArray[np.bool_]) -> Places:
+        """The places where ``used (N, 3, 1 + K)`` is true."""
+        starts = np.empty(3 * len(used) + 1, np.int64)
+        numbers = np.empty(np.count_nonzero(used), np.uint8)
+        _list_places(used.reshape(3 * len(used), used.shape[2]), starts, numbers)
+        return cls(starts, numbers)
+
+
 class Linear(NamedTuple):
     """Images linearised at some coefficients.
 
     Attributes
     ----------
-    gradient : ndarray, shape (N, 3, 1 + K)
-        The transposed operator applied to the residual: minus half the gradient of `error`.
-    curvature : ndarray, shape (N, 3, 1 + K)
+    gradient : ndarray, shape (M,)
+        The transposed operator applied to the residual: minus half the gradient of the error.
+    curvature : ndarray, shape (M,)
         Diagonal of the normal equations.
     lit : ndarray, shape (views, N), uint8
         Bit 0, 1, 2: whether R, G, B of a visible Gaussian are above black in the view.
-    error : float
-        Sum over views, pixels and colours of the squared residual.
+    errors : ndarray, shape (views,)
+        Squared residual of each view, summed over pixels and colours.
     """
 
     gradient: NDArray
     curvature: NDArray
     lit: NDArray[np.uint8]
-    error: float
+    errors: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ImageOperator:
     """Images of a scene as a function of its SH; its other attributes are fixed.
 
-    Coefficients are those of `coefficients_of`, Y, Co, Cg ``(N, 3, 1 + K)``, float32 or float64;
-    results have their dtype.
+    Coefficients ``(M,)`` are those of `coefficients_of` at some places, float32 or float64; results
+    have their dtype. The others are 0.
 
     Parameters
     ----------
@@ -80,21 +104,31 @@ class ImageOperator:
     kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
     all_buffers: list[TraceBuffers] = field(default_factory=list, init=False, repr=False)
 
-    def linearise(self, coefficients: NDArray, advance: Advance = None) -> Linear:
+    def linearise(self, coefficients: NDArray, places: Places, advance: Advance = None) -> Linear:
         """Linearise all views at `coefficients`."""
         gradient, curvature = np.zeros_like(coefficients), np.zeros_like(coefficients)
         lit = np.zeros((len(self.views.cameras), self.scene.count), np.uint8)
-        error = self._add_up(coefficients, lit, True, gradient, curvature, advance)
-        return Linear(gradient, curvature, lit, error)
+        errors = self._add_up(coefficients, places, lit, True, gradient, curvature, advance)
+        return Linear(gradient, curvature, lit, errors)
 
     def errors(
-        self, coefficients: NDArray, chosen: Sequence[int], advance: Advance = None
+        self,
+        coefficients: NDArray,
+        places: Places,
+        chosen: Sequence[int],
+        advance: Advance = None,
+        lit: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.float64]:
-        """Squared residual of each of the `chosen` views, summed over pixels and colours."""
+        """Squared residual of each of the `chosen` views, summed over pixels and colours.
+
+        With `lit`, `coefficients` are a change of SH, and the squared change of each view results.
+        """
 
         def measure(view: int, traced: TracedView) -> float:
-            lit = np.empty(self.scene.count, np.uint8)
-            return self._residual(view, traced, coefficients, lit, clamp=True, summed=False)[1]
+            own = np.empty(self.scene.count, np.uint8) if lit is None else lit[view]
+            clamp = lit is None
+            found = self._residual(view, traced, coefficients, places, own, clamp, summed=False)
+            return found[1]
 
         return np.array([error for *_, error in self._of_each(measure, chosen, advance)])
 
@@ -102,25 +136,28 @@ class ImageOperator:
         """Number of pixels of a view that count, once it is traced."""
         return self.kept[view].pixels
 
-    def apply(self, direction: NDArray, lit: NDArray[np.uint8], advance: Advance = None) -> NDArray:
+    def apply(
+        self, direction: NDArray, places: Places, lit: NDArray[np.uint8], advance: Advance = None
+    ) -> NDArray:
         """Apply the normal equations to a change of SH: the operator, then its transpose."""
         product = np.zeros_like(direction)
-        self._add_up(direction, lit, False, product, product[:0], advance)
-        return np.negative(product, out=product)
+        self._add_up(direction, places, lit, False, product, product[:0], advance)
+        return product
 
     def _residual(
         self,
         view: int,
         traced: TracedView,
         coefficients: NDArray,
+        places: Places,
         lit: NDArray[np.uint8],
         clamp: bool,
         summed: bool = True,
     ) -> tuple[NDArray[np.float64], float]:
-        """Residual of a view, as `TracedView.residual`; without `clamp`, minus its change by SH."""
+        """Residual of a view, as `TracedView.residual`; without `clamp`, its change by SH."""
         colours = np.empty((len(traced.seen), 3), np.float32)
         seen = (self.scene.positions, traced.camera.position, traced.seen)
-        _fill_colours(*seen, coefficients, clamp, lit, colours)
+        _fill_colours(*seen, coefficients, *places, clamp, lit, colours)
         target, background = self.views.images[view], np.array(self.views.background, np.float64)
         if not clamp:
             target, background = np.zeros_like(target), np.zeros(3)
@@ -129,29 +166,30 @@ class ImageOperator:
     def _add_up(
         self,
         coefficients: NDArray,
+        places: Places,
         lit: NDArray[np.uint8],
         clamp: bool,
         gradient: NDArray,
         curvature: NDArray,
         advance: Advance,
-    ) -> float:
-        """Add views in order to the gradient and, unless empty, curvature; return their error."""
+    ) -> NDArray[np.float64]:
+        """Add views in order to the gradient and, unless empty, curvature; return their errors."""
 
         def gather(view: int, traced: TracedView) -> tuple[NDArray[np.float64], float]:
-            return self._residual(view, traced, coefficients, lit[view], clamp)
+            return self._residual(view, traced, coefficients, places, lit[view], clamp)
 
-        total = 0.0
+        errors = np.empty(len(lit))
         for view, traced, (sums, error) in self._of_each(gather, range(len(lit)), advance):
-            total += error
+            errors[view] = error
             count = len(traced.seen)
             of_view = (self.scene.positions, traced.camera.position, traced.seen, sums, lit[view])
 
             def add(start: int, of_view: tuple = of_view, count: int = count) -> None:
                 stop = min(start + _CHUNK, count)
-                _add_gradient(*of_view, start, stop, gradient, curvature)
+                _add_gradient(*of_view, start, stop, *places, gradient, curvature)
 
             run_all(add, range(0, count, _CHUNK))
-        return total
+        return errors
 
     def _of_each(
         self, function: Callable[[int, TracedView], Result], chosen: Sequence[int], advance: Advance
@@ -192,40 +230,69 @@ class ImageOperator:
 
 
 @kernel
-def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
-    """Fill ``colours (V, 3)``: colours clamped at black, or the change of colours by SH.
+def _list_places(used, starts, numbers):
+    count = 0
+    for row in range(len(used)):
+        starts[row] = count
+        for k in range(used.shape[1]):
+            if used[row, k]:
+                numbers[count] = k
+                count += 1
+    starts[len(used)] = count
+
+
+@inlined
+def _row_of(positions, i, camera, starts, numbers, row):
+    """Fill ``row (16,)`` with the SH basis that Gaussian i needs."""
+    row[0] = SH_C0
+    last = 0
+    for channel in range(3):
+        end = starts[3 * i + channel + 1]
+        if end > starts[3 * i + channel]:
+            last = max(last, np.int64(numbers[end - 1]))
+    if last > 0:
+        size = 4 if last < 4 else 9 if last < 9 else 16
+        sh_row(positions, i, camera, row[:size])
+
+
+@kernel
+def _fill_colours(positions, camera, seen, coefficients, starts, numbers, clamp, lit, colours):
+    """Fill ``colours (V, 3)``: colours clamped at black, or minus the change of colours by SH.
 
     With `clamp`, bits 0-2 of ``lit (N,)`` are set where a colour is above black. Without it they
     are read, because a change of SH does not change a clamped colour.
     """
-    row, values = np.empty(coefficients.shape[2]), np.empty(3)
+    row, values = np.empty(LANES), np.empty(3)
     for j in range(len(seen)):
         i = seen[j]
-        sh_row(positions, i, camera, row)
-        values[:] = 0.0
+        _row_of(positions, i, camera, starts, numbers, row)
         for channel in range(3):
-            for k in range(len(row)):
-                values[channel] += row[k] * coefficients[i, channel, k]
+            value = 0.0
+            for m in range(starts[3 * i + channel], starts[3 * i + channel + 1]):
+                value += row[numbers[m]] * coefficients[m]
+            values[channel] = value
         values[0], values[1], values[2] = red_green_blue(values[0], values[1], values[2])
         if clamp:
             lit[i] = 0
         for channel in range(3):
-            value = values[channel] + (0.5 if clamp else 0.0)
+            value = values[channel] + 0.5 if clamp else -values[channel]
             if clamp and value > 0.0:
                 lit[i] |= 1 << channel
             colours[j, channel] = value if lit[i] >> channel & 1 else 0.0
 
 
 @kernel
-def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, curvature):
-    """Add a view's part to ``gradient (N, 3, 1 + K)`` and, unless empty, `curvature`."""
-    row, of_colour, of_square = np.empty(gradient.shape[2]), np.empty(3), np.empty(3)
+def _add_gradient(
+    positions, camera, seen, sums, lit, start, stop, starts, numbers, gradient, curvature
+):
+    """Add a view's part to ``gradient (M,)`` and, unless empty, `curvature`."""
+    row, of_colour, of_square = np.empty(LANES), np.empty(3), np.empty(3)
     for j in range(start, stop):
         square = sums[j, SQUARED]
         i = seen[j]
         if square == 0.0 or lit[i] == 0:
             continue
-        sh_row(positions, i, camera, row)
+        _row_of(positions, i, camera, starts, numbers, row)
         red, green, blue = lit[i] & 1, lit[i] >> 1 & 1, lit[i] >> 2
         of_colour[0], of_colour[1], of_colour[2] = luma_chroma(
             sums[j, 0] * red, sums[j, 1] * green, sums[j, 2] * blue
@@ -234,7 +301,8 @@ def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, cur
         of_square[1] = square * (red + blue) / 2.0
         of_square[2] = square * (red + 4.0 * green + blue) / 6.0
         for channel in range(3):
-            for k in range(len(row)):
-                gradient[i, channel, k] += row[k] * of_colour[channel]
+            for m in range(starts[3 * i + channel], starts[3 * i + channel + 1]):
+                value = row[numbers[m]]
+                gradient[m] += value * of_colour[channel]
                 if len(curvature):
-                    curvature[i, channel, k] += row[k] * row[k] * of_square[channel]
+                    curvature[m] += value * value * of_square[channel]

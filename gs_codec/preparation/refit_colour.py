@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.preparation.compact_sh import SMALLEST, penalty_of
-from gs_codec.preparation.image_operator import ImageOperator, Linear
-from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.preparation.image_operator import ImageOperator, Linear, Places
+from gs_codec.preparation.reference_views import ReferenceViews, evenly
 from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
@@ -26,7 +26,10 @@ _RIDGE = 0.03
 #: Added to SH-AC in the denominators of their penalty, as in `compact_sh`.
 _HALF = SMALLEST / 2
 
-_CHUNK = 1 << 13
+#: Number of views that measure the length of the last step, and whether the result is better.
+_MEASURING = 16
+
+_CHUNK = 1 << 17
 
 
 class RefitReport(NamedTuple):
@@ -62,7 +65,8 @@ def refit_colour(
 
     Minimises the sum over views, pixels and colours of the squared residual, `_RIDGE` times the
     squared change of SH, and the penalty on SH-AC of `compact_sh`, by conjugate gradients on the
-    normal equations, with their diagonal as preconditioner. Memory is six times the size of the SH,
+    normal equations, with their diagonal as preconditioner. The last step needs no gradient
+    afterwards, so a few views suffice for its length. Memory is six times the size of the SH,
     plus at most about 1 GiB for the weights alpha T of views; if these would take more, only some
     of each view's tiles count. A colour that is clamped at black in a view has no gradient there;
     clamping is determined once, at the start.
@@ -82,22 +86,39 @@ def refit_colour(
         Existing operator for the views and for a scene with the same shapes.
     progress : callable, optional
     """
-    cameras = views.cameras
     operator = operator or ImageOperator(scene, views)
-    advance = step_counter(progress, "refit", (iterations + 2) * len(cameras))
-    start = coefficients_of(scene)
-    near = operator.linearise(start, advance)
-    pixels = sum(operator.pixels(view) for view in range(len(cameras)))
-    penalty = np.full(start.shape[2], penalty_of(scene, pixels, strength))
+    count = len(views.cameras)
+    some = evenly(range(count), _MEASURING)
+    looks = max(iterations, 1) * count + (2 if iterations else 1) * len(some)
+    advance = step_counter(progress, "refit", looks)
+    whole = coefficients_of(scene)
+    used = whole != 0 if keep_zeros else np.ones(whole.shape, bool)
+    used[:, :, 0] = True
+    places, start = Places.of(used), whole[used]
+    near = operator.linearise(start, places, advance)
+    pixels = sum(operator.pixels(view) for view in range(count))
+    share = sum(operator.pixels(view) for view in some) / pixels
+    penalty = np.full(whole.shape[2], penalty_of(scene, pixels, strength))
     penalty[0] = 0.0
-    if keep_zeros:
-        near.curvature[:, :, 1:][start[:, :, 1:] == 0] = 0
-    change, errors, objectives = _descend(operator, near, (start, penalty), iterations, advance)
+
+    def apply(direction: NDArray, last: bool) -> tuple[NDArray, float]:
+        """The product with a direction; instead, if `last`, the squared change of images."""
+        if not last:
+            return operator.apply(direction, places, near.lit, advance), 0.0
+        squares = operator.errors(direction, places, some, advance, near.lit)
+        return np.zeros_like(direction), float(squares.sum()) / share
+
+    damping = start, places.numbers
+    change, errors, objectives = _descend(apply, near, damping, penalty, iterations)
     refitted = np.add(start, change, out=change)
-    rendered = float(operator.errors(refitted, range(len(cameras)), advance).sum())
-    kept = not rendered + (objectives[-1] - errors[-1]) < objectives[0]
+    grown = operator.errors(refitted, places, some, advance) - near.errors[some]
+    damped = objectives[-1] - errors[-1] - (objectives[0] - errors[0])
+    kept = not float(grown.sum()) / share + damped < 0
     report = RefitReport([_psnr(error / (3 * pixels)) for error in errors], objectives, kept)
-    return scene if kept else with_coefficients(scene, refitted), report
+    if kept:
+        return scene, report
+    whole[used] = refitted
+    return with_coefficients(scene, whole), report
 
 
 def _psnr(error: float) -> float:
@@ -105,45 +126,48 @@ def _psnr(error: float) -> float:
 
 
 def _descend(
-    operator: ImageOperator,
+    apply: Callable[[NDArray, bool], tuple[NDArray, float]],
     near: Linear,
     damping: tuple[NDArray, NDArray],
+    penalty: NDArray,
     iterations: int,
-    advance: Callable[[], None],
 ) -> tuple[NDArray, list[float], list[float]]:
     """Conjugate gradients; return the change of SH, and squared errors and objectives.
 
     Coefficients with zero curvature do not change. Overwrites `near.gradient` and `near.curvature`.
-    `damping` is the initial SH x and factors p ``(1 + K,)``; it adds to the squared error ``_RIDGE
-    change^2 + p / (abs(x) + _HALF)^2 (x + change)^2``.
+    `damping` is the initial SH x and their numbers k, ``(M,)``; with `penalty` p ``(1 + K,)``, the
+    objective is the squared error plus ``_RIDGE change^2 + p_k / (abs(x) + _HALF)^2 (x +
+    change)^2``.
     """
-    residual = near.gradient
+    residual, inverse = near.gradient, near.curvature
     change, direction = np.zeros_like(residual), np.zeros_like(residual)
-    inverse = near.curvature
-    slope, share = _total(_prepare, residual, inverse, *damping), 0.0
-    errors, objectives = [near.error], [near.error + _total(_cost, change, inverse, *damping)]
-    for _ in range(iterations):
-        _total(_turn, direction, residual, inverse, share)
-        product = operator.apply(direction, near.lit, advance)
-        curved = _total(_damp, product, direction, *damping)
+    slope, share = _total(_prepare, residual, inverse, *damping, last=penalty), 0.0
+    error = float(near.errors.sum())
+    errors, objectives = [error], [error + _total(_cost, change, inverse, *damping, last=penalty)]
+    for left in range(iterations, 0, -1):
+        _total(_turn, direction, residual, inverse, last=share)
+        product, squares = apply(direction, left == 1)
+        curved = squares + _total(_damp, product, direction, *damping, last=penalty)
         if not (0 < curved < math.inf and slope < math.inf):
             break
         before, size = slope, slope / curved
-        slope = _total(_move, change, residual, direction, product, inverse, size)
+        slope = _total(_move, change, residual, direction, product, inverse, last=size)
         share = slope / before
         objectives.append(objectives[-1] - size * before)
-        errors.append(objectives[-1] - _total(_cost, change, inverse, *damping))
+        errors.append(objectives[-1] - _total(_cost, change, inverse, *damping, last=penalty))
     return change, errors, objectives
 
 
-def _total(function: Callable, *arguments: Any) -> float:
-    """Sum a kernel's results over parts of arrays ``(N, 3, 1 + K)``, computed in threads."""
+def _total(function: Callable, *arrays: NDArray, last: Any) -> float:
+    """Sum a kernel's results over parts of arrays ``(M,)``, computed in threads.
 
-    def run(start: int) -> float:
-        part = slice(start, start + _CHUNK)
-        return function(*(x[part] if np.ndim(x) == 3 else x for x in arguments))
+    The kernel's last argument is given whole.
+    """
 
-    return sum(run_all(run, range(0, len(arguments[0]), _CHUNK)))
+    def run(first: int) -> float:
+        return function(*(array[first : first + _CHUNK] for array in arrays), last)
+
+    return sum(run_all(run, range(0, len(arrays[0]), _CHUNK)))
 
 
 @inlined
@@ -152,48 +176,48 @@ def _pull(start, penalty):
 
 
 @kernel
-def _prepare(residual, curvature, start, penalty):
+def _prepare(residual, curvature, start, numbers, penalty):
     """Turn gradient and curvature into residual and preconditioner; return its squared norm."""
     total = 0.0
-    for i, channel, k in np.ndindex(residual.shape):
-        if not 0.0 < curvature[i, channel, k] < np.inf:
-            residual[i, channel, k] = curvature[i, channel, k] = 0.0
+    for m in range(len(residual)):
+        if not 0.0 < curvature[m] < np.inf:
+            residual[m] = curvature[m] = 0.0
             continue
-        pull = _pull(start[i, channel, k], penalty[k])
-        residual[i, channel, k] -= pull * start[i, channel, k]
-        curvature[i, channel, k] = 1.0 / (curvature[i, channel, k] + _RIDGE + pull)
-        total += np.float64(residual[i, channel, k]) ** 2 * curvature[i, channel, k]
+        pull = _pull(start[m], penalty[numbers[m]])
+        residual[m] -= pull * start[m]
+        curvature[m] = 1.0 / (curvature[m] + _RIDGE + pull)
+        total += np.float64(residual[m]) ** 2 * curvature[m]
     return total
 
 
 @kernel
-def _cost(change, inverse, start, penalty):
+def _cost(change, inverse, start, numbers, penalty):
     """Damping terms of the objective, over the coefficients that may change."""
     total = 0.0
-    for i, channel, k in np.ndindex(change.shape):
-        if inverse[i, channel, k] > 0.0:
-            before, step = start[i, channel, k], np.float64(change[i, channel, k])
-            total += _RIDGE * step**2 + _pull(before, penalty[k]) * (before + step) ** 2
+    for m in range(len(change)):
+        if inverse[m] > 0.0:
+            before, step = start[m], np.float64(change[m])
+            total += _RIDGE * step**2 + _pull(before, penalty[numbers[m]]) * (before + step) ** 2
     return total
 
 
 @kernel
 def _turn(direction, residual, inverse, share):
     """Set the next conjugate direction; `share` is the weight of the previous one in it."""
-    for at in np.ndindex(direction.shape):
-        direction[at] = inverse[at] * residual[at] + share * direction[at]
+    for m in range(len(direction)):
+        direction[m] = inverse[m] * residual[m] + share * direction[m]
     return 0.0
 
 
 @kernel
-def _damp(product, direction, start, penalty):
+def _damp(product, direction, start, numbers, penalty):
     """Add the damping to a product; return the curvature of the objective along the direction."""
     total = 0.0
-    for i, channel, k in np.ndindex(product.shape):
-        if direction[i, channel, k] != 0.0:
-            pull = _RIDGE + _pull(start[i, channel, k], penalty[k])
-            product[i, channel, k] += pull * direction[i, channel, k]
-            total += np.float64(product[i, channel, k]) * direction[i, channel, k]
+    for m in range(len(product)):
+        if direction[m] != 0.0:
+            pull = _RIDGE + _pull(start[m], penalty[numbers[m]])
+            product[m] += pull * direction[m]
+            total += np.float64(product[m]) * direction[m]
     return total
 
 
@@ -201,8 +225,8 @@ def _damp(product, direction, start, penalty):
 def _move(change, residual, direction, product, inverse, size):
     """Take a step; return the residual's squared norm under the preconditioner."""
     total = 0.0
-    for at in np.ndindex(change.shape):
-        change[at] += size * direction[at]
-        residual[at] -= size * product[at]
-        total += np.float64(residual[at]) ** 2 * inverse[at]
+    for m in range(len(change)):
+        change[m] += size * direction[m]
+        residual[m] -= size * product[m]
+        total += np.float64(residual[m]) ** 2 * inverse[m]
     return total

@@ -41,7 +41,7 @@ from gs_codec.rendering.tiles_float32 import (
     uncover,
     walk_back,
 )
-from gs_codec.rendering.tiles_float64 import AHEAD, request_fields, tile_bounds
+from gs_codec.rendering.tiles_float64 import tile_bounds
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.simd import prefetch, repeated, total, where
@@ -60,11 +60,8 @@ _ZERO = np.float32(0)
 
 
 @kernel
-def sum_moments(fields, splats, starts, columns, background, colour, places, sums):
-    """Draw all tiles of a view into an image ``(H, W, 3)``, and add them to ``sums (V, 10)``.
-
-    A row of `sums` is a place of `Frame.places`.
-    """
+def sum_moments(fields, splats, starts, columns, background, colour, sums):
+    """Draw all tiles of a view into an image ``(H, W, 3)``, and add them to ``sums (V, 10)``."""
     height, width, _ = colour.shape
     light, drawn = np.empty(BEHIND, np.float32), np.empty((len(splats), TILE), np.uint16)
     zero = repeated(_ZERO)
@@ -77,11 +74,11 @@ def sum_moments(fields, splats, starts, columns, background, colour, places, sum
         put_tile(light, x0, x1, y0, y1, background, colour)
         turn_back(background, light)
         for pair in range(start, reached):
-            prefetch(sums, places[splats[pair]] * _SUMS)
-            prefetch(sums, places[splats[pair]] * _SUMS + SQUARED_WEIGHT)
+            prefetch(sums, splats[pair] * _SUMS)
+            prefetch(sums, splats[pair] * _SUMS + SQUARED_WEIGHT)
         walk_back(
             _take_moments, _total_moments, none, fields, splats, start, reached, x0, y0, height,
-            light, drawn, (places, sums),
+            light, drawn, sums,
         )  # fmt: skip
 
 
@@ -109,9 +106,8 @@ def _take_moments(light, at, alpha, red, green, blue, place, sums):
 
 
 @inlined
-def _total_moments(pair, splat, u, sums, results):
-    places, totals = results
-    row = totals[places[splat]]
+def _total_moments(pair, splat, u, sums, totals):
+    row = totals[splat]
     for k in range(_SUMS):
         row[k] += np.float64(total(sums[k]))
 
@@ -204,13 +200,11 @@ def _look(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]:
     """Visible Gaussians ``(V,)``, ascending, their contributions ``(V, 9)``, and the image."""
     frame = make_frame(scene, camera)
-    fields, places, gaussians = frame.splats.fields, frame.places, frame.seen
+    fields, _, gaussians = frame.splats
     sums = np.zeros((len(fields), _SUMS))
     image = np.empty((camera.height, camera.width, 3), np.float32)
     behind = np.array(background, np.float64)
-    sum_moments(fields, *frame.lists, frame.columns, behind, image, places, sums)
-    splats = np.empty_like(places)
-    splats[places] = np.arange(len(places))
+    sum_moments(fields, *frame.lists, frame.columns, behind, image, sums)
     found = np.zeros((len(fields), _COLUMNS))
     _to_attributes(
         scene.positions,
@@ -220,7 +214,6 @@ def _look(
         *camera_arguments(camera),
         scene.antialiased,
         fields,
-        splats,
         gaussians,
         sums,
         found,
@@ -240,20 +233,16 @@ def _add_up(gaussians, found, totals, weights):
 @kernel
 def _to_attributes(
     positions, opacity, log_scale, rot, rotation, position, intrinsics, width, height,
-    antialiased, fields, splats, gaussians, sums, found,
+    antialiased, fields, gaussians, sums, found,
 ):  # fmt: skip
-    """Fill ``found (V, 9)``, initially 0, from the sums over the pixels of each splat.
-
-    Rows, and `splats`, are in the scene's order.
-    """
+    """Fill ``found (V, 9)``, initially 0, from the sums over the pixels of each splat."""
     fx, fy, cx, cy = intrinsics
     for place in range(len(gaussians)):
-        request_fields(fields, splats[min(place + AHEAD, len(splats) - 1)])
         i = gaussians[place]
         if sums[place, SQUARED_WEIGHT] == 0.0:
             continue
         # Tuples, because views of arrays count their references.
-        total, factors = _moments_of(sums, place), _factors_of(fields, splats[place])
+        total, factors = _moments_of(sums, place), _factors_of(fields, place)
         x, y, z = rotated(
             rotation,
             positions[0, i] - position[0],

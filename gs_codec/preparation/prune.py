@@ -125,7 +125,7 @@ def leave_one_out(
         frame = make_frame(scene, camera)
         errors = np.zeros((frame.pairs, 1))
         frame.over_tiles(sum_errors_without, camera.width, camera.height, behind, errors)
-        scores[frame.seen] += frame.sum_pairs(errors)[:, 0]
+        scores[frame.splats.gaussians] += frame.sum_pairs(errors)[:, 0]
         advance()
     if views.origin == "anywhere":
         scores += _EXPECTED / (1 - _EXPECTED) * scores.mean() * expected_weight(scene)

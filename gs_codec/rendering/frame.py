@@ -24,13 +24,16 @@ from gs_codec.rendering.project import (
     to_tile,
 )
 from gs_codec.rendering.tiles_float32 import draw_float32
-from gs_codec.rendering.tiles_float64 import AHEAD, draw_tiles
+from gs_codec.rendering.tiles_float64 import AHEAD, draw_tiles, request_fields
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.simd import prefetch
 from gs_codec.runtime.threads import available_threads, run_all, using_threads
 from gs_codec.scene import Scene
 
 _CHUNK = 1 << 14
+
+#: Number of splats between the one whose box is requested from memory and the one in use.
+_FAR_AHEAD = 16
 
 
 class TileLists(NamedTuple):
@@ -41,15 +44,10 @@ class TileLists(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Splats, nearest first, and the splats of each tile.
-
-    ``places (V,)`` are the places of the splats in the scene's order: the Gaussian of splat i is
-    ``seen[places[i]]``.
-    """
+    """Splats, in the scene's order, and the splats of each tile."""
 
     camera: Camera
     splats: Splats
-    places: NDArray[np.int64]
     lists: TileLists
     columns: int
     rows: int
@@ -58,13 +56,6 @@ class Frame(NamedTuple):
     def pairs(self) -> int:
         """Number of splat-tile pairs."""
         return len(self.lists.splats)
-
-    @property
-    def seen(self) -> NDArray[np.int64]:
-        """The Gaussians of the splats, ascending."""
-        seen = np.empty_like(self.splats.gaussians)
-        seen[self.places] = self.splats.gaussians
-        return seen
 
     def over_tiles(self, function: Callable, *arguments: Any) -> None:
         """Run a kernel over all tiles, in threads.
@@ -109,21 +100,22 @@ class Frame(NamedTuple):
         return colour, state
 
     def sum_pairs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum ``values (pairs, K)`` over the pairs of each Gaussian in `seen`: ``(V, K)``."""
-        totals = np.zeros((len(self.places), values.shape[1]))
-        _sum_pairs(self.places, self.lists.splats, values, totals)
+        """Sum ``values (pairs, K)`` over the pairs of each splat: ``(V, K)``."""
+        totals = np.zeros((len(self.splats.fields), values.shape[1]))
+        _sum_pairs(self.lists.splats, values, totals)
         return totals
 
 
 def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) -> Frame:
-    """Project a scene, sort its splats by depth, and list them by tile; see `render`."""
+    """Project a scene, and list its splats by tile and depth; see `render`."""
     if antialiased is None:
         antialiased = scene.antialiased
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
-    splats, places = _sorted_splats(scene, camera, antialiased)
+    parts = project_all(scene, camera, antialiased)
+    splats = Splats(*(np.concatenate(x) for x in zip(*parts, strict=True)))
     with using_threads(None, len(splats.fields)):
         lists = _list_tiles(splats, columns, rows)
-    return Frame(camera, splats, places, lists, columns, rows)
+    return Frame(camera, splats, lists, columns, rows)
 
 
 def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]:
@@ -135,24 +127,8 @@ def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]
     return [*parts, project(scene, camera, antialiased, 0, 0)]
 
 
-def _sorted_splats(
-    scene: Scene, camera: Camera, antialiased: bool
-) -> tuple[Splats, NDArray[np.int64]]:
-    """Visible splats, nearest first, and their places in the scene's order.
-
-    Equal depths keep the scene's order.
-    """
-    parts = project_all(scene, camera, antialiased)
-    order = _nearest_first(np.concatenate([part.fields[:, DEPTH] for part in parts]))
-    # Indices are in range, so clipping changes nothing; it is faster than checking.
-    splats = Splats(
-        *(np.take(np.concatenate(x), order, 0, mode="clip") for x in zip(*parts, strict=True))
-    )
-    return splats, order
-
-
 def _nearest_first(depths: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Stable sort order of depths."""
+    """Order of depths; equal ones keep the scene's order."""
     order = np.argsort(depths)
     ordered = depths[order]
     # Rarely needed, and several times slower.
@@ -160,8 +136,9 @@ def _nearest_first(depths: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
-    """List splats, sorted by depth, by tile."""
+    """List splats by tile, nearest first."""
     fields, tiles, _ = splats
+    order = _nearest_first(fields[:, DEPTH])
     threads = available_threads()
     bounds = np.linspace(0, len(fields), threads + 1).astype(np.int64)
     parts = list(zip(bounds[:-1], bounds[1:], strict=True))
@@ -169,9 +146,7 @@ def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
 
     def count(job: tuple[tuple[int, int], NDArray[np.int64]]) -> NDArray[np.int32]:
         (start, stop), numbers = job
-        spans = np.empty((int(np.sum(tiles[start:stop, 3] - tiles[start:stop, 2])), 2), np.int32)
-        _count(fields, tiles, columns, start, stop, spans, numbers)
-        return spans
+        return _count(fields, tiles, order, columns, start, stop, numbers)
 
     spans = run_all(count, zip(parts, counts, strict=True))
     # In each tile, splats of an earlier part come first.
@@ -179,17 +154,29 @@ def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
     cursors = starts[:-1].reshape(columns * rows, threads).T
     listed = np.empty(int(starts[-1]), np.int32)
     run_all(
-        lambda job: _fill(tiles, columns, *job[0], job[1], job[2].copy(), listed),
+        lambda job: _fill(tiles, order, columns, *job[0], job[1], job[2].copy(), listed),
         zip(parts, spans, cursors, strict=True),
     )
     return TileLists(listed, starts[::threads].copy())
 
 
 @kernel
-def _count(fields, tiles, columns, start, stop, spans, counts):
-    """Fill ``spans (rows, 2)``: first and end tile of each row of tiles of each splat."""
-    number = 0
-    for i in range(start, stop):
+def _count(fields, tiles, order, columns, start, stop, counts):
+    """Count splats ``order[start:stop]`` by tile.
+
+    Returns their spans ``(rows, 2)``: first and end tile of each row of tiles of each splat.
+    """
+    touched = 0
+    for place in range(start, stop):
+        prefetch(tiles, 4 * order[min(place + _FAR_AHEAD, stop - 1)])
+        i = order[place]
+        touched += tiles[i, 3] - tiles[i, 2]
+    spans, number = np.empty((touched, 2), np.int32), 0
+    for place in range(start, stop):
+        ahead = order[min(place + AHEAD, stop - 1)]
+        prefetch(tiles, 4 * ahead)
+        request_fields(fields, ahead)
+        i = order[place]
         box, ellipse = tiles[i], _ellipse(fields[i])
         for row in range(box[2], box[3]):
             first, end = _span(ellipse, box, row)
@@ -197,12 +184,15 @@ def _count(fields, tiles, columns, start, stop, spans, counts):
             number += 1
             for column in range(first, end):
                 counts[row * columns + column] += 1
+    return spans
 
 
 @kernel
-def _fill(tiles, columns, start, stop, spans, cursors, splats):
+def _fill(tiles, order, columns, start, stop, spans, cursors, splats):
     number = 0
-    for i in range(start, stop):
+    for place in range(start, stop):
+        prefetch(tiles, 4 * order[min(place + _FAR_AHEAD, stop - 1)])
+        i = order[place]
         for row in range(tiles[i, 2], tiles[i, 3]):
             first, end = spans[number, 0], spans[number, 1]
             number += 1
@@ -244,13 +234,13 @@ def _span(ellipse, box, row):
 
 
 @kernel
-def _sum_pairs(places, splats, values, totals):
+def _sum_pairs(splats, values, totals):
     columns = values.shape[1]
     for pair in range(len(splats)):
-        ahead = places[splats[min(pair + AHEAD, len(splats) - 1)]] * columns
+        ahead = splats[min(pair + AHEAD, len(splats) - 1)] * columns
         prefetch(totals, ahead)
         prefetch(totals, ahead + columns - 1)
-        total = totals[places[splats[pair]]]
+        total = totals[splats[pair]]
         for k in range(columns):
             total[k] += values[pair, k]
 
@@ -264,27 +254,24 @@ def draw_few(
     behind all splats ``(tiles, 256)``.
     """
     splats = project(scene, camera, scene.antialiased, start, stop)
-    order = _nearest_first(splats.fields[:, DEPTH])
-    fields, boxes = (np.take(part, order, 0, mode="clip") for part in splats[:2])
+    fields, boxes, _ = splats
+    order = _nearest_first(fields[:, DEPTH])
     colour = np.empty((camera.height, camera.width, 3), np.float32)
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
     left = np.empty((columns * rows, TILE * TILE), np.float32)
-    _draw_few(fields, boxes, columns, np.zeros(3), colour, left)
+    _draw_few(fields, boxes, order, columns, np.zeros(3), colour, left)
     return colour, left
 
 
 @kernel
-def _draw_few(fields, boxes, columns, background, colour, left):
-    tiles, first = len(left), np.int64(0)
-    starts, touched = np.zeros(tiles + 1, np.int64), 0
-    for i in range(len(boxes)):
-        touched += boxes[i, 3] - boxes[i, 2]
-    spans = np.empty((touched, 2), np.int32)
-    _count(fields, boxes, columns, first, len(fields), spans, starts[1:])
+def _draw_few(fields, boxes, order, columns, background, colour, left):
+    tiles, first, end = len(left), np.int64(0), len(fields)
+    starts = np.zeros(tiles + 1, np.int64)
+    spans = _count(fields, boxes, order, columns, first, end, starts[1:])
     for tile in range(tiles):
         starts[tile + 1] += starts[tile]
     splats = np.empty(starts[tiles], np.int32)
-    _fill(boxes, columns, first, len(fields), spans, starts[:-1].copy(), splats)
+    _fill(boxes, order, columns, first, end, spans, starts[:-1].copy(), splats)
     drawn, reached = np.empty((len(splats), TILE), np.uint16), np.empty(tiles, np.int64)
     draw_float32(
         fields, splats, starts, first, tiles, columns, background, colour, left, drawn, reached

@@ -275,7 +275,7 @@ def differentiate(
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
     behind = np.array(background, np.float64)
     frame.over_tiles(sum_gradients, behind, by_colour, *state, pairs)
-    sums, chosen = frame.sum_pairs(pairs), frame.seen
+    sums, chosen = frame.sum_pairs(pairs), frame.splats.gaussians
     count = _keep_changing(sums, chosen)
     return Differentiated(scene, camera, squared_error, sums[:count], chosen[:count])
 

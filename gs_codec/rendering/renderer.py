@@ -110,7 +110,7 @@ def render(
     accumulations = None
     if accumulate:
         totals = np.zeros((scene.count, sums.shape[1]))
-        totals[frame.seen] = frame.sum_pairs(sums)
+        totals[frame.splats.gaussians] = frame.sum_pairs(sums)
         weight, squared, transmittance, pixels = totals.T
         accumulations = Accumulations(weight, squared, transmittance, pixels.astype(np.int64))
     return Rendering(*images, accumulations, frame.pairs)

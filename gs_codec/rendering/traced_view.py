@@ -160,9 +160,8 @@ def trace_view(
     chosen = (rows + columns) % every == first % every
     counts = np.diff(starts)
     splats, starts = splats[np.repeat(chosen, counts)], np.append(0, np.cumsum(counts[chosen]))
-    places = frame.places[splats]
-    used = np.zeros(len(frame.places), bool)
-    used[places] = True
+    used = np.zeros(len(frame.splats.fields), bool)
+    used[splats] = True
     rank = np.cumsum(used, dtype=np.int32) - 1
     tiles = np.flatnonzero(chosen)
     ends, left = np.zeros(len(splats), np.int32), np.zeros((len(tiles), PIXELS), np.float32)
@@ -171,7 +170,7 @@ def trace_view(
     size = (frame.columns, camera.width, camera.height)
     *buffers, end = _trace(frame.splats.fields, splats, starts, tiles, *size, left, ends, *buffers)
     own = buffers[0][: ends.max(initial=0)].copy(), buffers[1][: end + TILE].copy()
-    seen, pairs = frame.seen[used], rank[places]
+    seen, pairs = frame.splats.gaussians[used], rank[splats]
     traced = TracedView(camera, seen, tiles, pairs, starts, ends, *own, left)
     return traced, (buffers[0], buffers[1])
 

@@ -18,7 +18,7 @@ from gs_codec.coding.axes import sort_axes, with_real_part
 from gs_codec.preparation.adam import LARGEST
 from gs_codec.preparation.optimise import view_of
 from gs_codec.preparation.reference_views import ReferenceViews
-from gs_codec.rendering.gradients import FROM_END, Differentiated, differentiate
+from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.rendering.image_loss import differentiate_squares
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
@@ -180,17 +180,13 @@ def _half_turn(a, b, i, j):
 @kernel
 def _add(own, places, start, order, decoded, rot, slopes):
     """Add a view's derivatives of Gaussians `places` to ``slopes (chunk, 13)`` from `start`."""
-    end = own.shape[1] - FROM_END
     half = np.float32(0.5)
     for row in range(len(places)):
         i = places[row]
         slope, total = own[row], slopes[i - start]
-        for k in range(6):
+        for k in range(10):
             total[k] += slope[k]
-        for k in range(4):
-            total[6 + k] += slope[end + k]
-        by_w, by_x = slope[end + 4], slope[end + 5]
-        by_y, by_z = slope[end + 6], slope[end + 7]
+        by_w, by_x, by_y, by_z = slope[10], slope[11], slope[12], slope[13]
         w, x, y, z = decoded[0, i], decoded[1, i], decoded[2, i], decoded[3, i]
         one, two, three = _half_turn(decoded, rot, i, order[i])
         # A turn by t about the first axis multiplies the quaternion by (1, t / 2, 0, 0).

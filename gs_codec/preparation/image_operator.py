@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, TypeVar
 
@@ -208,6 +208,13 @@ class ImageOperator:
             yield from run_all(run, chosen[first : first + at_once], advance=advance)
 
     @cached_property
+    def _plain(self) -> Scene:
+        """The scene without SH-AC, which tracing does not need; not finite where they are not."""
+        finite = np.isfinite(self.scene.f_rest).all(axis=0)
+        f_dc = np.where(finite, self.scene.f_dc, np.float32(np.nan))
+        return replace(self.scene, f_dc=f_dc, f_rest=self.scene.f_rest[:0])
+
+    @cached_property
     def _every(self) -> int:
         """Trace every n-th tile of a view, so that all views fit into memory; returns n."""
         count = len(self.views.cameras)
@@ -224,7 +231,7 @@ class ImageOperator:
             buffers = self.all_buffers.pop()
         except IndexError:
             buffers = None
-        traced, buffers = trace_view(self.scene, self.views.cameras[view], every, view, buffers)
+        traced, buffers = trace_view(self._plain, self.views.cameras[view], every, view, buffers)
         self.all_buffers.append(buffers)
         return traced
 

@@ -19,7 +19,9 @@ from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.harmonics import sh_basis, sh_slope
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.rendering.project import (
+    BLUE,
     LOW_PASS,
+    RED,
     camera_arguments,
     clamped_slopes,
     covariance,
@@ -27,6 +29,7 @@ from gs_codec.rendering.project import (
     rotated,
 )
 from gs_codec.rendering.tiles_float32 import (
+    BY_BLUE,
     BY_RED,
     MOMENT,
     MOMENT_X,
@@ -37,7 +40,7 @@ from gs_codec.rendering.tiles_float32 import (
     sum_gradients,
 )
 from gs_codec.runtime.kernels import inlined, kernel
-from gs_codec.scene import GROUPS, SH_C0, Scene, channel_count
+from gs_codec.scene import SH_C0, Scene, channel_count
 
 #: Derivative of a loss by an image, and the mean squared error, of that image and a target.
 Loss = Callable[[NDArray, NDArray], tuple[NDArray, float]]
@@ -48,25 +51,22 @@ _F_DC = 3
 #: First f_rest column.
 _F_REST = 6
 
-#: Columns of opacity, log_scale and rot, the last ones.
-FROM_END = 8
-
 
 @kernel
 def differentiate_gaussians(
-    positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
+    positions, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
     width, height, antialiased, sums, chosen, start, stop, slopes,
 ):  # fmt: skip
     """Fill ``slopes (stop - start, 14 + 3 K)``, with columns in the order of `GROUPS`.
 
     They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (M, 9)`` of
-    `sum_gradients`. With 14 columns, f_rest has none.
+    `sum_gradients`.
     """
     fx, fy, cx, cy = intrinsics
     to_world = rotation.T
     basis, weights = np.zeros(15), np.zeros(15)
     by_turn = np.empty((3, 3))
-    after = slopes.shape[1] - FROM_END
+    after = _F_REST + len(f_rest)
     for j in range(stop - start):
         i = chosen[start + j]
         total, slope = sums[start + j], slopes[j]
@@ -74,7 +74,7 @@ def differentiate_gaussians(
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
         by_dx, by_dy, by_dz = _differentiate_colour(
-            f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope
+            f_rest, i, dx, dy, dz, total, basis, weights, slope
         )
         x, y, z = rotated(rotation, dx, dy, dz)
         x /= z
@@ -123,7 +123,7 @@ def _screen_axis(rotation, turn, axis, scale, pixels):
 
 
 @inlined
-def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope):
+def _differentiate_colour(f_rest, i, dx, dy, dz, total, basis, weights, slope):
     """Fill the columns of f_dc and f_rest; return the derivative by the viewing direction."""
     coefficients = len(f_rest) // 3
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -131,17 +131,11 @@ def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, sl
     sh_basis(x, y, z, coefficients, basis)
     weights[:] = 0.0
     for channel in range(3):
-        row = channel * coefficients
-        value = 0.5 + SH_C0 * f_dc[channel, i]
-        for k in range(coefficients):
-            value += basis[k] * f_rest[row + k, i]
-        by_value = total[BY_RED + channel] if value > 0.0 else 0.0
+        row, by_value = channel * coefficients, total[BY_RED + channel]
         slope[_F_DC + channel] = SH_C0 * by_value
         for k in range(coefficients):
+            slope[_F_REST + row + k] = basis[k] * by_value
             weights[k] += f_rest[row + k, i] * by_value
-        if len(slope) > _F_REST + FROM_END:
-            for k in range(coefficients):
-                slope[_F_REST + row + k] = basis[k] * by_value
     by_x, by_y, by_z = sh_slope(x, y, z, coefficients, weights)
     along = x * by_x + y * by_y + z * by_z
     return (
@@ -227,15 +221,15 @@ class Differentiated(NamedTuple):
     def slopes(self, start: int, stop: int, sh_ac: bool = True) -> NDArray[np.float32]:
         """Derivatives ``(stop - start, 14 + 3 K)`` by attributes of ``chosen[start:stop]``.
 
-        Columns are the channels of the groups, in the order of `GROUPS`; without `sh_ac`, all but
-        those of f_rest.
+        Columns are the channels of the groups, in the order of `GROUPS`. Without `sh_ac`, those of
+        f_rest are omitted, and colours count as the same in all directions.
         """
-        channels = channel_count(len(self.scene.f_rest) // 3 if sh_ac else 0)
-        slopes = np.empty((stop - start, channels), np.float32)
+        scene, f_rest = self.scene, self.scene.f_rest if sh_ac else self.scene.f_rest[:0]
+        slopes = np.empty((stop - start, channel_count(len(f_rest) // 3)), np.float32)
         differentiate_gaussians(
-            *(getattr(self.scene, group) for group in GROUPS),
+            *(scene.positions, f_rest, scene.opacity, scene.log_scale, scene.rot),
             *camera_arguments(self.camera),
-            self.scene.antialiased,
+            scene.antialiased,
             self.sums,
             self.chosen,
             start,
@@ -276,6 +270,7 @@ def differentiate(
     behind = np.array(background, np.float64)
     frame.over_tiles(sum_gradients, behind, by_colour, *state, pairs)
     sums, chosen = frame.sum_pairs(pairs), frame.splats.gaussians
+    sums[:, BY_RED : BY_BLUE + 1][frame.splats.fields[:, RED : BLUE + 1] <= 0.0] = 0.0
     count = _keep_changing(sums, chosen)
     return Differentiated(scene, camera, squared_error, sums[:count], chosen[:count])
 

@@ -59,7 +59,7 @@ def linearise(operator: ImageOperator, coefficients: np.ndarray) -> Linear:
 
 def apply(operator: ImageOperator, direction: np.ndarray, lit: np.ndarray) -> np.ndarray:
     """Like the method, for all coefficients and in their shape."""
-    product = operator.apply(direction.ravel(), everywhere(direction), lit)
+    product, _ = operator.apply(direction.ravel(), everywhere(direction), lit)
     return product.reshape(direction.shape)
 
 

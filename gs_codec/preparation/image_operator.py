@@ -138,11 +138,14 @@ class ImageOperator:
 
     def apply(
         self, direction: NDArray, places: Places, lit: NDArray[np.uint8], advance: Advance = None
-    ) -> NDArray:
-        """Apply the normal equations to a change of SH: the operator, then its transpose."""
+    ) -> tuple[NDArray, NDArray[np.float64]]:
+        """Apply the normal equations to a change of SH: the operator, then its transpose.
+
+        Also returns the squared change of each view.
+        """
         product = np.zeros_like(direction)
-        self._add_up(direction, places, lit, False, product, product[:0], advance)
-        return product
+        squares = self._add_up(direction, places, lit, False, product, product[:0], advance)
+        return product, squares
 
     def _residual(
         self,

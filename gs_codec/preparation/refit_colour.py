@@ -26,6 +26,9 @@ _RIDGE = 0.03
 #: Added to SH-AC in the denominators of their penalty, as in `compact_sh`.
 _HALF = SMALLEST / 2
 
+#: Lower bound of a divisor.
+_EPS = 1e-30
+
 #: Number of views that measure the length of the last step, and whether the result is better.
 _MEASURING = 16
 
@@ -96,24 +99,29 @@ def refit_colour(
     used[:, :, 0] = True
     places, start = Places.of(used), whole[used]
     near = operator.linearise(start, places, advance)
-    pixels = sum(operator.pixels(view) for view in range(count))
-    share = sum(operator.pixels(view) for view in some) / pixels
+    shares = np.array([float(operator.pixels(view)) for view in range(count)])
+    pixels = int(shares.sum())
     penalty = np.full(whole.shape[2], penalty_of(scene, pixels, strength))
     penalty[0] = 0.0
 
     def apply(direction: NDArray, last: bool) -> tuple[NDArray, float]:
-        """The product with a direction; instead, if `last`, the squared change of images."""
-        if not last:
-            return operator.apply(direction, places, near.lit, advance), 0.0
-        squares = operator.errors(direction, places, some, advance, near.lit)
-        return np.zeros_like(direction), float(squares.sum()) / share
+        """The product with a direction; instead, if `last`, the squared change of images.
+
+        That is expected from some views, whose share is taken from the previous direction.
+        """
+        if last:
+            squares = operator.errors(direction, places, some, advance, near.lit).sum()
+            known = max(float(shares[some].sum()), _EPS)
+            return np.zeros_like(direction), float(squares * shares.sum() / known)
+        product, shares[:] = operator.apply(direction, places, near.lit, advance)
+        return product, 0.0
 
     damping = start, places.numbers
     change, errors, objectives = _descend(apply, near, damping, penalty, iterations)
     refitted = np.add(start, change, out=change)
     grown = operator.errors(refitted, places, some, advance) - near.errors[some]
     damped = objectives[-1] - errors[-1] - (objectives[0] - errors[0])
-    kept = not float(grown.sum()) / share + damped < 0
+    kept = not float(grown.sum()) * count / len(some) + damped < 0
     report = RefitReport([_psnr(error / (3 * pixels)) for error in errors], objectives, kept)
     if kept:
         return scene, report

@@ -110,6 +110,7 @@ def compact_sh(
         if likely is not None:
             centres = np.concatenate([centres, likely.centres])
             weights = np.concatenate([weights, likely.weights])
+        weights = np.asfortranarray(weights)  # a Gaussian's weights side by side
 
         def run(start: int) -> tuple[int, int]:
             stop = min(start + _CHUNK, scene.count)

@@ -49,6 +49,9 @@ _ELSEWHERE = np.float32(3.0)
 _BETA_1 = 0.9
 _BETA_2 = 0.99
 
+#: Groups of values that move, in the order of `_move`.
+_MOVING = ("positions", "f_dc", "opacity", "log_scale", "rot")
+
 #: Number of Gaussians that a task moves.
 _CHUNK = 1 << 12
 
@@ -86,20 +89,23 @@ def round_jointly(
             descent.quantise()
         descent.step(step, _RATE * _LAST ** (step / number))
         advance()
-    return descent.shaped.reshaped(descent.source)
+    return shaped.reshaped(shaped.changed_source(descent.source, _MOVING))
 
 
 class _Descent:
-    """The values of a scene, in the order of its source, and their running derivatives."""
+    """The values of a scene, in their first stream order, and their running derivatives.
+
+    Later orders differ little, so memory is read from front to back.
+    """
 
     def __init__(self, shaped: ShapedScene, views: ReferenceViews, error: float) -> None:
-        self.shaped, self.views = shaped, views
+        self.shaped, self.views = shaped.in_stream_order(), views
         self.first = np.zeros((shaped.source.count, VALUES), np.float32)
         self.second = np.zeros_like(self.first)
         self.moved = np.zeros_like(self.first)
         # Rounding adds s d^2 / 12, with s d^2 the squared error of moving by a step size d.
         self.scale = len(views.cameras) / _TOGETHER / (2 * 12 * error)
-        self.source = _by_length(shaped.source)
+        self.source = _by_length(self.shaped.source)
         self.decoded, self.steps = self._decode()
 
     def quantise(self) -> None:
@@ -118,7 +124,7 @@ class _Descent:
         order = [view_of(i, len(self.views.cameras)) for i in range(first, first + _TOGETHER)]
         seen = run_all(self._look, order)
         count, source = self.source.count, self.source
-        planes = (source.positions, source.f_dc, source.opacity, source.log_scale, source.rot)
+        planes = [getattr(source, group) for group in _MOVING]
         decay_1, decay_2 = (1 - beta ** (number + 1) for beta in (_BETA_1, _BETA_2))
 
         def move(start: int) -> None:

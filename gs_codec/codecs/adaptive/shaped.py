@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,11 +95,22 @@ class ShapedScene:
 
     def with_colours(self, coloured: Scene) -> ShapedScene:
         """Replace the SH by that of `coloured`, which is in stream order."""
+        source = self.changed_source(coloured, ("f_dc", "f_rest"))
+        return replace(self, arranged=replace(self.arranged, source=source))
+
+    def changed_source(self, scene: Scene, groups: Sequence[str]) -> Scene:
+        """The source with groups of values of `scene`, which is in stream order."""
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
-        f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
-        source = replace(self.arranged.source, f_dc=f_dc, f_rest=f_rest)
-        return replace(self, arranged=replace(self.arranged, source=source))
+        changes: dict[str, Any] = {group: gather(getattr(scene, group), rank) for group in groups}
+        return replace(self.source, **changes)
+
+    def in_stream_order(self) -> ShapedScene:
+        """The same with its source in stream order, for many changes; nothing is watched."""
+        order = np.arange(len(self.order), dtype=self.order.dtype)
+        source = self.source.take(self.order)
+        arranged = replace(self.arranged, source=source, order=order, watched=None)
+        return replace(self, arranged=arranged)
 
     def reshaped(self, source: Scene) -> ShapedScene:
         """Quantise a changed source on the same lattices, with the classes of each Gaussian."""

@@ -226,6 +226,7 @@ class Guidance:
         advance = step_counter(self.progress, "measure", len(seen))
         coefficients = coefficients_of(scene)
         used = coefficients != 0
+        used[:, :, 0] = True
         errors = operator.errors(coefficients[used], Places.of(used), seen, advance)
         values = [3 * operator.pixels(view) for view in seen]
         return np.maximum(errors / values, _EPS)

@@ -41,7 +41,7 @@ _SAMPLE = 8
 
 
 class Places(NamedTuple):
-    """Which coefficients ``(N, 3, 1 + K)`` may differ from 0: M of them, in order.
+    """Which coefficients ``(N, 3, 1 + K)`` may differ from 0: M of them, in order; all SH-DC may.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Places(NamedTuple):
 
     @classmethod
     def of(cls, used: NDArray[np.bool_]) -> Places:
-        """The places where ``used (N, 3, 1 + K)`` is true."""
+        """The places where ``used (N, 3, 1 + K)`` is true, as it must be for SH-DC."""
         starts = np.empty(3 * len(used) + 1, np.int64)
         numbers = np.empty(np.count_nonzero(used), np.uint8)
         _list_places(used.reshape(3 * len(used), used.shape[2]), starts, numbers)
@@ -252,17 +252,16 @@ def _list_places(used, starts, numbers):
 
 
 @inlined
-def _row_of(positions, i, camera, starts, numbers, row):
-    """Fill ``row (16,)`` with the SH basis that Gaussian i needs."""
-    row[0] = SH_C0
+def _has_ac(positions, i, camera, starts, numbers, row):
+    """Whether Gaussian i has SH-AC; then ``row (16,)`` is filled with the SH basis it needs."""
+    if starts[3 * i + 3] - starts[3 * i] == 3:
+        return False
     last = 0
     for channel in range(3):
-        end = starts[3 * i + channel + 1]
-        if end > starts[3 * i + channel]:
-            last = max(last, np.int64(numbers[end - 1]))
-    if last > 0:
-        size = 4 if last < 4 else 9 if last < 9 else 16
-        sh_row(positions, i, camera, row[:size])
+        last = max(last, np.int64(numbers[starts[3 * i + channel + 1] - 1]))
+    size = 4 if last < 4 else 9 if last < 9 else 16
+    sh_row(positions, i, camera, row[:size])
+    return True
 
 
 @kernel
@@ -275,12 +274,16 @@ def _fill_colours(positions, camera, seen, coefficients, starts, numbers, clamp,
     row, values = np.empty(LANES), np.empty(3)
     for j in range(len(seen)):
         i = seen[j]
-        _row_of(positions, i, camera, starts, numbers, row)
-        for channel in range(3):
-            value = 0.0
-            for m in range(starts[3 * i + channel], starts[3 * i + channel + 1]):
-                value += row[numbers[m]] * coefficients[m]
-            values[channel] = value
+        first = starts[3 * i]
+        if not _has_ac(positions, i, camera, starts, numbers, row):
+            for channel in range(3):
+                values[channel] = SH_C0 * coefficients[first + channel]
+        else:
+            for channel in range(3):
+                value = 0.0
+                for m in range(starts[3 * i + channel], starts[3 * i + channel + 1]):
+                    value += row[numbers[m]] * coefficients[m]
+                values[channel] = value
         values[0], values[1], values[2] = red_green_blue(values[0], values[1], values[2])
         if clamp:
             lit[i] = 0
@@ -302,7 +305,6 @@ def _add_gradient(
         i = seen[j]
         if square == 0.0 or lit[i] == 0:
             continue
-        _row_of(positions, i, camera, starts, numbers, row)
         red, green, blue = lit[i] & 1, lit[i] >> 1 & 1, lit[i] >> 2
         of_colour[0], of_colour[1], of_colour[2] = luma_chroma(
             sums[j, 0] * red, sums[j, 1] * green, sums[j, 2] * blue
@@ -310,6 +312,13 @@ def _add_gradient(
         of_square[0] = square * (red + green + blue) / 3.0
         of_square[1] = square * (red + blue) / 2.0
         of_square[2] = square * (red + 4.0 * green + blue) / 6.0
+        if not _has_ac(positions, i, camera, starts, numbers, row):
+            first = starts[3 * i]
+            for channel in range(3):
+                gradient[first + channel] += SH_C0 * of_colour[channel]
+                if len(curvature):
+                    curvature[first + channel] += SH_C0 * SH_C0 * of_square[channel]
+            continue
         for channel in range(3):
             for m in range(starts[3 * i + channel], starts[3 * i + channel + 1]):
                 value = row[numbers[m]]

@@ -812,6 +812,7 @@ BAD_SOG = {
     "huge integer": (zip_of(b'{"version": 2, "count": ' + b"9" * 5000 + b"}"), "meta.json: "),
     "a list": (zip_of(b"[]"), "no 'means', not a SOG"),
     "a number": (zip_of(b"2"), "no 'means', not a SOG"),
+    "voxels": (zip_of(b'{"version":"1.1","voxelResolution":0.05}'), "voxels for collisions"),
     "version 3": (bad_sog(setting("version", value=3)), "version 3, expected 1 or 2"),
     "version []": (bad_sog(setting("version", value=[])), r"version \[\], expected"),
     "model of a list": (bad_sog(setting("model", value=[1])), "expected a name"),

@@ -16,7 +16,7 @@ from orbits import cameras
 from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
 
-import gs_codec
+import gs_codec.formats
 from gs_codec.bench.peers import find_splat_transform
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
@@ -34,6 +34,8 @@ from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
 
 pytestmark = pytest.mark.slow
+
+DOCUMENT = Path(gs_codec.formats.__file__).with_name("FORMATS.md").read_text()
 
 FORMATS = (
     "sog",
@@ -189,6 +191,17 @@ def test_splat_transform_does_the_same_job(splat_transform, job, degree, tmp_pat
             one, other = unit_quaternions(one), unit_quaternions(other)
             other = other * np.copysign(1, (one * other).sum(axis=0))
         np.testing.assert_allclose(other, one, rtol=2e-6, atol=4e-6, err_msg=group)
+
+
+def test_the_documented_programs_are_those_that_read_our_files():
+    """The second column of the table of programs."""
+    table = DOCUMENT.partition("## Programs\n")[2].partition("\n## ")[0]
+    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| `.")]
+    told = {row[0].split("`")[1]: set(row[1].strip().split(", ")) - {""} for row in rows[::-1]}
+    names = {"playcanvas": "PlayCanvas", "spark": "Spark"}
+    for form in ("compressed.ply", "splat", "spz", "sog", "glb", "rad"):
+        readers = {names.get(n, n) for n, p in PROGRAMS.items() if form in p.formats.split()}
+        assert told[f".{form}"] == readers, form
 
 
 def test_our_compression_has_the_methods_of_gsplats_own():

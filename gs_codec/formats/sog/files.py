@@ -93,6 +93,8 @@ def parse_meta(data: bytes) -> Meta:
     """
     with refusing(UNBUNDLED):
         meta = parse_json(data)
+    if isinstance(meta, dict) and "voxelResolution" in meta:
+        raise InvalidInput("voxels for collisions (.voxel.json), without Gaussians")
     version = 1 if not isinstance(meta, dict) else meta.get("version", 1)
     if version not in (1, 2) or isinstance(version, bool | float):
         raise InvalidInput(f"meta.json: version {version!a:.40}, expected 1 or 2")

@@ -89,6 +89,8 @@ class SceneFormat:
         Its coordinate system, as three letters; empty if files may have any.
     sorts : bool
         Whether Gaussians are written in Morton order.
+    order : callable, optional
+        The index in a scene of each Gaussian of its file, for any other order.
     sh_grid : callable, optional
         The `ShGrid` for a number of Gaussians, if rounding SH-AC to the nearest level is not best.
     in_parts : bool
@@ -127,6 +129,7 @@ class SceneFormat:
     sh_degrees: Mapping[str, int] = field(default_factory=dict)
     system: str = ""
     sorts: bool = False
+    order: Callable[..., Any] | None = None
     sh_grid: Callable[..., Any] | None = None
     in_parts: bool = False
     in_folders: tuple[str, ...] | None = None
@@ -277,7 +280,7 @@ RAD = SceneFormat(
     options={"effort": "effort"},
     rounding="opacity, colours, scales, rotations and SH rounded to 8 bits",
     is_rounded=True,
-    sorts=True,
+    order=Lazy("gs_codec.levels.tree", "leaf_order"),
     in_folders=(".rad",),
     floats_per_byte=20,
 )

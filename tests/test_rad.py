@@ -11,14 +11,13 @@ import pytest
 from refusals import assert_refused
 from scenes import random_scene
 
-from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.packed_values import sigmoid, unit_quaternions
 from gs_codec.formats.rad.file import RadFile
 from gs_codec.formats.registry import open_scene, overview_of
-from gs_codec.levels.tree import pack_rad
+from gs_codec.levels.tree import leaf_order, pack_rad
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import SH_C0
 
@@ -199,7 +198,7 @@ def test_errors_of_written_files_are_within_half_a_step(count, degree, tmp_path)
     scene = replace(scene, f_dc=np.clip(scene.f_dc, -1.7, 5), f_rest=np.clip(scene.f_rest, -1, 1))
     data, lost = pack_rad(scene)
     back = read_scene(written(tmp_path, {"": data}))
-    scene = scene.take(spatial_order(scene.positions, scene.log_scale))
+    scene = scene.take(leaf_order(scene))
     assert (back.count, back.sh_degree) == (count, degree)
     np.testing.assert_array_equal(back.positions, scene.positions)
     np.testing.assert_allclose(back.f_dc, scene.f_dc, atol=0.5 / 255 * 3 / SH_C0 + 1e-6)
@@ -251,7 +250,7 @@ def test_steps_and_effort_make_a_file_smaller(tmp_path):
     fast, high = (pack_rad(scene, steps, effort)[0] for effort in ("fast", "high"))
     assert len(high) < len(fast) < 0.8 * len(pack_rad(scene)[0])
     back = read_scene(written(tmp_path, {"": high}))
-    scene = scene.take(spatial_order(scene.positions, scene.log_scale))
+    scene = scene.take(leaf_order(scene))
     assert (np.mod(back.positions, 2**-7) == 0).all()
     assert np.abs(back.positions - scene.positions).max() <= 2**-8
     assert 0.01 < np.abs(back.f_rest - scene.f_rest).max() <= 0.05

@@ -144,6 +144,8 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
 
 def _file_order(scene: Scene, config: Config) -> NDArray[np.int64]:
     """Index in a scene of each Gaussian, in file order."""
+    if (order := config.scene_format.order) is not None:
+        return order(scene)
     if config.scene_format.sorts:
         return spatial_order(scene.positions, scene.log_scale)
     return np.arange(scene.count)

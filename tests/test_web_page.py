@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qsl
 
 import numpy as np
 import pytest
@@ -174,6 +175,51 @@ def test_two_scenes_are_compared(files, pages, tmp_path):
     ours = error_image(a, b)
     assert np.abs(page["error"] - ours).max(axis=2).mean() < 0.05
     assert np.ptp(ours) > 0.3
+
+
+@in_browser
+def test_a_link_shows_the_same(pages, tmp_path):
+    """The address tells what is shown, also after the camera has moved."""
+    url = pages["two"].as_uri()
+    asked = "#view=1&show=a&degree=1&up=z&background=white"
+    job = Job(url + asked, [("drawn",), ("drag", [[150, 100], [190, 90]], 4)])
+    job.shot(str(tmp_path / "first.png"))
+    job.steps += [("until", "location.hash.includes('camera')"), ("value", "location.hash")]
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    address = told.values[-1]
+    parts = dict(parse_qsl(address.removeprefix("#")))
+    assert parts.pop("camera").count(",") == 8
+    assert parts == dict(parse_qsl(asked[1:]))
+    again = Job(url + address, [("until", "document.getElementById('degree').value === '1'")])
+    again.shot(str(tmp_path / "again.png"))
+    fresh = Job(url, [("drawn",), ("value", "location.hash")])
+    odd = Job(url + "#view=9&show=x&wipe=2&camera=1,2,3,nan&up=&degree=1.5&background=%", [])
+    odd.shot(str(tmp_path / "odd.png"))
+    fresh.shot(str(tmp_path / "fresh.png"))
+    for each in (opened := open_pages(again, fresh, odd)):
+        assert (each.state, each.errors) == ("ready", [])
+    assert opened[1].values[1] == ""
+    assert decibels(seen(tmp_path / "first.png"), seen(tmp_path / "again.png")) > 60
+    assert decibels(seen(tmp_path / "odd.png"), seen(tmp_path / "fresh.png")) > 60
+
+
+@in_browser
+def test_another_address_is_followed_and_a_link_is_copied(files, pages, tmp_path):
+    keep = "navigator.clipboard.writeText = async (text) => { globalThis.kept = text; }"
+    job = Job(pages["one"].as_uri(), [("drawn",)], before=keep, panel=True)
+    job.steps += [("value", "location.hash = '#view=2&background=grey'"), ("drawn",)]
+    job.steps += [("until", "document.getElementById('views').value === '2'")]
+    job.shot(str(tmp_path / "grey.png"))
+    job.steps += [("click", "#link"), ("until", "globalThis.kept"), ("value", "globalThis.kept")]
+    job.steps += [("value", "document.getElementById('link').textContent")]
+    [told] = open_pages(job)
+    assert told.values[-2:] == [
+        f"{pages['one'].as_uri()}#view=2&background=grey",
+        "Link copied",
+    ]
+    ours = drawn(files.a, files.cameras[2], (0.5, 0.5, 0.5))
+    assert decibels(seen(tmp_path / "grey.png"), ours) > 45
 
 
 @pytest.mark.thorough

@@ -1,11 +1,15 @@
 // The page: one scene, or two to compare.
 import { SourceError } from '../src/index.js';
+import { addressOf, stateOf } from './address.js';
 import { control } from './controls.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
 import { Pose } from './pose.js';
 import { Renderer } from './renderer.js';
+
+/** Milliseconds without a change after which the address tells what is shown. */
+const SETTLED = 400;
 
 const BACKGROUNDS = { black: [0, 0, 0], grey: [0.5, 0.5, 0.5], white: [1, 1, 1] };
 
@@ -37,6 +41,8 @@ class Viewer {
     this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
     this.choose(0);
     this.panel.upright(this.axis);
+    this.#restore();
+    addEventListener('hashchange', () => this.#restore());
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
@@ -130,9 +136,11 @@ class Viewer {
     const count = this.views.length;
     this.view = ((index % count) + count) % count;
     this.pose = Pose.of(this.views[this.view], this.middle);
+    this.hasMoved = false;
     if (this.axis !== BY_CAMERAS) this.pose.roll(this.up);
     this.panel.chosen(this.view);
     this.redraw();
+    this.#remember();
   }
 
   /** The up axis, of length 1. */
@@ -143,6 +151,7 @@ class Viewer {
   /** Set the up axis, by its name, and roll the picture upright. */
   setUp(axis) {
     this.axis = axis;
+    this.isTurned = true;
     this.pose.roll(this.up);
     this.panel.upright(axis);
     this.moved();
@@ -152,7 +161,9 @@ class Viewer {
   moved() {
     this.pace.move();
     this.pose = this.pose.copy(); // a new object, by which scenes know what they are sorted for
+    this.hasMoved = true;
     this.redraw();
+    this.#remember();
   }
 
   /** Change display settings: `show` (a, b, wipe, error), `split`, `degree`, `background`. */
@@ -160,6 +171,75 @@ class Viewer {
     Object.assign(this.look, look);
     this.panel.shown(this.look);
     this.redraw();
+    this.#remember();
+  }
+
+  /** Choose an SH degree, which scenes that arrive later keep. */
+  limit(degree) {
+    this.degree = degree;
+    this.set({ degree });
+  }
+
+  /** What is shown, as the part of the address after '#'. */
+  get #address() {
+    const { view, hasMoved, pose, look, panel, degree, isTurned, axis } = this;
+    return addressOf({
+      view,
+      pose: hasMoved ? pose : undefined,
+      show: panel.two ? look.show : undefined,
+      wipe: look.split,
+      degree,
+      up: isTurned ? axis : undefined,
+      background: look.background,
+    });
+  }
+
+  /** Show what the address asks for. */
+  #restore() {
+    const asked = stateOf(location.hash, {
+      views: this.views.length,
+      shows: this.panel.two ? ['a', 'b', 'wipe', 'error'] : [],
+      ups: Object.keys(this.ups),
+      backgrounds: Object.keys(BACKGROUNDS),
+    });
+    if (asked.up) this.setUp(asked.up);
+    if (asked.view !== undefined) this.choose(asked.view);
+    const { camera } = asked;
+    const pose =
+      camera && Pose.facing(camera.slice(0, 3), camera.slice(3, 6), camera.slice(6));
+    if (pose) {
+      this.pose = pose;
+      this.moved();
+    }
+    if (asked.degree !== undefined) this.limit(asked.degree);
+    const { show, background, wipe: split } = asked;
+    const look = Object.entries({ show, background, split });
+    this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
+    clearTimeout(this.settling);
+    this.remembered = this.#address;
+  }
+
+  /** Put what is shown into the address, once nothing changes; a page in a notebook has none. */
+  #remember() {
+    clearTimeout(this.settling);
+    if (location.protocol === 'about:') return;
+    this.settling = setTimeout(() => {
+      if (this.#address === this.remembered) return;
+      this.remembered = this.#address;
+      history.replaceState(null, '', `#${this.remembered}`);
+    }, SETTLED);
+  }
+
+  /** Copy a link to what is shown; true if that worked. */
+  async copyLink() {
+    const link = new URL(`#${this.#address}`, location.href).href;
+    try {
+      await navigator.clipboard.writeText(link);
+      return true;
+    } catch {
+      this.panel.tell(link, false, false); // to copy it by hand
+      return false;
+    }
   }
 
   /** Focal length in pixels of the page. */

@@ -53,10 +53,12 @@ export class Panel {
     $('stop').addEventListener('click', () => viewer.abort.abort());
     $('retry').addEventListener('click', () => viewer.retry());
     $('save').addEventListener('click', () => viewer.save());
+    $('link').hidden = location.protocol === 'about:';
+    $('link').addEventListener('click', () => this.#copy());
     $('views').addEventListener('change', ({ target }) => viewer.choose(Number(target.value)));
     $('ups').addEventListener('change', ({ target }) => viewer.setUp(target.value));
     $('degree').addEventListener('change', ({ target }) =>
-      viewer.set({ degree: Number(target.value) }),
+      viewer.limit(Number(target.value)),
     );
     $('background').addEventListener('change', ({ target }) =>
       viewer.set({ background: target.value }),
@@ -103,12 +105,21 @@ export class Panel {
       4: () => show('error'),
       f: () => show(viewer.look.show === 'a' ? 'b' : 'a'),
       x: () => viewer.save(),
+      c: () => this.#copy(),
       h: () => {
         $('panel').open = true;
         $('keys').open = !$('keys').open;
       },
     };
     actions[event.key.toLowerCase()]?.();
+  }
+
+  async #copy() {
+    const button = $('link');
+    if (button.hidden || !(await this.viewer.copyLink())) return;
+    button.textContent = 'Link copied';
+    clearTimeout(this.copied);
+    this.copied = setTimeout(() => (button.textContent = 'Copy link'), 2000);
   }
 
   /** The axis after the current up axis. */
@@ -194,7 +205,7 @@ export class Panel {
     const highest = Math.max(...known.map(({ degree }) => degree));
     const degrees = Array.from({ length: highest + 1 }, (_, k) => new Option(k, k));
     $('degree').replaceChildren(...degrees);
-    this.viewer.set({ degree: highest });
+    this.viewer.set({ degree: Math.min(this.viewer.degree ?? highest, highest) });
     $('sizes').hidden = false;
     const [head, body] = [$('sizes').tHead, $('sizes').tBodies[0]];
     head.replaceChildren();

@@ -42,6 +42,17 @@ export class Pose {
     return new Pose(position, turn, Math.max(dot(away, turn[2]), 0.2 * Math.hypot(...away), 1e-3));
   }
 
+  /** A pose from an eye, a target, and the direction that is up in the picture; else undefined. */
+  static facing(eye, target, top) {
+    const away = plus(target, eye, -1);
+    const distance = Math.hypot(...away);
+    const forward = unit(away);
+    const right = cross(forward, top);
+    if (!(distance > 0 && Math.hypot(...right) > LEVEL * Math.hypot(...top))) return undefined;
+    const level = unit(right);
+    return new Pose(eye, [level, cross(forward, level), forward], distance);
+  }
+
   copy() {
     return new Pose(this.eye, this.turn, this.distance);
   }

@@ -1,0 +1,64 @@
+// What the page shows, as the part of its address after '#', so that a link shows the same.
+
+/** Significant digits of numbers; coordinates are then exact to a millionth of their size. */
+const DIGITS = 7;
+
+const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS))).join(',');
+
+/**
+ * The part after '#'. Values that a fresh page would show are left out, except the view's number.
+ *
+ * @param {object} state
+ * @param {number} state.view
+ * @param {object} [state.pose] if it is no longer the view's: eye, target, up in the picture
+ * @param {string} [state.show] if there are two scenes
+ * @param {number} state.wipe
+ * @param {number} [state.degree] if chosen
+ * @param {string} [state.up] if chosen
+ * @param {string} state.background
+ */
+export function addressOf({ view, pose, show, wipe, degree, up, background }) {
+  const parts = { view };
+  if (pose) {
+    const top = pose.turn[1].map((value) => -value);
+    parts.camera = text([...pose.eye, ...pose.target, ...top]);
+  }
+  if (show) parts.show = show;
+  if (show === 'wipe') parts.wipe = text([wipe]);
+  if (degree !== undefined) parts.degree = degree;
+  if (up !== undefined) parts.up = up;
+  if (background !== 'black') parts.background = background;
+  // Commas and minus signs need no escapes.
+  return new URLSearchParams(parts).toString().replaceAll('%2C', ',');
+}
+
+/** Numbers of a list with `length` of them, all finite; else undefined. */
+function numbers(listed, length) {
+  const found = listed?.split(',').map((value) => (value.trim() ? Number(value) : NaN));
+  return found?.length === length && found.every(Number.isFinite) ? found : undefined;
+}
+
+/**
+ * What an address asks for; whatever is missing or not possible is undefined.
+ *
+ * @param {string} hash
+ * @param {object} possible names and numbers: `views`, `shows`, `ups`, `backgrounds`
+ */
+export function stateOf(hash, { views, shows, ups, backgrounds }) {
+  const asked = new URLSearchParams(hash.replace(/^#/, ''));
+  const one = (name, known) => (known.includes(asked.get(name)) ? asked.get(name) : undefined);
+  const whole = (name, end) => {
+    const [value] = numbers(asked.get(name), 1) ?? [];
+    return Number.isInteger(value) && value >= 0 && value < end ? value : undefined;
+  };
+  const [wipe] = numbers(asked.get('wipe'), 1) ?? [];
+  return {
+    view: whole('view', views),
+    camera: numbers(asked.get('camera'), 9),
+    show: one('show', shows),
+    wipe: wipe >= 0 && wipe <= 1 ? wipe : undefined,
+    degree: whole('degree', 4),
+    up: one('up', ups),
+    background: one('background', backgrounds),
+  };
+}

@@ -205,6 +205,24 @@ def test_a_link_shows_the_same(pages, tmp_path):
 
 
 @in_browser
+def test_a_picture_turns_alone_until_it_is_touched(pages, tmp_path):
+    url = pages["one"].as_uri() + "#view=1&turn=1&bare=1"
+    shown = "getComputedStyle(document.getElementById('panel')).display !== 'none'"
+    job = Job(url, [("value", shown), ("until", "document.getElementById('turn').checked")])
+    job.steps += [("drag", [[150, 100], [151, 100]], 1), ("drawn",), ("key", "i")]
+    job.steps += [("value", shown), ("until", "location.hash.includes('camera')")]
+    job.steps += [("value", "location.hash"), ("key", "r")]
+    job.steps += [("until", "location.hash === '#view=1'")]
+    still = Job(url, [("drawn",), ("value", "document.getElementById('turn').checked")])
+    still.before = "globalThis.matchMedia = () => ({ matches: true, addEventListener() {} })"
+    turned, resting = open_pages(job, still)
+    assert (turned.state, turned.errors) == ("ready", [])
+    assert [value for value in turned.values if isinstance(value, bool)] == [False, True]
+    assert "turn=1" not in turned.values[-3]
+    assert resting.values[-1] is False  # reduced motion
+
+
+@in_browser
 def test_another_address_is_followed_and_a_link_is_copied(files, pages, tmp_path):
     keep = "navigator.clipboard.writeText = async (text) => { globalThis.kept = text; }"
     job = Job(pages["one"].as_uri(), [("drawn",)], before=keep, panel=True)

@@ -16,8 +16,10 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {number} [state.degree] if chosen
  * @param {string} [state.up] if chosen
  * @param {string} state.background
+ * @param {boolean} state.turn whether the picture turns
+ * @param {boolean} state.bare whether only the picture is shown
  */
-export function addressOf({ view, pose, show, wipe, degree, up, background }) {
+export function addressOf({ view, pose, show, wipe, degree, up, background, turn, bare }) {
   const parts = { view };
   if (pose) {
     const top = pose.turn[1].map((value) => -value);
@@ -28,6 +30,8 @@ export function addressOf({ view, pose, show, wipe, degree, up, background }) {
   if (degree !== undefined) parts.degree = degree;
   if (up !== undefined) parts.up = up;
   if (background !== 'black') parts.background = background;
+  if (turn) parts.turn = 1;
+  if (bare) parts.bare = 1;
   // Commas and minus signs need no escapes.
   return new URLSearchParams(parts).toString().replaceAll('%2C', ',');
 }
@@ -60,5 +64,7 @@ export function stateOf(hash, { views, shows, ups, backgrounds }) {
     degree: whole('degree', 4),
     up: one('up', ups),
     background: one('background', backgrounds),
+    turn: asked.get('turn') === '1',
+    bare: asked.get('bare') === '1',
   };
 }

@@ -8,6 +8,9 @@ import { Panel } from './panel.js';
 import { Pose } from './pose.js';
 import { Renderer } from './renderer.js';
 
+/** Radians per second of a picture that turns by itself. */
+const TURN = 0.25;
+
 /** Milliseconds without a change after which the address tells what is shown. */
 const SETTLED = 400;
 
@@ -43,6 +46,7 @@ class Viewer {
     this.panel.upright(this.axis);
     this.#restore();
     addEventListener('hashchange', () => this.#restore());
+    this.canvas.addEventListener('pointerdown', () => this.isTurning && this.turn(false));
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
@@ -174,6 +178,30 @@ class Viewer {
     this.#remember();
   }
 
+  /** Turn the picture slowly about its target, or stop; the first touch of the scene stops it. */
+  turn(isOn) {
+    this.isTurning = isOn;
+    this.panel.turning(isOn);
+    let last = performance.now();
+    const step = (now) => {
+      if (!this.isTurning || this.turns !== step) return;
+      this.pose.orbit((TURN * Math.min(now - last, 100)) / 1000, 0, this.up);
+      last = now;
+      this.moved();
+      requestAnimationFrame(step);
+    };
+    this.turns = step;
+    requestAnimationFrame(step);
+    this.#remember();
+  }
+
+  /** Show only the picture, or everything. */
+  bare(isOn) {
+    document.body.classList.toggle('bare', isOn);
+    this.isBare = isOn;
+    this.#remember();
+  }
+
   /** Choose an SH degree, which scenes that arrive later keep. */
   limit(degree) {
     this.degree = degree;
@@ -191,6 +219,8 @@ class Viewer {
       degree,
       up: isTurned ? axis : undefined,
       background: look.background,
+      turn: this.isTurning,
+      bare: this.isBare,
     });
   }
 
@@ -215,6 +245,8 @@ class Viewer {
     const { show, background, wipe: split } = asked;
     const look = Object.entries({ show, background, split });
     this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
+    this.bare(asked.bare);
+    this.turn(asked.turn && !matchMedia('(prefers-reduced-motion)').matches);
     clearTimeout(this.settling);
     this.remembered = this.#address;
   }

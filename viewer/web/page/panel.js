@@ -66,6 +66,9 @@ export class Panel {
     $('budget').addEventListener('change', ({ target }) => {
       if (target.value > 0) viewer.resize(1e6 * target.value);
     });
+    $('turn').addEventListener('change', ({ target }) => viewer.turn(target.checked));
+    $('full').hidden = !document.fullscreenEnabled;
+    $('full').addEventListener('click', () => document.documentElement.requestFullscreen());
     $('shows').addEventListener('change', ({ target }) => viewer.set({ show: target.value }));
     this.#listenToWipe();
     document.addEventListener('keydown', (event) => this.#key(event));
@@ -106,6 +109,8 @@ export class Panel {
       f: () => show(viewer.look.show === 'a' ? 'b' : 'a'),
       x: () => viewer.save(),
       c: () => this.#copy(),
+      o: () => viewer.turn(!viewer.isTurning),
+      i: () => viewer.bare(!viewer.isBare),
       h: () => {
         $('panel').open = true;
         $('keys').open = !$('keys').open;
@@ -135,6 +140,11 @@ export class Panel {
     $('told').hidden = !text;
     $('told').classList.toggle('error', isError);
     $('retry').hidden = !mayRetry;
+  }
+
+  /** Show whether the picture turns by itself. */
+  turning(isOn) {
+    $('turn').checked = isOn;
   }
 
   /** Show which view is selected. */

@@ -42,6 +42,8 @@ from gs_codec.cli.main import main
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.egs.egs_file import SectionId, read_file
+from gs_codec.encoding import order
+from gs_codec.encoding.request import Request
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files import sharing
 from gs_codec.files.scenes import turn_scene
@@ -238,6 +240,25 @@ def test_another_address_is_followed_and_a_link_is_copied(files, pages, tmp_path
     ]
     ours = drawn(files.a, files.cameras[2], (0.5, 0.5, 0.5))
     assert decibels(seen(tmp_path / "grey.png"), ours) > 45
+
+
+def test_large_scenes_have_levels_in_folders(tmp_path, monkeypatch):
+    monkeypatch.setattr(sharing, "_LEVELLED", 2000)
+    with_levels = []
+
+    def encode(scene: Scene, request: Request, *rest: Any):
+        with_levels.append(request.config.lod)
+        small = replace(request, config=replace(request.config, block_size=1024))
+        return order.encode(scene, small, *rest)
+
+    monkeypatch.setattr(sharing, "encode", encode)
+    for name, count in (("large", 5000), ("small", 2000)):
+        write_ply(tmp_path / f"{name}.ply", generate(count, 0, 3))
+        [one] = share([tmp_path / f"{name}.ply"], tmp_path / name)
+        assert (one.encoded, one.levels > 0) == (True, name == "large")
+        [alone] = share([tmp_path / f"{name}.ply"], tmp_path / f"{name}.html")
+        assert (alone.encoded, alone.levels) == (True, 0)
+    assert with_levels == [True, False, False, False]
 
 
 @pytest.mark.thorough

@@ -40,6 +40,9 @@ log = logging.getLogger(__name__)
 #: Profile for scenes that pages cannot read directly.
 _PROFILE = "l"
 
+#: Scenes with more Gaussians than this are encoded with levels of detail for pages in folders.
+_LEVELLED = 1_000_000
+
 #: Name of the page among its files.
 PAGE = "index.html"
 
@@ -90,7 +93,7 @@ def share(
     sources : sequence of str or Path
         One scene or two, in formats supported by `read`. `.egs` files of profiles `paper-*`, `l`,
         `m` and `s` are embedded unchanged, unless decoding needs G-PCC or torchac; others are
-        encoded with profile `l`.
+        encoded with profile `l`, for a folder with levels of detail if they are large.
     target : str or Path
         A self-contained ``.html`` file; or a folder for any static web server, with the page,
         ``index.html``, and the scenes.
@@ -141,7 +144,7 @@ def page_of(
     See `share`. A `Scene` has the coordinates of a PLY.
     """
     template = _template()
-    opened = [_open(source, progress, max_bytes) for source in sources]
+    opened = [_open(source, progress, max_bytes, streamed=not alone) for source in sources]
     shared = [one for one, _ in opened]
     first = opened[0][1]
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
@@ -200,11 +203,14 @@ def _views(
 
 
 def _open(
-    source: str | Path | Scene, progress: Progress | None, max_bytes: int | None
+    source: str | Path | Scene,
+    progress: Progress | None,
+    max_bytes: int | None,
+    streamed: bool = False,
 ) -> tuple[SharedScene, Scene]:
-    """A scene, and its Gaussians as shown by a page."""
+    """A scene, and its Gaussians as shown by a page, which may fetch parts of it if `streamed`."""
     if isinstance(source, Scene):
-        return _encoded("cloud", source, progress)
+        return _encoded("cloud", source, progress, streamed)
     path = Path(source)
     with open_scene(path) as file:
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
@@ -216,13 +222,18 @@ def _open(
                 levels = len(info.levels)
                 return SharedScene(_name(path), bytes(file.data), False, levels), scene
         with located(path):
-            return _encoded(_name(path), scene, progress)
+            return _encoded(_name(path), scene, progress, streamed)
 
 
-def _encoded(name: str, scene: Scene, progress: Progress | None) -> tuple[SharedScene, Scene]:
-    """A scene encoded for a page."""
-    parts, report = encode(scene, Request(Config(_PROFILE, extra="drop")), progress)
-    return SharedScene(name, b"".join(parts), True, rendered=report.rendered), scene
+def _encoded(
+    name: str, scene: Scene, progress: Progress | None, streamed: bool
+) -> tuple[SharedScene, Scene]:
+    """A scene encoded for a page; with levels of detail if it is large and `streamed`."""
+    config = Config(_PROFILE, extra="drop", lod=streamed and scene.count > _LEVELLED)
+    parts, report = encode(scene, Request(config), progress)
+    data = b"".join(parts)
+    levels = len(inspect_bytes(data).levels)
+    return SharedScene(name, data, True, levels, report.rendered), scene
 
 
 def _name(path: Path) -> str:

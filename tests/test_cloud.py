@@ -433,7 +433,7 @@ def test_compare_of_clouds_ignores_extra_attributes():
 
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.egs.bak"])
 def test_unknown_suffix_is_refused(name, tmp_path):
-    with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .*\.ply, .* or \.csv"):
+    with pytest.raises(InvalidInput, match=r"expected \.egs, .*\.ply, .* or \.collision\.glb"):
         gs_codec.write(tmp_path / name, to_cloud(random_scene(3)))
     assert list(tmp_path.iterdir()) == []
 

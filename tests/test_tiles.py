@@ -236,7 +236,7 @@ def test_a_place_changes_no_numbers_of_the_scene(folder, tmp_path, scene, caplog
     np.testing.assert_array_equal(matrix, frame_at(AT))
     assert_same_floats(read_scene(tmp_path / TILESET), read_scene(folder / TILESET))
     path = tmp_path / TILESET
-    said = f"{path}: left out: its place on the earth, --at 8.5400000,47.3700000,410.000"
+    said = f"{path}: left out: its place on the earth, 8.5400000,47.3700000,410.000"
     assert caplog.messages == [said]
 
 

@@ -27,8 +27,6 @@ from gs_codec.egs.egs_file import (
 )
 from gs_codec.egs.index import Box, bounds_of, errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
-from gs_codec.pages.tables import Table
-from gs_codec.runtime.wording import counted, size_text
 from gs_codec.scene import SH_COEFFICIENTS
 
 if TYPE_CHECKING:
@@ -202,6 +200,9 @@ class Info:
 
     def _repr_html_(self) -> str:
         """A table of the streams, for notebooks."""
+        from gs_codec.pages.tables import Table
+        from gs_codec.runtime.wording import counted, size_text
+
         size = f"{size_text(self.file_bytes)}, {self.ratio:.2f}x relative to the floats"
         caption = f"{counted(self.count, 'Gaussian')}, profile {self.profile}, {size}"
         rows = [[s.name, f"{s.bytes:,}", f"{s.bits_per_gaussian:.3f}"] for s in self.streams]

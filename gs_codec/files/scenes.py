@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,15 @@ from gs_codec.formats.coordinates import (
 from gs_codec.formats.extra_properties import scene_without
 from gs_codec.formats.ply.dialects import with_filter
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.levels.building import Level
-from gs_codec.levels.tiling import Blocks
 from gs_codec.metrics.attributes import compare_scenes
 from gs_codec.metrics.comparison import Comparison
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, Shift, coordinates_of, float_bytes
+
+if TYPE_CHECKING:
+    from gs_codec.levels.tiling import Blocks
 
 
 def read_scene(
@@ -94,6 +96,9 @@ def turn_scene(scene: Scene, coordinates: str) -> Scene:
 
 def blocks_in(path: str | Path, scene: Scene) -> Blocks | None:
     """The coarser levels of an `.egs` file of a scene, in its system; None if it has none."""
+    from gs_codec.levels.building import Level
+    from gs_codec.levels.tiling import Blocks
+
     with open_scene(path) as file, located(path):
         if file.format != "egs":
             return None

@@ -71,7 +71,7 @@ def check_target(
     for source in sources:
         if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
             raise InvalidInput(f"{target}: input and output are the same file")
+    check_writable(target, overwrite, Path(target).name == TILESET)
     suffix = suffix_of(target, known)
-    check_writable(target, overwrite, suffix == TILESET)
     format_of(suffix).check_installed()
     return suffix

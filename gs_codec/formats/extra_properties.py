@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gs_codec.config import Extra
-from gs_codec.errors import InvalidInput, printable
+from gs_codec.errors import InvalidInput
 from gs_codec.format_table import COMMENTS, FLAG, PROPERTIES, SceneFormat
 from gs_codec.scene import NORMALS, Scene, other_comments
 
@@ -47,7 +47,7 @@ def say_left_out(
 ) -> None:
     """Log what is dropped from a file, if anything, in one line."""
     for line in left_out(properties, elements, lines, others):
-        log.warning("%s: %s", where, printable(line))
+        log.warning("%s: %s", where, line)
 
 
 def left_out_of(scene: Scene, known: SceneFormat) -> list[str]:

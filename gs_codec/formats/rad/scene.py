@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import InvalidInput, printable
 from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.formats.limits import check_count, most_bytes
 from gs_codec.formats.packed_values import (
@@ -68,7 +68,7 @@ def read_rad(path: Path, data: FileBytes, max_bytes: int | None) -> Scene:
 
 def _leaves_of(path: Path, chunk: Chunk) -> NDArray[np.bool_]:
     """Which Gaussians of a chunk have no children."""
-    unknown = sorted({*chunk.properties} - {*PROPERTIES})
+    unknown = sorted(map(printable, {*chunk.properties} - {*PROPERTIES}))
     if unknown:
         say_left_out(path, unknown)
     if "child_count" not in chunk.properties:

@@ -285,7 +285,7 @@ def _from_earth(path: Path, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     place = place_of(matrix[:3, 3])
     if place is None:
         return np.eye(4)
-    log.warning("%s: left out: its place on the earth, --at %.7f,%.7f,%.3f", path, *place)
+    log.warning("%s: left out: its place on the earth, %.7f,%.7f,%.3f", path, *place)
     return np.asarray(np.linalg.inv(frame_at(place)), np.float64)
 
 

@@ -209,7 +209,7 @@ def test_progress_and_report_count_iterations():
 
 
 def test_the_expected_time_is_announced(monkeypatch, caplog):
-    caplog.set_level("INFO")
+    caplog.set_level("INFO", logger=module.__name__)  # commands of other tests set it, too
     expected, _ = refit(4)
     assert not caplog.text
     monkeypatch.setattr(module, "_ANNOUNCED", 4)

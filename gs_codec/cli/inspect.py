@@ -50,7 +50,9 @@ def command(
     gpu: Annotated[
         bool,
         typer.Option(
-            "--gpu", help="Count splats over each pixel, and say which devices can show it."
+            "--gpu",
+            help="Count splats over each pixel, and say which devices can show it; an .egs is "
+            "decoded.",
         ),
     ] = False,
     cameras: Annotated[
@@ -67,15 +69,16 @@ def command(
     with piped_source(file, typed["input_format"]) as path:
         if not is_egs(path):
             typed.refuse(["channels"], f"has no effect on {file}, expected an .egs")
-            _show_other(file, path, typed, histogram, _load_of(path, typed, gpu, cameras))
+            _show_other(file, path, typed, histogram, cameras if gpu else None)
             return
         if not (histogram or gpu):
             why = "has no effect on an .egs without --histogram or --gpu: only its header is read"
             typed.refuse(["max_bytes"], why)
-        info, statistics, load = inspect_file(path), None, _load_of(path, typed, gpu, cameras)
-        if histogram:
+        info, statistics, load = inspect_file(path), None, None
+        if histogram or gpu:
             scene = read_scene(path, coordinates=None, max_bytes=typed["max_bytes"])
-            statistics = _statistics_of(scene)
+            statistics = _statistics_of(scene) if histogram else None
+            load = _load_of(scene, cameras) if gpu else None
     if typed["json"]:
         shown = {} if statistics is None else _as_dict(statistics)
         shown |= _load_dict(load)
@@ -90,18 +93,16 @@ def command(
         _print_load(load)
 
 
-def _load_of(path: Path, typed: Typed, gpu: bool, cameras: str) -> GpuLoad | None:
-    """What the scene asks of a graphics card, if that is wanted."""
-    if not gpu:
-        return None
+def _load_of(scene: Scene, cameras: str) -> GpuLoad:
+    """What a scene asks of a graphics card."""
     from gs_codec.analysis.gpu_load import gpu_load
-    from gs_codec.files.scenes import read_scene
+    from gs_codec.formats.coordinates import turn_axes
     from gs_codec.views.find import find_cameras
 
+    turned = turn_axes(scene)
     with progress_bar() as progress:
-        scene = read_scene(path, "drop", progress, max_bytes=typed["max_bytes"])
-        views = find_cameras(cameras, scene, progress=progress)
-        return gpu_load(scene, views, progress)
+        views = find_cameras(cameras, turned, progress=progress)
+        return gpu_load(turned, views, progress)
 
 
 def _load_dict(load: GpuLoad | None) -> dict[str, Any]:
@@ -133,15 +134,14 @@ def _verdict_row(verdict: Verdict, load: GpuLoad) -> list[str]:
     ]
 
 
-def _show_other(
-    file: Path, path: Path, typed: Typed, histogram: bool, load: GpuLoad | None
-) -> None:
-    """Describe a scene at `path`, called `file`, that is not an .egs."""
+def _show_other(file: Path, path: Path, typed: Typed, histogram: bool, cameras: str | None) -> None:
+    """Describe a scene at `path`, called `file`, that is not an .egs; `cameras` are for --gpu."""
     from gs_codec.edit.shares import shares_of
     from gs_codec.formats.registry import read_with_overview
 
     scene, found = read_with_overview(path, typed["max_bytes"])
     statistics = _statistics_of(scene) if histogram else None
+    load = None if cameras is None else _load_of(scene, cameras)
     shares = shares_of(scene) if statistics is None else ()
     if typed["json"]:
         shown = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.lens import BROWN, FISHEYE, lens_fields
+from gs_codec.coding.axes import rotation_matrix
 from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
 from gs_codec.runtime.mapped import FileBytes, opened
@@ -218,14 +219,7 @@ def _pose(image: _Image) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         )
     # Normalised twice, because squares of very large or small floats would overflow or vanish.
     quaternion = quaternion / largest
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    rotation = rotation_matrix(quaternion / np.linalg.norm(quaternion))
     with np.errstate(over="ignore", invalid="ignore"):
         return rotation, -rotation.T @ translation
 

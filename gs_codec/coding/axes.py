@@ -43,6 +43,18 @@ def _turns() -> NDArray[np.float64]:
 _TURNS = _turns()
 
 
+def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices ``(3, 3, ...)`` of unit quaternions wxyz ``(4, ...)``."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 @kernel
 def _sort_axes(log_scale, rot, turns, order, scales, vectors):
     for i in range(log_scale.shape[1]):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.axes import rotation_matrix
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import COLLISION_MESH
 from gs_codec.formats.coordinates import turn_axes
@@ -86,21 +87,20 @@ def _occupancy(
     scene: Scene, origin: NDArray[np.float64], voxel: float, shape: tuple[int, int, int]
 ) -> NDArray[np.float32]:
     """Alpha of all Gaussians together at each voxel, 0-1, ``shape``."""
-    centres = (scene.positions.T.astype(np.float64) - origin) / voxel
-    deviations = np.maximum(np.exp(scene.log_scale.T.astype(np.float64)) / voxel, _THINNEST)
-    axes = _rotations(unit_quaternions(scene.rot))
-    covariances = np.einsum("nij,nj,nkj->nik", axes, deviations**2, axes)
-    inverses = np.einsum("nij,nj,nkj->nik", axes, deviations**-2.0, axes)
     alphas = sigmoid(scene.opacity[0].astype(np.float64))
     seen = alphas > _LEAST_ALPHA
-    reach = 2 * np.log(alphas[seen] / _LEAST_ALPHA)
-    halves = np.sqrt(reach[:, None] * np.diagonal(covariances[seen], axis1=1, axis2=2))
+    shown, alphas = scene.take(seen), alphas[seen]
+    centres = (shown.positions.T.astype(np.float64) - origin) / voxel
+    deviations = np.maximum(np.exp(shown.log_scale.T.astype(np.float64)) / voxel, _THINNEST)
+    axes = np.moveaxis(rotation_matrix(unit_quaternions(shown.rot)), 2, 0)
+    covariances = np.einsum("nij,nj,nkj->nik", axes, deviations**2, axes)
+    inverses = np.einsum("nij,nj,nkj->nik", axes, deviations**-2.0, axes)
+    reach = 2 * np.log(alphas / _LEAST_ALPHA)
+    halves = np.sqrt(reach[:, None] * np.diagonal(covariances, axis1=1, axis2=2))
     passed = np.zeros(shape, np.float32)
     bounds = np.linspace(0, shape[0], 4 * available_threads() + 1).astype(np.int64)
     run_all(
-        lambda span: _add(
-            centres[seen], inverses[seen], halves, reach, alphas[seen], *span, passed
-        ),
+        lambda span: _add(centres, inverses, halves, reach, alphas, *span, passed),
         zip(bounds[:-1], bounds[1:], strict=True),
     )
     np.expm1(passed, out=passed)
@@ -108,17 +108,6 @@ def _occupancy(
     for end in (0, -1):
         occupancy[end] = occupancy[:, end] = occupancy[:, :, end] = 0
     return occupancy
-
-
-def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices ``(N, 3, 3)`` of unit quaternions wxyz ``(4, N)``."""
-    w, x, y, z = quaternions
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 @kernel

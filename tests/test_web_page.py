@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import re
@@ -903,6 +904,10 @@ def test_refusals_are_one_line(files, tmp_path, monkeypatch, capsys, arguments, 
 def test_the_built_page_matches_its_sources(tmp_path):
     subprocess.run([NODE, WEB / "build.mjs", tmp_path / "page.html"], check=True)
     assert (tmp_path / "page.html").read_bytes() == (WEB / "page.html").read_bytes(), "make web"
+
+
+def test_the_built_page_is_small():
+    assert len(gzip.compress((WEB / "page.html").read_bytes())) <= 60_000
 
 
 def test_three_scenes_are_too_many(files, tmp_path):

@@ -50,6 +50,7 @@ class Job:
     before: str | None = None
     panel: bool = False  # open the panel, as a user does on a small screen
     mobile: bool = False  # emulate a touch screen
+    locale: str = "en-US"
 
     def shot(self, name: str) -> None:
         self.steps.append(("shot", name))

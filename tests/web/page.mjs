@@ -62,7 +62,10 @@ const STEPS = {
   },
   /** Until a script of the page is true. */
   async until(page, script) {
-    while (!(await page.evaluate(script))) await page.waitForTimeout(20);
+    const orLoading = (error) => {
+      if (!error.message.includes('navigation')) throw error;
+    };
+    while (!(await page.evaluate(script).catch(orLoading))) await page.waitForTimeout(20);
   },
   /** The value of a script. */
   value: (page, script) => page.evaluate(script),
@@ -78,9 +81,10 @@ const browser = await chromium.launch({
   executablePath: process.argv[2],
   args: ['--no-sandbox', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'],
 });
-for (const { url, size, steps, before, panel, mobile } of JSON.parse(readFileSync(0, 'utf8'))) {
+for (const { url, size, steps, before, panel, mobile, locale } of JSON.parse(readFileSync(0, 'utf8'))) {
   const [width, height] = size;
-  const context = await browser.newContext({ viewport: { width, height }, hasTouch: true, isMobile: mobile });
+  const screen = { viewport: { width, height }, hasTouch: true, isMobile: mobile };
+  const context = await browser.newContext({ ...screen, locale });
   const page = await context.newPage();
   page.setDefaultTimeout(60_000);
   const told = { values: [], requests: [], errors: [] };

@@ -33,6 +33,7 @@ async function bundled(path, format) {
     target: 'es2022',
     write: false,
     legalComments: 'none',
+    charset: 'utf8',
     plugins: [texts],
   });
   return outputFiles[0].text.trim();

@@ -18,8 +18,9 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {string} state.background
  * @param {boolean} state.turn whether the picture turns
  * @param {boolean} state.bare whether only the picture is shown
+ * @param {string} [state.lang] language, if chosen
  */
-export function addressOf({ view, pose, show, wipe, degree, up, background, turn, bare }) {
+export function addressOf({ view, pose, show, wipe, degree, up, background, turn, bare, lang }) {
   const parts = { view };
   if (pose) {
     const top = pose.turn[1].map((value) => -value);
@@ -32,6 +33,7 @@ export function addressOf({ view, pose, show, wipe, degree, up, background, turn
   if (background !== 'black') parts.background = background;
   if (turn) parts.turn = 1;
   if (bare) parts.bare = 1;
+  if (lang) parts.lang = lang;
   // Commas and minus signs need no escapes.
   return new URLSearchParams(parts).toString().replaceAll('%2C', ',');
 }
@@ -46,9 +48,10 @@ function numbers(listed, length) {
  * What an address asks for; whatever is missing or not possible is undefined.
  *
  * @param {string} hash
- * @param {object} possible names and numbers: `views`, `shows`, `ups`, `backgrounds`
+ * @param {object} possible names and numbers: `views`, `shows`, `ups`, `backgrounds`,
+ *   `languages`
  */
-export function stateOf(hash, { views, shows, ups, backgrounds }) {
+export function stateOf(hash, { views, shows, ups, backgrounds, languages }) {
   const asked = new URLSearchParams(hash.replace(/^#/, ''));
   const one = (name, known) => (known.includes(asked.get(name)) ? asked.get(name) : undefined);
   const whole = (name, end) => {
@@ -66,5 +69,6 @@ export function stateOf(hash, { views, shows, ups, backgrounds }) {
     background: one('background', backgrounds),
     turn: asked.get('turn') === '1',
     bare: asked.get('bare') === '1',
+    lang: one('lang', languages),
   };
 }

@@ -6,6 +6,7 @@ import { SourceError, decode, open } from '../src/index.js';
 import { AGAIN, Detail } from './detail.js';
 import { axesOf } from './pose.js';
 import { Splats } from './renderer.js';
+import { say } from './strings.js';
 
 /**
  * Maximum age of an order that may be drawn while a newer one is made, and maximum wait for that,
@@ -93,7 +94,9 @@ export class Loaded {
     this.failures = [];
     if (entry.url && location.protocol === 'file:') {
       throw new Error(
-        'a page opened from disk cannot read other files: use a web server, or share one .html file',
+        say(
+          'a page opened from disk cannot read other files: use a web server, or share one .html file',
+        ),
       );
     }
     const source = entry.url ?? (this.data ??= inPage(entry.data));
@@ -114,7 +117,7 @@ export class Loaded {
   get errors() {
     const found = [...this.failures, ...(this.detail?.errors ?? [])];
     const more = found.splice(MOST_TOLD).length;
-    return more ? [...found, new Error(`and ${more} more`)] : found;
+    return more ? [...found, new Error(say('and {} more', more))] : found;
   }
 
   /** The message of an error. */

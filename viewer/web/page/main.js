@@ -7,6 +7,7 @@ import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
 import { Pose } from './pose.js';
 import { Renderer } from './renderer.js';
+import { LANGUAGE, LANGUAGES, say } from './strings.js';
 
 /** Radians per second of a picture that turns by itself. */
 const TURN = 0.25;
@@ -50,7 +51,7 @@ class Viewer {
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
-      this.#fail(new Error('the graphics card was lost: reload the page')),
+      this.#fail(new Error(say('the graphics card was lost: reload the page'))),
     );
   }
 
@@ -106,8 +107,8 @@ class Viewer {
     const isStopped = this.abort.signal.aborted;
     const lost = this.scenes.find((scene) => scene.lost);
     let text = [...new Set(errors.map((one) => one.text))].join('\n');
-    if (!text && isStopped) text = 'Stopped: the page shows what was loaded.';
-    else if (!text && lost) text = `${lost.told(lost.lost)}: asking again`;
+    if (!text && isStopped) text = say('Stopped: the page shows what was loaded.');
+    else if (!text && lost) text = say('{}: asking again', lost.told(lost.lost));
     const mayRetry = !isStopped && errors.some(({ error }) => error instanceof SourceError);
     this.panel.tell(text, errors.length > 0, mayRetry);
   }
@@ -208,9 +209,15 @@ class Viewer {
     this.set({ degree });
   }
 
+  /** Show the page in another language, by loading it again. */
+  speak(language) {
+    this.language = language;
+    location.hash = this.#address;
+  }
+
   /** What is shown, as the part of the address after '#'. */
   get #address() {
-    const { view, hasMoved, pose, look, panel, degree, isTurned, axis } = this;
+    const { view, hasMoved, pose, look, panel, degree, isTurned, axis, language } = this;
     return addressOf({
       view,
       pose: hasMoved ? pose : undefined,
@@ -221,6 +228,7 @@ class Viewer {
       background: look.background,
       turn: this.isTurning,
       bare: this.isBare,
+      lang: language,
     });
   }
 
@@ -231,7 +239,10 @@ class Viewer {
       shows: this.panel.two ? ['a', 'b', 'wipe', 'error'] : [],
       ups: Object.keys(this.ups),
       backgrounds: Object.keys(BACKGROUNDS),
+      languages: Object.keys(LANGUAGES),
     });
+    this.language = asked.lang;
+    if (asked.lang && asked.lang !== LANGUAGE) return location.reload();
     if (asked.up) this.setUp(asked.up);
     if (asked.view !== undefined) this.choose(asked.view);
     const { camera } = asked;

@@ -1,5 +1,5 @@
 // The panel next to the picture, and the keys.
-import { counted } from '../src/wording.js';
+import { LANGUAGE, LANGUAGES, counted, number, say, translate } from './strings.js';
 
 const $ = (id) => document.getElementById(id);
 
@@ -14,9 +14,6 @@ const ATTRIBUTES = {
   levels: ['level'],
 };
 
-const number = (value, digits) =>
-  value.toLocaleString('en', { minimumFractionDigits: digits, maximumFractionDigits: digits });
-
 function element(name, text, parent) {
   const made = document.createElement(name);
   made.textContent = text;
@@ -26,6 +23,7 @@ function element(name, text, parent) {
 
 export class Panel {
   constructor(viewer, entries) {
+    translate();
     this.viewer = viewer;
     this.two = entries.length === 2;
     if (this.two) viewer.look.show = 'wipe';
@@ -33,13 +31,15 @@ export class Panel {
       const item = element('li', (this.two ? `${'AB'[k]}: ` : '') + name, $('scenes'));
       const told = element('small', '', item);
       const bar = element('progress', '', item);
-      bar.setAttribute('aria-label', `${name}, loaded`);
+      bar.setAttribute('aria-label', say('{}, loaded', name));
       const detail = element('small', '', item);
       detail.className = 'detail';
       return { told, bar, detail };
     });
     viewer.views.forEach(({ img_name: name }, k) => $('views').add(new Option(`${k}: ${name}`, k)));
-    for (const name of Object.keys(viewer.ups)) $('ups').add(new Option(name));
+    for (const name of Object.keys(viewer.ups)) $('ups').add(new Option(say(name), name));
+    for (const [code, name] of Object.entries(LANGUAGES)) $('language').add(new Option(name, code));
+    $('language').value = LANGUAGE;
     $('shows').hidden = !this.two;
     $('stop').hidden = false;
     $('budget').parentElement.hidden = !entries.some(({ levels }) => levels);
@@ -53,7 +53,8 @@ export class Panel {
     $('stop').addEventListener('click', () => viewer.abort.abort());
     $('retry').addEventListener('click', () => viewer.retry());
     $('save').addEventListener('click', () => viewer.save());
-    $('link').hidden = location.protocol === 'about:';
+    $('link').hidden = $('language').parentElement.hidden = location.protocol === 'about:';
+    $('language').addEventListener('change', ({ target }) => viewer.speak(target.value));
     $('link').addEventListener('click', () => this.#copy());
     $('views').addEventListener('change', ({ target }) => viewer.choose(Number(target.value)));
     $('ups').addEventListener('change', ({ target }) => viewer.setUp(target.value));
@@ -122,9 +123,9 @@ export class Panel {
   async #copy() {
     const button = $('link');
     if (button.hidden || !(await this.viewer.copyLink())) return;
-    button.textContent = 'Link copied';
+    button.textContent = say('Link copied');
     clearTimeout(this.copied);
-    this.copied = setTimeout(() => (button.textContent = 'Copy link'), 2000);
+    this.copied = setTimeout(() => (button.textContent = say('Copy link')), 2000);
   }
 
   /** The axis after the current up axis. */
@@ -171,7 +172,7 @@ export class Panel {
   /** Show the loading progress of scenes. */
   progress(scenes) {
     const least = Math.min(...scenes.map(({ share }) => share));
-    this.#title(`Loading: ${Math.floor(100 * least)} %`);
+    this.#title(say('Loading: {} %', Math.floor(100 * least)));
     $('stop').hidden = this.viewer.abort.signal.aborted;
     scenes.forEach(({ share, scene, entry }, k) => {
       const { told, bar } = this.rows[k];
@@ -180,10 +181,13 @@ export class Panel {
       if (!scene || told.textContent) return;
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;
-      const profile = `${entry.encoded ? 'encoded for this page, ' : ''}profile ${scene.profile}`;
-      const lost = entry.psnr ? [`views: ${number(entry.psnr, 1)} dB against the original`] : [];
-      const parts = [counted(scene.count, 'Gaussian'), `SH degree ${scene.degree}`, size];
-      told.textContent = [...parts, profile, ...lost].join(', ');
+      const profile = say('profile {}', scene.profile);
+      const encoded = entry.encoded ? [say('encoded for this page')] : [];
+      const lost = entry.psnr
+        ? [say('views: {} dB against the original', number(entry.psnr, 1))]
+        : [];
+      const parts = [counted(scene.count, 'Gaussian'), say('SH degree {}', scene.degree), size];
+      told.textContent = [...parts, ...encoded, profile, ...lost].join(', ');
       this.#list(scenes);
     });
   }
@@ -197,16 +201,19 @@ export class Panel {
       const { file, drawn, missing, needed } = detail;
       this.rows[k].bar.value = needed > 0 ? 1 - missing / needed : 0;
       this.rows[k].bar.hidden = isComplete;
-      const fetched = `${number(file.fetched / 1e6, 2)} MB fetched`;
-      this.rows[k].detail.textContent = `${fetched}, ${counted(drawn, 'Gaussian')} drawn`;
+      const fetched = say('{} fetched', `${number(file.fetched / 1e6, 2)} MB`);
+      this.rows[k].detail.textContent = `${fetched}, ${say('{} drawn', counted(drawn, 'Gaussian'))}`;
     });
     const missing = refined.reduce((sum, { detail }) => sum + detail.missing, 0);
-    if (scenes.every(({ share }) => share === 1)) this.#title(missing ? 'Refining' : 'Scene');
+    if (scenes.every(({ share }) => share === 1)) this.#title(say(missing ? 'Refining' : 'Scene'));
     $('stop').hidden = isStopped || scenes.every(({ isComplete }) => isComplete);
     $('refined').textContent =
       missing === 0
         ? ''
-        : `${counted(missing, 'block')} of this view missing: drawn, compared and saved coarser there.`;
+        : say(
+            '{} of this view missing: drawn, compared and saved coarser there.',
+            counted(missing, 'block'),
+          );
   }
 
   /** List bits by attribute, and the available SH degrees. */
@@ -226,7 +233,7 @@ export class Panel {
     for (const name of [...Object.keys(ATTRIBUTES), 'other', 'file']) {
       if (name === 'levels' && !columns.some((bits) => bits?.levels)) continue;
       const row = element('tr', '', body);
-      element('th', name, row).scope = 'row';
+      element('th', say(name), row).scope = 'row';
       for (const bits of columns) element('td', bits ? number(bits[name], 1) : '', row);
     }
   }
@@ -238,7 +245,7 @@ export class Panel {
 
   /** Show that loading is finished, or has failed. */
   loaded() {
-    this.#title('Scene');
+    this.#title(say('Scene'));
     $('stop').hidden = true;
     for (const { bar } of this.rows) bar.hidden = true;
   }

@@ -1,8 +1,8 @@
 // Draw scenes with WebGL 2.
-import { counted } from '../src/wording.js';
 import { fraction, half, pair } from './half.js';
 import { ROW } from './limits.js';
 import { HARMONICS, PROJECTION, SCREEN, SHAPE, SPLATS } from './shaders.js';
+import { counted, number, say } from './strings.js';
 
 /** The graphics card or its driver lacks a required feature. */
 export class DeviceError extends Error {}
@@ -63,10 +63,8 @@ export class Splats {
     this.rows = Math.max(1, Math.ceil(scene.count / ROW));
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (this.rows > most || ROW * Math.max(SHAPE, this.texels) > most) {
-      const limit = most * ROW;
-      throw new DeviceError(
-        `${counted(scene.count, 'Gaussian')}, this device draws at most ${limit}`,
-      );
+      const [gaussians, limit] = [counted(scene.count, 'Gaussian'), number(most * ROW)];
+      throw new DeviceError(say('{}, this device draws at most {}', gaussians, limit));
     }
     this.shapes = texture(gl, gl.RGBA32UI, ROW * SHAPE, this.rows);
     this.harmonics = texture(
@@ -81,7 +79,7 @@ export class Splats {
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       this.dispose();
       const gaussians = counted(scene.count, 'Gaussian');
-      throw new DeviceError(`${gaussians}: the graphics card has too little memory`);
+      throw new DeviceError(say('{}: the graphics card has too little memory', gaussians));
     }
     this.drawn = 0;
   }
@@ -199,7 +197,7 @@ export class Renderer {
   constructor(canvas) {
     const wanted = { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true };
     const gl = canvas.getContext('webgl2', { ...wanted, powerPreference: 'high-performance' });
-    if (!gl) throw new DeviceError('this browser has no WebGL 2');
+    if (!gl) throw new DeviceError(say('this browser has no WebGL 2'));
     // With 8 bits, rounding errors of many splats would add up to several levels.
     this.format = gl.getExtension('EXT_color_buffer_float') ? gl.RGBA16F : gl.RGBA8;
     this.canvas = canvas;

@@ -10,6 +10,9 @@ from samples.surfaces import SurfacePoints
 #: Share of Gaussians whose SH-AC is all zero.
 FLAT_COLOUR_SHARE = 0.15
 
+#: Opacity logit below which the trainer removes Gaussians (opacity 0.005).
+FAINTEST = -5.29
+
 # Scale of the Laplace distribution of each SH-AC coefficient: smaller in higher bands.
 _BAND_SCALE = np.repeat(np.array([0.055, 0.035, 0.025], np.float32), [3, 5, 7])
 
@@ -45,14 +48,14 @@ def rotations(points: SurfacePoints, axis: NDArray, rng: np.random.Generator) ->
     spin = np.array([np.cos(half), 0 * z, 0 * z, np.sin(half)])
     # Cyclic permutations of the axes: normal on x, on y, on z.
     cycle = np.array([[0.5, -0.5, -0.5, -0.5], [0.5, 0.5, 0.5, 0.5], [1, 0, 0, 0]]).T[:, axis]
-    q = _multiply(_multiply(tilt, spin), cycle)
+    q = multiply(multiply(tilt, spin), cycle)
     # Training starts at the identity, so w is rarely negative.
     q *= np.where((q[0] < 0) == (rng.random(len(axis)) < 0.95), -1, 1)
     norm = np.clip(1 + 0.1 * rng.standard_normal(len(axis)), 0.7, 1.3)
     return q * (norm / np.sqrt((q**2).sum(axis=0)))
 
 
-def _multiply(p: NDArray, q: NDArray) -> NDArray:
+def multiply(p: NDArray, q: NDArray) -> NDArray:
     """Hamilton product of quaternions wxyz ``(4, N)``."""
     a, b, c, d = p
     e, f, g, h = q
@@ -70,8 +73,7 @@ def opacities(count: int, rng: np.random.Generator) -> NDArray:
     """Logits ``(N,)``: nearly opaque ones, and a tail of faint ones down to the trainer's limit."""
     opaque = rng.random(count) < 0.65
     z = rng.standard_normal(count)
-    # The trainer prunes below an opacity of 0.005, a logit of -5.29.
-    return np.clip(np.where(opaque, 4.5 + 1.8 * z, -1.2 + 1.9 * z), -5.29, 14.0)
+    return np.clip(np.where(opaque, 4.5 + 1.8 * z, -1.2 + 1.9 * z), FAINTEST, 14.0)
 
 
 def fill_sh(f_rest: NDArray[np.float32], gloss: NDArray, rng: np.random.Generator) -> None:

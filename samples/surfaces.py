@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -113,14 +114,18 @@ class StillLife:
 @lru_cache(maxsize=1)
 def still_life() -> StillLife:
     """Build the scene: a table with seven objects in a room with its floor at z = -1."""
-    surfaces = (*_room(), *_table(), *_objects())
+    return joined((*_room(), *_table(), *_objects()))
+
+
+def joined(surfaces: Sequence[Surface]) -> StillLife:
+    """Join surfaces to one soup of triangles."""
     corners = np.concatenate([surface.corners for surface in surfaces], axis=2)
     normals = np.cross(corners[1] - corners[0], corners[2] - corners[0], axis=0)
     length = np.sqrt((normals**2).sum(axis=0))
     sizes = [surface.corners.shape[2] for surface in surfaces]
     density = np.repeat([surface.density for surface in surfaces], sizes)
     return StillLife(
-        surfaces,
+        tuple(surfaces),
         corners,
         normals / np.maximum(length, 1e-12),
         np.repeat(np.arange(len(surfaces)), sizes),

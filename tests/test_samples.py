@@ -15,7 +15,8 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from samples import generate as module
-from samples.generate import TARGET, generate, main, orbit_cameras
+from samples.generate import TARGET, generate, main, orbit_cameras, sequence
+from samples.motion import MOTIONS, SHARE
 from samples.surfaces import ROOM_RADIUS, still_life
 
 
@@ -198,6 +199,100 @@ def test_generate_refuses_bad_arguments(bad: dict) -> None:
 def test_orbit_cameras_refuses_bad_arguments(bad: dict) -> None:
     with pytest.raises(InvalidInput, match=next(iter(bad))):
         orbit_cameras(**bad)
+
+
+#: What changes in a tracked sequence without noise.
+CHANGES = {
+    "object": {"positions", "rot"},
+    "walker": {"positions", "rot"},
+    "light": {"f_dc", "f_rest"},
+    "appearing": {"opacity"},
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_only_what_moves_changes(motion: str) -> None:
+    first, *_, last = frames = list(sequence(motion, 3, 2000, 1, seed=4, fps=1.2))
+    assert all(
+        _same(a, b) for a, b in zip(frames, sequence(motion, 3, 2000, 1, 4, fps=1.2), strict=True)
+    )
+    differ = {group: getattr(first, group) != getattr(last, group) for group in GROUPS}
+    assert {group for group, where in differ.items() if where.any()} == CHANGES[motion]
+    moving = np.any(differ[min(CHANGES[motion])], axis=0).mean()
+    assert moving == pytest.approx(SHARE, abs=0.03) or (motion == "light" and 0.1 < moving < 0.6)
+
+
+@pytest.mark.parametrize("motion", ["object", "walker"])
+def test_gaussians_turn_with_what_they_are_on(motion: str) -> None:
+    first, last = sequence(motion, 2, 4000, 0, seed=4, fps=2)
+    moving = np.flatnonzero(np.any(first.rot != last.rot, axis=0))
+    turns = np.einsum(
+        "ijn,kjn->nik",
+        _rotation_matrices(last.rot[:, moving]),
+        _rotation_matrices(first.rot[:, moving]),
+    )
+    surfaces, rigid = np.unique(turns.round(3), axis=0, return_inverse=True)
+    assert 0 < len(surfaces) < 60
+    largest = np.flatnonzero(rigid == np.bincount(rigid.ravel()).argmax())
+    turn, (a, b) = turns[largest[0]], (s.positions[:, moving[largest]] for s in (first, last))
+    moved = turn @ (a - a[:, :1]) + b[:, :1]
+    np.testing.assert_allclose(moved, b, atol=1e-3)
+
+
+def test_what_appears_is_left_out_of_untracked_frames_until_then() -> None:
+    tracked = [scene.count for scene in sequence("appearing", 4, 3000, 0, fps=2)]
+    assert tracked == [3000] * 4
+    frames = list(sequence("appearing", 4, 3000, 0, tracked=False, fps=2))
+    counts = [scene.count for scene in frames]
+    assert counts == sorted(counts)
+    assert counts[0] / 3000 == pytest.approx(1 - SHARE, abs=0.03)
+    assert counts[-1] == 3000
+    assert np.isin(frames[1].f_dc, frames[2].f_dc).mean() < 0.01
+
+
+def test_noise_differs_in_each_frame_and_has_the_requested_strength() -> None:
+    still = list(sequence("object", 2, 2000, 1))
+    noisy = list(sequence("object", 2, 2000, 1, noise=1))
+    twice = next(sequence("object", 2, 2000, 1, noise=2))
+    for group in GROUPS:
+        apart = [getattr(a, group) - getattr(b, group) for a, b in zip(noisy, still, strict=True)]
+        assert np.all((apart[0] != apart[1]).any(axis=0) | (group == "f_rest"))
+        double = getattr(twice, group) - getattr(still[0], group)
+        assert double.std() == pytest.approx(2 * apart[0].std(), rel=1e-3)
+    assert np.all(noisy[0].f_rest[still[0].f_rest == 0] == 0)
+
+
+def test_cli_writes_the_frames_of_a_sequence(tmp_path: Path) -> None:
+    options = ["--sequence", "walker", "--frames", "2", "--gaussians", "50", "--sh-degree", "0"]
+    main([str(tmp_path / "f"), *options, "--kind", "untracked", "--noise", "--fps", "5"])
+    frames = sequence("walker", 2, 50, 0, tracked=False, noise=1, fps=5)
+    assert sorted(path.name for path in (tmp_path / "f").iterdir()) == ["0000.ply", "0001.ply"]
+    for number, frame in enumerate(frames):
+        assert _same(read_ply(tmp_path / "f" / f"{number:04d}.ply"), frame)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--sequence", "dance"], "invalid choice: 'dance'"),
+        (["--sequence", "light", "--frames", "0"], "frames: 0, expected 1 or more"),
+        (["--sequence", "light", "--fps", "nan"], "fps: nan, expected more than 0"),
+        (["--sequence", "light", "--noise", "-1"], "noise: -1.0, expected 0 or more"),
+        (["--sequence", "light", "--capture", "orbit"], "--sequence: not with --capture"),
+        (["--frames", "3"], "--frames: expected --sequence too"),
+    ],
+)
+def test_cli_refuses_bad_sequences(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "frames"), *arguments])
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "frames").exists()
+    (tmp_path / "0007.ply").touch()
+    with pytest.raises(SystemExit):
+        main([str(tmp_path), "--sequence", "light"])
+    assert "expected an empty or new folder" in capsys.readouterr().err
 
 
 @pytest.mark.thorough

@@ -15,6 +15,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.scene import GROUPS, Scene, join_scenes
+from samples.attributes import FAINTEST
 from samples.captures.initial import (
     Points,
     candidates_of_each,
@@ -35,9 +36,6 @@ MAX_COUNT = 100_000
 
 #: Default number of training iterations.
 ITERATIONS = 600
-
-#: Opacity logit below which the trainer removes Gaussians (opacity 0.005).
-_FAINTEST = -5.29
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,7 @@ def _points(
 
 
 def _without_faintest(scene: Scene) -> Scene:
-    kept = scene.opacity[0] > _FAINTEST
+    kept = scene.opacity[0] > FAINTEST
     planes = {group: getattr(scene, group)[:, kept] for group in GROUPS}
     return Scene(**planes, has_normals=True)
 

@@ -60,49 +60,6 @@ def dialogs(driver: Driver) -> dict:
     return found
 
 
-def path(driver: Driver) -> dict:
-    """Keep poses with a key and buttons, fly along them, save them and open them again."""
-    viewer, saved = driver.viewer, driver.viewer.saved
-    viewer.panel.show("View")
-    tab = viewer.panel.view
-    driver.rest()
-    enabled = [[button.enabled for button in tab.path]]
-    driver.key("i")
-    driver.wait(lambda: len(saved.poses) == 1)
-    driver.key("n")
-    driver.rest()
-    for button, count in ((0, 2), (0, 3), (1, 2)):
-        driver.click(tab.path[button])
-        driver.wait(lambda count=count: len(saved.poses) == count)
-    enabled.append([button.enabled for button in tab.path])
-    kept = list(saved.poses)
-    viewer.visits.overview()
-    driver.click(tab.path[2])
-    driver.wait(lambda: saved.flying)
-    begun = driver.models()
-    driver.rest()
-    ends = [np.abs(viewer.stage.pose.position - pose.position).max() for pose in kept]
-    driver.click(tab.path[3])
-    type_name(driver, "path", "Return")
-    driver.wait(Path("path.json").exists)
-    saved.drop()
-    saved.open("path.json")
-    driver.wait(lambda: len(saved.poses) == 2)
-    apart = [np.abs(a.position - b.position).max() for a, b in zip(kept, saved.poses, strict=True)]
-    saved.open("nothing.json")
-    driver.wait(lambda: viewer.message is not None)
-    message = viewer.message
-    viewer.dismiss()
-    viewer.panel.show("Scene")
-    return {
-        "enabled": enabled,
-        "flown": driver.models() != begun,
-        "ends": ends,
-        "apart": max(apart),
-        "message": message,
-    }
-
-
 def type_name(driver: Driver, name: str, end: str) -> tuple[list, str]:
     """Type a name into the open dialog, and a key; return the state in between, and the name."""
     field = driver.type_path(name)
@@ -125,9 +82,5 @@ if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(560, 400))
     driver.rest()
     found: dict = {"resized": resize(driver), "pressed": many(driver)}
-    driver.viewer.window.size = gui.Size(760, 680)
-    driver.rest()
-    found["path"] = path(driver)
-    driver.rest()
     found["first"] = state(driver)
     tell(found | dialogs(driver))

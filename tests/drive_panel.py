@@ -138,6 +138,7 @@ def charts(driver: Driver) -> dict:
     driver.rest()
     found["first"] = viewer.visits.number
     driver.key("k")
+    driver.key("k")
     found["histogram"] = histogram(driver)
     return found
 

@@ -26,7 +26,7 @@ from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.writer import write_ply
 from viewer.pictures import film, reels
 from viewer.pictures.screenshot import draw_request
-from viewer.scenes.flight import flythrough, read_poses, write_poses
+from viewer.scenes.flight import CameraPath, evenly, read_path, write_path
 from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import Pose, look_at, of_camera
 from viewer.scenes.turntable import turntable
@@ -205,7 +205,7 @@ def test_paths_of_real_scenes_follow_their_cameras(name):
 def test_a_flight_passes_all_poses_at_even_speed():
     keys = [look_at(at(azimuth, 0.2), np.zeros(3)) for azimuth in (0, 30, 60, 100, 140)]
     keys = [replace(key, focal=(0.5 + 0.1 * k,) * 2) for k, key in enumerate(keys)]
-    poses = flythrough(keys, 200)
+    poses = evenly(keys).frames(200)
     assert len(poses) == 200
     places = np.array([pose.position for pose in poses])
     np.testing.assert_allclose(poses[0].rotation, keys[0].rotation, atol=1e-9)
@@ -222,31 +222,56 @@ def test_a_flight_passes_all_poses_at_even_speed():
 
 def test_a_flight_of_two_poses_is_straight_and_of_equal_poses_still():
     ends = look_at(at(0), np.zeros(3)), look_at(at(0, 0, 8), np.zeros(3))
-    poses = flythrough(ends, 5)
+    poses = evenly(ends).frames(5)
     np.testing.assert_allclose([-pose.position[2] for pose in poses], [4, 5, 6, 7, 8])
-    same = flythrough([ends[0]] * 3, 4)
+    same = evenly([ends[0]] * 3).frames(4)
     for pose in same:
         np.testing.assert_allclose(pose.position, ends[0].position)
         np.testing.assert_allclose(pose.rotation, ends[0].rotation, atol=1e-12)
-    again = flythrough([ends[0], ends[0], ends[1]], 50)  # a pose saved twice
+    again = evenly([ends[0], ends[0], ends[1]]).frames(50)  # a pose saved twice
     assert np.isfinite([pose.position for pose in again]).all()
 
 
-def test_saved_poses_round_trip_and_are_valid_cameras(tmp_path):
-    lens = {"focal": (0.9, 0.8), "shift": (0.1, -0.2)}
-    poses = [
-        replace(look_at(at(30 * k, 0.3), np.ones(3)), frame=(k + 90, 60), **lens) for k in range(12)
-    ]
-    write_poses(tmp_path / "path.json", poses)
-    for pose, again in zip(poses, read_poses(tmp_path / "path.json"), strict=True):
-        np.testing.assert_allclose(again.rotation, pose.rotation, atol=1e-12)
-        np.testing.assert_allclose(again.position, pose.position)
-        assert again.frame == pose.frame
-        np.testing.assert_allclose([*again.focal, *again.shift], [*pose.focal, *pose.shift])
+def test_times_set_the_speed_but_not_the_way_and_equal_poses_are_a_pause():
+    keys = [look_at(at(azimuth, 0.2), np.zeros(3)) for azimuth in (0, 40, 40, 100)]
+    path = CameraPath(tuple(keys), (0.0, 1.0, 3.0, 4.0))
+    for key, when in zip(keys, path.times, strict=True):
+        [pose] = path.at([when])
+        np.testing.assert_allclose(pose.position, key.position, atol=1e-9)
+        np.testing.assert_allclose(pose.rotation, key.rotation, atol=1e-9)
+    for pose in path.at(np.linspace(1, 3, 9)):
+        np.testing.assert_allclose(pose.position, keys[1].position, atol=1e-9)
+    places = np.array([pose.position for pose in path.at(np.linspace(0, 4, 400))])
+    moves = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert moves[95:102].max() < 0.2 * moves.max()  # it slows down before the pause
+    other = replace(path, times=(0.0, 3.0, 3.5, 9.0))
+    way = np.array([pose.position for pose in other.at(np.linspace(0, 9, 4000))])
+    assert max(np.linalg.norm(way - place, axis=1).min() for place in places) < 0.01
+    assert path.retimed(1, 7.0).times == pytest.approx((0, 3, 3, 4), abs=0.002)
+    assert path.retimed(3, 7.0).lasting(14.0).times == (0, 2, 6, 14)
+    assert path.without_key(0).times == (0, 2, 3)
+    assert path.with_key(1, keys[0], 0.5).times == (0, 0.5, 1, 3, 4)
+
+
+def test_saved_paths_round_trip_and_their_frames_are_cameras(tmp_path):
+    poses = [replace(look_at(at(30 * k, 0.3), np.ones(3)), frame=(90, 60)) for k in range(5)]
+    path = CameraPath(tuple(poses), (0.0, 0.5, 1.0, 2.5, 3.0), 10)
+    write_path(tmp_path / "path.json", path)
+    again = read_path(tmp_path / "path.json")
+    assert again.times == pytest.approx(path.times)
+    assert again.fps == 10
+    for pose, kept in zip(poses, again.poses, strict=True):
+        np.testing.assert_allclose(kept.rotation, pose.rotation, atol=1e-12)
+        np.testing.assert_allclose(kept.position, pose.position)
+        np.testing.assert_allclose(kept.focal, pose.focal)
+        assert (kept.frame, kept.shift) == (pose.frame, (0, 0))
     cameras = gs_codec.read_cameras(tmp_path / "path.json")
-    assert [camera.name for camera in cameras][::11] == ["pose 001", "pose 012"]
-    with pytest.raises(gs_codec.GsCodecError, match="no cameras"):
-        write_poses(tmp_path / "none.json", [])
+    assert len(cameras) == 31
+    for camera, pose in zip(cameras, path.frames(), strict=True):
+        np.testing.assert_allclose(camera.position, pose.position, atol=1e-5)
+        np.testing.assert_allclose(camera.rotation, pose.rotation, atol=1e-6)
+    with pytest.raises(gs_codec.GsCodecError, match="needs two poses"):
+        write_path(tmp_path / "none.json", CameraPath())
     assert os.listdir(tmp_path) == ["path.json"]
 
 

@@ -252,20 +252,6 @@ def test_the_window_survives_many_sizes_and_keys(keyed):
     assert (keyed["resized"], keyed["pressed"]) == (20, 136)
 
 
-def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):
-    path = keyed["path"]
-    assert path["enabled"] == [[True, False, False, False, True], [True] * 5]
-    assert path["flown"]
-    first, last = path["ends"]
-    assert first > 0.1
-    assert last < 1e-9
-    assert path["apart"] < 1e-9
-    assert len(gs_codec.read_cameras(folder / "path.json")) == 2
-    title, text = path["message"]
-    assert title == "Not possible"
-    assert text.startswith("nothing.json: no such file")
-
-
 def test_keys_are_for_the_dialog_alone(keyed):
     still = keyed["first"][1:]
     for end in ("Escape", "Return"):

@@ -179,21 +179,23 @@ def command(
         Path | None,
         typer.Option(
             metavar="OUT",
-            help="Write a film that visits --cameras in the order of the file.",
+            help="Write a film of the camera path in --cameras, or through its cameras in order.",
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
     frames: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Number of frames of a film; by default 180.", rich_help_panel=_OUTPUT
+            metavar="N",
+            help="Number of frames of a film; by default 180, or those of the camera path.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     fps: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="Frames per second of an .mp4 film; by default 24.",
+            help="Frames per second of an .mp4 film; by default 24, or those of the camera path.",
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
@@ -323,18 +325,18 @@ def _film(
             if value is not None:
                 raise gs_codec.GsCodecError(f"{name}: needs --turntable or --flythrough")
         return None
-    from viewer.pictures.film import FRAMES, Film
+    from viewer.pictures.film import Film
 
     kind: Literal["turntable", "flythrough"] = "flythrough" if flythrough else "turntable"
-    return Film(kind, path, FRAMES if frames is None else frames, fps, overwrite)
+    return Film(kind, path, frames, fps, overwrite)
 
 
 def _write_film(request: Request, film: Film) -> None:
     from viewer.pictures.film import write_film
 
     with progress_bar() as progress:
-        described = write_film(request, film, progress)
-    print_text(f"{film.path}: {counted(film.frames, 'frame')}, {described}")
+        count, described = write_film(request, film, progress)
+    print_text(f"{film.path}: {counted(count, 'frame')}, {described}")
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from gs_codec.runtime.wording import counted
 log = logging.getLogger(__name__)
 
 #: Location of each camera for error messages, and the fields of its `Camera`.
-_Entries = Iterator[tuple[str, dict[str, Any]]]
+Entries = Iterator[tuple[str, dict[str, Any]]]
 
 #: Maximum length of an image name, in characters.
 _MAX_NAME = 1024
@@ -44,7 +44,7 @@ _JSON_FILES = (
 )
 
 #: Readers of JSON objects, by a field that identifies them.
-_READERS: dict[str, Callable[[Path, dict[str, Any]], _Entries]] = {
+_READERS: dict[str, Callable[[Path, dict[str, Any]], Entries]] = {
     "frames": read_transforms,
     "camera_path": read_camera_path,
     "poseSets": read_supersplat,
@@ -86,8 +86,13 @@ def read_cameras(path: str | Path) -> list[Camera]:
     [('00000', 64), ('00001', 64)]
     """
     path = Path(path)
+    return cameras_of(path, _entries(path))
+
+
+def cameras_of(path: Path, entries: Entries) -> list[Camera]:
+    """The cameras of the entries of a file. Raises InvalidInput like `read_cameras`."""
     cameras = []
-    for where, fields in _entries(path):
+    for where, fields in entries:
         _check_name(where, fields["name"])
         try:
             cameras.append(Camera(**fields))
@@ -146,7 +151,7 @@ def write_cameras(path: str | Path, cameras: Iterable[Camera], overwrite: bool =
         log.warning("%s: lens distortion of %s not written: use undistorted images", path, many)
 
 
-def _entries(path: Path) -> _Entries:
+def _entries(path: Path) -> Entries:
     # os.path, because the tests of Path raise on names that are too long.
     if os.path.isfile(path):
         if path.suffix.lower() == ".json":
@@ -174,7 +179,7 @@ def _entries(path: Path) -> _Entries:
     )
 
 
-def _read_json(path: Path) -> _Entries:
+def _read_json(path: Path) -> Entries:
     whole = load_json(path)
     if isinstance(whole, list):
         return read_inria(path, whole)

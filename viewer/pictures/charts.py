@@ -24,13 +24,13 @@ _TEXT = 13
 _MARGINS = (64, 26, 16, 22)
 
 #: Colours of scenes A and B, which colour-blind people can distinguish.
-_SCENES = ((86, 180, 233), (230, 159, 0))
+SCENES = ((86, 180, 233), (230, 159, 0))
 
 #: Colour of text.
-_WHITE = (235, 235, 235)
+WHITE = (235, 235, 235)
 
 #: Colour of lines.
-_GREY = (120, 120, 125)
+GREY = (120, 120, 125)
 
 #: Colour of a selected range.
 _RANGE = (75, 75, 60)
@@ -60,8 +60,8 @@ class Message:
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """See `Chart`."""
-        canvas, pen = _blank(width, height)
-        pen.text((_MARGINS[0], height // 2), self.text, _WHITE, _font(), "lm")
+        canvas, pen = blank(width, height)
+        pen.text((_MARGINS[0], height // 2), self.text, WHITE, font(), "lm")
         return from_pillow(canvas)
 
 
@@ -90,8 +90,8 @@ class QualityChart:
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """See `Chart`."""
-        canvas, pen = _blank(width, height)
-        left, top, right, bottom = _box(width, height)
+        canvas, pen = blank(width, height)
+        left, top, right, bottom = box(width, height)
         finite = np.array([value for value in self.decibels.values() if np.isfinite(value)])
         low, high = (np.floor(finite.min()), np.ceil(finite.max() + 0.5)) if len(finite) else (0, 1)
         low = min(low, high - 2)
@@ -104,12 +104,12 @@ class QualityChart:
         for place, index in enumerate(self.order):
             first = round(left + place * step)
             last = max(round(left + (place + 0.85) * step) - 1, first)
-            colour = _WHITE if index == self.here else _SCENES[1]
+            colour = WHITE if index == self.here else SCENES[1]
             pen.rectangle((first, row(self.decibels[index]) - 1, last, bottom), fill=colour)
-        pen.text((left, 5), self._caption(), _WHITE, _font())
+        pen.text((left, 5), self._caption(), WHITE, font())
         if len(finite):
             mean = row(float(finite.mean()))
-            pen.line((left, mean, right, mean), _SCENES[0], 2)
+            pen.line((left, mean, right, mean), SCENES[0], 2)
         return from_pillow(canvas)
 
     def _caption(self) -> str:
@@ -127,7 +127,7 @@ class QualityChart:
 
     def view_at(self, x: float, width: int) -> int | None:
         """The view whose bar covers a column."""
-        left, _, right, _ = _box(width, 1)
+        left, _, right, _ = box(width, 1)
         place = int((x - left) / (right - left) * len(self.order) // 1)
         return self.order[place] if left <= x < right and self.order else None
 
@@ -155,7 +155,7 @@ class ContactSheet:
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """See `Chart`."""
-        canvas, pen = _blank(width, height)
+        canvas, pen = blank(width, height)
         wide, high = self.cell(height)
         for place in range(
             int(self.first), min(int(self.first + width / wide) + 1, len(self.names))
@@ -167,10 +167,10 @@ class ContactSheet:
                 small.thumbnail((wide - 4, high - 4))
                 canvas.paste(small, (left + (wide - small.width) // 2, (high - small.height) // 2))
             name = _fitted(self.names[place], wide - 6)
-            pen.text((left + wide // 2, high + 1), name, _WHITE, _font(), "ma")
+            pen.text((left + wide // 2, high + 1), name, WHITE, font(), "ma")
             if place == self.here:
                 pen.rectangle(
-                    (left + 1, 1, left + wide - 2, height - 2), outline=_SCENES[1], width=2
+                    (left + 1, 1, left + wide - 2, height - 2), outline=SCENES[1], width=2
                 )
         return from_pillow(canvas)
 
@@ -230,30 +230,30 @@ class HistogramChart:
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """See `Chart`."""
-        canvas, pen = _blank(width, height)
-        left, top, right, bottom = _box(width, height)
+        canvas, pen = blank(width, height)
+        left, top, right, bottom = box(width, height)
         if self.chosen is not None:
             columns = [self._column(value, width) for value in self.chosen]
             pen.rectangle((columns[0], top, columns[1], bottom), fill=_RANGE)
         most = max((max(s.counts, default=0) for s in self.scenes), default=0) or 1
         for number, scene in enumerate(self.scenes):
             thick = 2 if number else 5  # keeps both visible if they coincide
-            self._outline(pen, scene, (_SCENES[number], thick), most, width, height)
+            self._outline(pen, scene, (SCENES[number], thick), most, width, height)
         for value in axis_ticks(*self.span, _TICKS, self._log):
             shown = 10.0**value if self._log else value
             column = round(
                 left + (value - self.span[0]) / (self.span[1] - self.span[0]) * (right - left)
             )
-            pen.line((column, bottom, column, bottom + 3), _GREY)
-            pen.text((column, bottom + 4), f"{shown:.3g}", _WHITE, _font(), "ma")
-        pen.text((left - 6, top), f"{most:,}", _WHITE, _font(), "ra")
+            pen.line((column, bottom, column, bottom + 3), GREY)
+            pen.text((column, bottom + 4), f"{shown:.3g}", WHITE, font(), "ma")
+        pen.text((left - 6, top), f"{most:,}", WHITE, font(), "ra")
         first = self.scenes[0]
         caption = f"{first.name}, {first.unit}"
         caption += ": A blue, B orange" if len(self.scenes) > 1 else ""
         if self.chosen is not None:
             caption += f"; {self.chosen[0]:.4g} to {self.chosen[1]:.4g}"
         hint = " Drag to select a range." if self.selects else ""
-        pen.text((left, 5), f"{caption}.{hint}", _WHITE, _font())
+        pen.text((left, 5), f"{caption}.{hint}", WHITE, font())
         return from_pillow(canvas)
 
     def _outline(
@@ -267,7 +267,7 @@ class HistogramChart:
     ) -> None:
         """Draw the histogram outline of one scene, in a colour and width."""
         colour, thick = pencil
-        _, top, _, bottom = _box(width, height)
+        _, top, _, bottom = box(width, height)
         points: list[tuple[int, int]] = []
         for k, count in enumerate(scene.counts):
             row = round(bottom - count / most * (bottom - top))
@@ -276,14 +276,14 @@ class HistogramChart:
             pen.line([(points[0][0], bottom), *points, (points[-1][0], bottom)], colour, thick)
 
     def _column(self, value: float, width: int) -> int:
-        left, _, right, _ = _box(width, 1)
+        left, _, right, _ = box(width, 1)
         low, high = self.span
         share = (float(self._on_axis(np.array(value))) - low) / (high - low)
         return round(left + min(max(share, 0.0), 1.0) * (right - left))
 
     def value_at(self, x: float, width: int) -> float:
         """The value at a column; clamped to the axis."""
-        left, _, right, _ = _box(width, 1)
+        left, _, right, _ = box(width, 1)
         share = min(max((x - left) / (right - left), 0.0), 1.0)
         low, high = self.span
         value = low + share * (high - low)
@@ -295,15 +295,16 @@ def decibels(value: float) -> str:
     return f"{value:.2f} dB" if np.isfinite(value) else "the same"
 
 
-def _blank(width: int, height: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+def blank(width: int, height: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    """An empty chart, and a pen."""
     colour = tuple(round(255 * c) for c in BACKGROUND)
     canvas = Image.new("RGB", (width, height), colour)
     pen = ImageDraw.Draw(canvas)
-    pen.line((0, 0, width, 0), _GREY)
+    pen.line((0, 0, width, 0), GREY)
     return canvas, pen
 
 
-def _box(width: int, height: int) -> tuple[int, int, int, int]:
+def box(width: int, height: int) -> tuple[int, int, int, int]:
     """Left, top, right and bottom of a chart inside its margins."""
     left, top, right, bottom = _MARGINS
     return left, top, max(width - right, left + 1), max(height - bottom, top + 1)
@@ -314,16 +315,17 @@ def _rule(
 ) -> None:
     """Draw horizontal lines at values of an axis, with labels at their left."""
     for value in values:
-        pen.line((left, row(value), right, row(value)), _GREY)
-        pen.text((left - 6, row(value)), f"{value:g}", _WHITE, _font(), "rm")
+        pen.line((left, row(value), right, row(value)), GREY)
+        pen.text((left - 6, row(value)), f"{value:g}", WHITE, font(), "rm")
 
 
 def _fitted(text: str, width: int) -> str:
     """The end of a text, cut to fit a width in pixels."""
-    while text and _font().getlength(text) > width:
+    while text and font().getlength(text) > width:
         text = text[1:]
     return text
 
 
-def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+def font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The font of charts."""
     return ImageFont.load_default(_TEXT)

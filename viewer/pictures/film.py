@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from PIL import Image
 
 import gs_codec
 from gs_codec.report import Progress, step_counter
@@ -12,18 +15,15 @@ from gs_codec.runtime.wording import counted
 from viewer.pictures.drawer import Drawer
 from viewer.pictures.reels import check_reel, is_folder, open_reel
 from viewer.pictures.screenshot import compose, shown_of
-from viewer.scenes.flight import flythrough
+from viewer.scenes.flight import FPS, read_path
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.turntable import turntable
 from viewer.scenes.view_request import Request, find_views, first_view
 from viewer.scenes.viewpoints import COUNT, find_viewpoints
 
-#: Default number of frames of a film.
+#: Default number of frames of a film whose camera path has no times.
 FRAMES = 180
-
-#: Default frames per second.
-FPS = 24
 
 #: Range of the number of frames.
 _FRAMES = range(2, 100_000)
@@ -42,17 +42,18 @@ class Film:
         Once around the scene, or through the given cameras in order.
     path : Path
         An .mp4 file, or a folder for PNG frames.
-    frames : int
-        2-99,999.
+    frames : int or None
+        2-99,999; by default 180, or those of the camera path in its time.
     fps : int or None
-        Frames per second, 1-120; 24 if None. Must be None for a folder.
+        Frames per second, 1-120; by default those of the camera path, or 24. Must be None for a
+        folder.
     overwrite : bool
         Whether to replace an existing film.
     """
 
     kind: Literal["turntable", "flythrough"]
     path: Path
-    frames: int = FRAMES
+    frames: int | None = None
     fps: int | None = None
     overwrite: bool = False
 
@@ -80,8 +81,8 @@ class Film:
         check_reel(self.path, request.size, self.overwrite)
 
 
-def write_film(request: Request, film: Film, progress: Progress | None = None) -> str:
-    """Draw and write a film; return a description of the camera path.
+def write_film(request: Request, film: Film, progress: Progress | None = None) -> tuple[int, str]:
+    """Draw and write a film; return the number of frames and a description of the camera path.
 
     Raises
     ------
@@ -89,27 +90,61 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     """
     film.check(request)
     scenes = request.scenes()
-    poses, described = _find_path(request, film, scenes[0])
+    poses, fps, described = _find_path(request, film, scenes[0])
     shown = shown_of(request, scenes)
+
+    def draw(pose: Pose, views: dict[Opened, Drawer]) -> Image.Image:
+        return compose(pose, shown, request.mode, 0.5, request.size, views=views)
+
+    write_frames(film.path, poses, fps, request.size, draw, progress)
+    return len(poses), described
+
+
+def write_frames(
+    path: Path,
+    poses: Sequence[Pose],
+    fps: int,
+    size: tuple[int, int],
+    draw: Callable[[Pose, dict[Opened, Drawer]], Image.Image],
+    progress: Progress | None,
+) -> None:
+    """Write the pictures of poses as a film.
+
+    Parameters
+    ----------
+    path : Path
+    poses : sequence of Pose
+    fps : int
+    size : tuple of two int
+        Width and height, pixels.
+    draw : callable
+        Called with a pose and the drawers of scenes; returns a picture of that size.
+    progress : callable, optional
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+    """
     advance = step_counter(progress, "frames", len(poses))
     views: dict[Opened, Drawer] = {}
-    with open_reel(film.path, request.size, film.fps or FPS) as add:
+    with open_reel(path, size, fps) as add:
         for pose in poses:
-            add(compose(pose, shown, request.mode, 0.5, request.size, views=views))
+            add(draw(pose, views))
             advance()
-    return described
 
 
-def _find_path(request: Request, film: Film, scene: Opened) -> tuple[list[Pose], str]:
-    """Pose of each frame, and a description of the camera path."""
+def _find_path(request: Request, film: Film, scene: Opened) -> tuple[list[Pose], int, str]:
+    """Pose of each frame, frames per second, and a description of the camera path."""
+    if film.kind == "flythrough":
+        path = read_path(Path(str(request.cameras)), (FRAMES - 1) / FPS)
+        count = len(path.poses)
+        if count < 2:
+            raise gs_codec.GsCodecError("flythrough: one camera, expected at least two")
+        return path.frames(film.frames), film.fps or path.fps, f"past {counted(count, 'camera')}"
     views = find_views(request, scene, COUNT)
     up = request.up or views.ups[0]
     points = find_viewpoints(scene, views, up)
-    if film.kind == "flythrough":
-        poses = [point.pose for point in points[views.first :]]
-        if len(poses) < 2:
-            raise gs_codec.GsCodecError("flythrough: one camera, expected at least two")
-        return flythrough(poses, film.frames), f"past {counted(len(poses), 'camera')}"
     from_camera = request.view is None and not request.chosen
     first = None if from_camera else points[first_view(request, views)].pose
-    return turntable(scene, views, views.up_axis(up), first, film.frames)
+    poses, told = turntable(scene, views, views.up_axis(up), first, film.frames or FRAMES)
+    return poses, film.fps or FPS, told

@@ -39,7 +39,13 @@ QUANTITIES = (
 )
 
 #: Choices for the dock below the panes.
-DOCKS = ("nothing", "PSNR of views", "views", *(f"histogram: {name}" for name in QUANTITIES))
+DOCKS = (
+    "nothing",
+    "PSNR of views",
+    "views",
+    "camera path",
+    *(f"histogram: {name}" for name in QUANTITIES),
+)
 
 
 @dataclass(frozen=True)

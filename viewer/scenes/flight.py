@@ -1,8 +1,10 @@
-"""A smooth camera path through poses, and poses in files."""
+"""Camera paths: poses to pass, each at its time, and the smooth flight through them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -10,72 +12,172 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.cameras.inria import as_camera
+from gs_codec.cameras.keyframes import Keyframes, read_keyframes, write_keyframes
 from gs_codec.runtime.optional import needed
 from viewer.scenes.pose import Pose, of_camera
 
+#: Default frames per second.
+FPS = 24
 
-def write_poses(path: Path, poses: Sequence[Pose]) -> None:
-    """Write poses, in order, as a ``cameras.json``; atomically.
+#: Time from pose to pose on average, if a path has no times, seconds.
+LEG = 2.0
 
-    Raises
-    ------
-    gs_codec.GsCodecError
-        If there are none, or they cannot be written.
-    """
-    named = enumerate(poses, 1)
-    gs_codec.write_cameras(
-        path,
-        [as_camera(pose.camera(*pose.frame) | {"img_name": f"pose {k:03d}"}) for k, pose in named],
-    )
+#: Minimum time from pose to pose, seconds; it keeps times increasing.
+LEAST = 1e-3
 
 
-def read_poses(path: Path) -> list[Pose]:
-    """Read the poses of all cameras of a file, in order.
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """A flight through poses.
 
-    Raises
-    ------
-    gs_codec.GsCodecError
-        If the file cannot be read; see `gs_codec.read_cameras`.
-    """
-    return [of_camera(camera) for camera in gs_codec.read_cameras(path)]
+    The way is a smooth curve that does not depend on times: positions follow a cubic curve,
+    rotations a cubic spline, lenses are interpolated linearly. Times set how far the camera is on
+    it; equal successive poses are a pause, before which it slows down. All poses of the flight have
+    the frame of the first.
 
-
-def flythrough(poses: Sequence[Pose], count: int) -> list[Pose]:
-    """Poses on a smooth path from the first to the last, through all others.
-
-    Positions follow a cubic curve, rotations a cubic spline; lenses are interpolated linearly. Time
-    is proportional to how far the camera moves and turns, so its speed is even. All poses have the
-    frame of the first.
-
-    Parameters
+    Attributes
     ----------
-    poses : sequence of Pose
-        At least two.
-    count : int
-        At least 2.
+    poses : tuple of Pose
+    times : tuple of float
+        Time of each pose, seconds: 0 first, then increasing.
+    fps : int
+        Frames per second of films.
     """
-    curve = needed("scipy.interpolate", "flythrough").CubicHermiteSpline
-    transform = needed("scipy.spatial.transform", "flythrough")
+
+    poses: tuple[Pose, ...] = ()
+    times: tuple[float, ...] = ()
+    fps: int = FPS
+
+    @property
+    def seconds(self) -> float:
+        """Duration."""
+        return self.times[-1] if self.times else 0.0
+
+    def frames(self, count: int | None = None) -> list[Pose]:
+        """Poses of the frames of a film, from the first pose to the last; at least two."""
+        count = max(round(self.seconds * self.fps) + 1, 2) if count is None else count
+        return self.at(np.linspace(0, self.seconds, count))
+
+    def at(self, times: Sequence[float] | NDArray) -> list[Pose]:
+        """The poses at times, clipped to the flight; two poses are needed."""
+        return self._flight(np.clip(times, 0, self.seconds))
+
+    @cached_property
+    def _flight(self) -> Callable[[NDArray], list[Pose]]:
+        fits = needed("scipy.interpolate", "a camera path")
+        transform = needed("scipy.spatial.transform", "a camera path")
+        steps = _distances(self.poses)
+        progress = fits.PchipInterpolator(self.times, np.concatenate([[0], np.cumsum(steps)]))
+        way = [self.poses[0], *(p for p, step in zip(self.poses[1:], steps, strict=True) if step)]
+        if len(way) == 1:
+            return lambda times: [self.poses[0]] * len(times)
+        knots = np.concatenate([[0], np.cumsum(steps[steps > 0])])
+        places = np.array([pose.position for pose in way])
+        curve = fits.CubicHermiteSpline(knots, places, _slopes(knots, places))
+        turns = transform.Rotation.from_matrix(np.array([pose.rotation for pose in way]))
+        spline = transform.RotationSpline(knots, turns)
+        lenses = np.array([(*pose.focal, *pose.shift) for pose in way])
+
+        def at(times: NDArray) -> list[Pose]:
+            along = progress(times)
+            lens = np.stack([np.interp(along, knots, column) for column in lenses.T], axis=1)
+            return [
+                Pose(turn, place, (fx, fy), way[0].frame, (x, y))
+                for turn, place, (fx, fy, x, y) in zip(
+                    spline(along).as_matrix(), curve(along), lens.tolist(), strict=True
+                )
+            ]
+
+        return at
+
+    def with_key(self, index: int, pose: Pose, time: float) -> CameraPath:
+        """The path with one more pose, before that at an index."""
+        poses, times = list(self.poses), list(self.times)
+        poses.insert(index, pose)
+        times.insert(index, time)
+        return replace(self, poses=tuple(poses), times=tuple(times))
+
+    def without_key(self, index: int) -> CameraPath:
+        """The path without a pose; it begins at 0 again."""
+        times = self.times[:index] + self.times[index + 1 :]
+        shifted = tuple(time - times[0] for time in times)
+        return replace(self, poses=self.poses[:index] + self.poses[index + 1 :], times=shifted)
+
+    def retimed(self, index: int, time: float) -> CameraPath:
+        """The path with another time for a pose but the first, between its neighbours."""
+        ends = (-np.inf, *self.times, np.inf)
+        time = float(np.clip(time, ends[index] + LEAST, ends[index + 2] - LEAST))
+        return replace(self, times=(*self.times[:index], time, *self.times[index + 1 :]))
+
+    def lasting(self, seconds: float) -> CameraPath:
+        """The path in another total time."""
+        factor = seconds / (self.seconds or 1.0)
+        return replace(self, times=tuple(factor * time for time in self.times))
+
+
+def evenly(poses: Sequence[Pose], seconds: float | None = None, fps: int = FPS) -> CameraPath:
+    """A path at an even speed, in turns and moves; by default `LEG` seconds for each pose.
+
+    A repeated pose takes a little time.
+    """
+    if not poses:
+        return CameraPath(fps=fps)
+    steps = _distances(poses)
+    steps = np.maximum(steps, 0.1 * float(steps.mean()) or 1.0) if len(steps) else steps
+    seconds = LEG * len(steps) if seconds is None else seconds
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    return CameraPath(tuple(poses), tuple((times * seconds / (times[-1] or 1.0)).tolist()), fps)
+
+
+def read_path(path: Path, seconds: float | None = None) -> CameraPath:
+    """Read the path of nerfstudio or SuperSplat, or one at an even speed through other cameras.
+
+    `seconds` is the duration of a path without times, as in `evenly`.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If the file cannot be read; see `read_keyframes`.
+    """
+    found = read_keyframes(path)
+    poses, fps = [of_camera(camera) for camera in found.cameras], found.fps or FPS
+    if found.times is None:
+        return evenly(poses, seconds, fps)
+    times = np.asarray(found.times)
+    if np.diff(times).min(initial=1) < LEAST:  # a cut
+        times = times + LEAST * np.arange(len(times))
+    return CameraPath(tuple(poses), tuple(times.tolist()), fps)
+
+
+def write_path(path: Path, flight: CameraPath) -> None:
+    """Write a path as its keyframes and all its frames, atomically; see `write_keyframes`.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If there are fewer than two poses, or they cannot be written.
+    """
+    if len(flight.poses) < 2:
+        raise gs_codec.GsCodecError("a camera path needs two poses")
+    frames = [as_camera(pose.camera(*pose.frame)) for pose in flight.frames()]
+    cameras = [as_camera(pose.camera(*pose.frame)) for pose in flight.poses]
+    write_keyframes(path, Keyframes(cameras, flight.times, flight.fps), frames)
+
+
+def _distances(poses: Sequence[Pose]) -> NDArray[np.float64]:
+    """How far the camera moves and turns from pose to pose, each relative to the mean."""
     positions = np.array([pose.position for pose in poses])
-    rotations = transform.Rotation.from_matrix(np.array([pose.rotation for pose in poses]))
-    knots = _times(positions, (rotations[1:] * rotations[:-1].inv()).magnitude())
-    times = np.linspace(0, knots[-1], count)
-    places = curve(knots, positions, _slopes(knots, positions))(times)
-    turns = transform.RotationSpline(knots, rotations)(times).as_matrix()
-    lenses = np.array([(*pose.focal, *pose.shift) for pose in poses])
-    lens = np.stack([np.interp(times, knots, column) for column in lenses.T], axis=1)
-    return [
-        Pose(turn, place, (fx, fy), poses[0].frame, (x, y))
-        for turn, place, (fx, fy, x, y) in zip(turns, places, lens.tolist(), strict=True)
-    ]
-
-
-def _times(positions: NDArray, turns: NDArray) -> NDArray[np.float64]:
-    """Time of each position on a path; a repeated pose takes a little time."""
     moves = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    steps = moves / (moves.mean() or 1.0) + turns / (turns.mean() or 1.0)
-    least = 0.1 * float(steps.mean()) or 1.0
-    return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
+    turns = np.array([_angle(a, b) for a, b in zip(poses, poses[1:], strict=False)])
+    steps = moves / (moves.mean() or 1.0) + turns / (turns.mean() or 1.0) if len(moves) else moves
+    return np.where(steps > 1e-6, steps, 0.0)
+
+
+def _angle(first: Pose, second: Pose) -> float:
+    """The angle between two rotations, radians."""
+    turn = first.rotation @ second.rotation.T
+    axis = turn[[2, 0, 1], [1, 2, 0]] - turn[[1, 2, 0], [2, 0, 1]]
+    return float(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))
 
 
 def _slopes(knots: NDArray, positions: NDArray) -> NDArray[np.float64]:

@@ -14,8 +14,8 @@ from viewer.window.editor import Editor
 from viewer.window.loading import Loading
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.picking import Picking
-from viewer.window.saved import Saved
 from viewer.window.shared import Host
+from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
@@ -27,7 +27,7 @@ class Controls(Host, Protocol):
     """A window, as seen by its panel and keys."""
 
     visits: Visits
-    saved: Saved
+    timeline: Timeline
     loading: Loading
     picking: Picking
     editor: Editor

@@ -1,4 +1,4 @@
-"""The dock below the panes: quality per view, thumbnails of views, or a histogram."""
+"""The dock below the panes: quality per view, thumbnails, the camera path, or a histogram."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from open3d.visualization import gui
 
 from gs_codec.edit import AttributeStatistics, statistics
 from viewer.pictures.charts import Chart, ContactSheet, HistogramChart, Message, QualityChart
+from viewer.pictures.timeline_chart import TimelineChart
 from viewer.scenes.choice import DOCKS
 from viewer.scenes.opened import Opened
 from viewer.window.canvas import Canvas
 from viewer.window.pane import HIDDEN
 from viewer.window.shared import Host
+from viewer.window.timeline import Timeline
 from viewer.window.view_survey import Survey
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
@@ -33,6 +35,7 @@ class Dock:
     ----------
     viewer : Host
     visits : Visits
+    timeline : Timeline
     selected : callable
         Called with a quantity and the range of its values dragged in a histogram.
 
@@ -44,9 +47,15 @@ class Dock:
     """
 
     def __init__(
-        self, viewer: Host, visits: Visits, selected: Callable[[str, float, float], None]
+        self,
+        viewer: Host,
+        visits: Visits,
+        timeline: Timeline,
+        selected: Callable[[str, float, float], None],
     ) -> None:
         self._viewer, self._visits, self._selected = viewer, visits, selected
+        self._timeline = timeline
+        timeline.redraw = self._timed
         self.survey = Survey(viewer, visits, self._surveyed)
         self._statistics: dict[Opened, dict[str, AttributeStatistics]] = {}
         self._first = 0.0
@@ -80,9 +89,17 @@ class Dock:
         elif shown == "views":
             here = None if self._visits.moved else self._visits.number
             self.chart = ContactSheet(views, self.survey.pictures, here, self._first)
+        elif shown == "camera path":
+            self.chart = self._timeline.chart
         elif shown != "nothing":
             self.chart = self._histogram(shown.removeprefix("histogram: "))
         if shown != "nothing":
+            self.canvas.redraw()
+
+    def _timed(self) -> None:
+        """Show another time of the camera path."""
+        if isinstance(self.chart, TimelineChart):
+            self.chart = self._timeline.chart
             self.canvas.redraw()
 
     def _surveyed(self) -> None:
@@ -137,6 +154,8 @@ class Dock:
         if isinstance(chart, HistogramChart):
             if chart.selects:
                 self._range(chart, event, x)
+        elif isinstance(chart, TimelineChart):
+            self._timeline.mouse(event, x, frame.width)
         elif event.type == kind.WHEEL and isinstance(chart, ContactSheet):
             self._first = chart.scrolled(-event.wheel_dy, frame.width, frame.height)
             self.refresh()

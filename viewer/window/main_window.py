@@ -25,8 +25,8 @@ from viewer.window.notice import Notice
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
 from viewer.window.picking import Picking
-from viewer.window.saved import Saved
 from viewer.window.stage import Stage
+from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
 from viewer.window.widgets import monospace
 from viewer.window.worker import Worker
@@ -51,7 +51,7 @@ class Viewer(Controls):
     stage : Stage
     visits : Visits
     loading : Loading
-    saved : Saved
+    timeline : Timeline
     picking : Picking
     encoding : Encoding
     panel : Panel
@@ -91,8 +91,9 @@ class Viewer(Controls):
             self._focused,
         )
         self.files = Files(self.modal, self.stage)
-        self.visits, self.saved, self.picking = Visits(self), Saved(self), Picking(self)
-        self.dock = Dock(self, self.visits, self._select_range)
+        self.visits, self.picking = Visits(self), Picking(self)
+        self.timeline = Timeline(self)
+        self.dock = Dock(self, self.visits, self.timeline, self._select_range)
         self.editor = Editor(self, self.visits, self.dock)
         self.loading = Loading(self, self.visits, self.editor)
         self.encoding = Encoding(self, self.visits, self.loading, self._encoding_changed)
@@ -152,7 +153,7 @@ class Viewer(Controls):
         thrust, pose = self.keys.thrust, self.stage.pose
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
-        flown = self.saved.tick()
+        flown = self.timeline.tick()
         worked = self.modal.tick() | self.notice.tick()
         drawn = self.stage.tick()
         self.visits.tick()
@@ -162,7 +163,7 @@ class Viewer(Controls):
     def busy(self) -> bool:
         """Whether the window is still loading or drawing."""
         working = self.worker.busy or self.editor.worker.busy
-        drawing = self.saved.flying or not self.stage.resting
+        drawing = self.timeline.flying or not self.stage.resting
         return working or drawing or self.notice.compiles
 
     def _lay_out(self, context: gui.LayoutContext) -> None:
@@ -192,6 +193,7 @@ class Viewer(Controls):
     def _close(self) -> bool:
         if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):
             return False
+        self.timeline.close()
         self.worker.end()
         self.encoding.close()
         return True

@@ -14,6 +14,7 @@ from viewer.window.backdrop import picture_of
 from viewer.window.controls import Controls
 from viewer.window.dialogs import folded
 from viewer.window.edit_tab import EditTab
+from viewer.window.path_tab import PathTab
 from viewer.window.pick_tab import PickTab
 from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab
@@ -45,7 +46,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view, rate, pick, edit : SceneTab, ViewTab, RateTab, PickTab, EditTab
+    scene, view, path, rate, pick, edit : SceneTab, ViewTab, PathTab, RateTab, PickTab, EditTab
     """
 
     def __init__(self, viewer: Controls, font: int) -> None:
@@ -65,10 +66,11 @@ class Panel:
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
         self.pick, self.edit = PickTab(viewer, widgets, font), EditTab(viewer, widgets)
-        self.rate = RateTab(viewer, widgets, font)
+        self.path, self.rate = PathTab(viewer, widgets), RateTab(viewer, widgets, font)
         self._named: dict[str, Tab] = {
             "Scene": self.scene,
             "View": self.view,
+            "Path": self.path,
             "Rate": self.rate,
             "Pick": self.pick,
             "Edit": self.edit,

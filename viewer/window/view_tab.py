@@ -24,8 +24,6 @@ class ViewTab:
     up, order, dock : gui.Combobox
     look : LookControls
     list : gui.ListView
-    path : list of gui.Button
-        Buttons for the saved poses.
     """
 
     def __init__(self, viewer: Controls, widgets: Widgets) -> None:
@@ -46,7 +44,6 @@ class ViewTab:
         upper.add_child(self.flying)
         self.up = widgets.choice(upper, "up axis", (), lambda k: visits.set_up(visits.views.ups[k]))
         self.look = LookControls(viewer, widgets, upper)
-        self._add_path(widgets)
         self.dock = widgets.choice(self._below, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
         self.order = widgets.choice(self._below, "sort views by", _ORDERS, lambda _: self.refresh())
         self.list = gui.ListView()
@@ -56,22 +53,6 @@ class ViewTab:
         self._listed: list[str] = []
         self.places: list[int] = []
 
-    def _add_path(self, widgets: Widgets) -> None:
-        """Controls for the saved poses."""
-        saved = self._viewer.saved
-        self._kept = gui.Label("")
-        self._below.add_child(self._kept)
-        self.path = [
-            widgets.button("Keep", saved.keep, "Add this pose to the path (I)."),
-            widgets.button("Drop", saved.drop, "Remove the last pose."),
-            widgets.button("Fly", saved.fly, "Fly along the path, or stop."),
-            widgets.button("Save", saved.ask_write, "Save the poses as cameras, for --flythrough."),
-            widgets.button(
-                "Open", saved.ask_open, "Replace the path by poses or cameras from a file."
-            ),
-        ]
-        widgets.row(self._below, *self.path)
-
     def refresh(self) -> None:
         """Update controls and the list."""
         viewer, visits = self._viewer, self._viewer.visits
@@ -79,9 +60,6 @@ class ViewTab:
         self.flying.checked = viewer.choice.flying
         choose(self.up, visits.views.ups, visits.views.ups.index(viewer.choice.up))
         self.look.refresh()
-        self._kept.text = viewer.saved.text
-        for button, least in zip(self.path, (0, 1, 2, 1, 0), strict=True):
-            button.enabled = len(viewer.saved.poses) >= least and bool(visits.viewpoints)
         self.dock.selected_index = DOCKS.index(viewer.choice.dock)
         self._list()
 

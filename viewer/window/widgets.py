@@ -100,6 +100,13 @@ class Widgets:
         parent.add_child(slider)
         return slider
 
+    def number(self, changed: Callable[[float], None], whole: bool = False) -> gui.NumberEdit:
+        """A field for a number; `changed` is called with its value."""
+        field = gui.NumberEdit(gui.NumberEdit.INT if whole else gui.NumberEdit.DOUBLE)
+        field.set_preferred_width((7 if whole else 5) * self.em)  # a whole number has - and +
+        field.set_on_value_changed(lambda value: changed(float(value)))
+        return field
+
     def grid(self, parent: gui.Widget) -> gui.VGrid:
         """A grid of two columns, such as labels and sliders, added to a parent."""
         grid = gui.VGrid(2, 0.3 * self.em)

@@ -1,0 +1,127 @@
+"""Use the camera path and other tools of a real viewer window; print the results as JSON.
+
+Run by test_viewer_tools.py, in a separate process and on a separate display.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from drive_viewer import Driver, tell
+
+
+def press(driver: Driver, name: str) -> None:
+    """Click a button of the path tab."""
+    driver.click(driver.viewer.panel.path.buttons[name])
+
+
+def save(driver: Driver, button: str, name: str) -> None:
+    """Save with a button, under a typed name."""
+    press(driver, button)
+    driver.type_path(name)
+    driver.key("Return")
+    driver.wait(lambda: driver.viewer.modal.dialog is None)
+
+
+def hold(driver: Driver, time: float, *further: float) -> None:
+    """Press the mouse on the timeline at a time, drag it to further times, and release it."""
+    frame, chart = driver.viewer.dock.canvas.widget.frame, driver.viewer.timeline.chart
+    columns = [frame.x + chart.column(each, frame.width) for each in (time, *further)]
+    driver.move(columns[0], frame.y + frame.height // 2)
+    driver.xdotool("mousedown", 1)
+    for column in columns[1:]:
+        driver.move(column, frame.y + frame.height // 2)
+    driver.xdotool("mouseup", 1)
+    driver.tick(5)
+
+
+def keyframes(driver: Driver, found: dict) -> None:
+    """Keep keyframes with a key and a button; change their times with the mouse."""
+    viewer, timeline = driver.viewer, driver.viewer.timeline
+    buttons = viewer.panel.path.buttons
+    found["enabled"] = [[text for text, button in buttons.items() if button.enabled]]
+    driver.key("i")
+    driver.wait(lambda: len(timeline.path.poses) == 1)
+    driver.key("n")
+    driver.rest()
+    for count in (2, 3):
+        press(driver, "Keep")
+        driver.wait(lambda count=count: len(timeline.path.poses) == count)
+        driver.drag(viewer.stage.panes[0], back=False)
+    press(driver, "Set")
+    driver.wait(lambda: timeline.path.poses[2] is viewer.stage.pose)
+    driver.rest()
+    found["enabled"].append([text for text, button in buttons.items() if button.enabled])
+    press(driver, "Timeline")
+    driver.rest()
+    times = [timeline.path.times]
+    for further in ((3.0,), (3.6, 2.5, 5.0, 9.0), (1.0, 2.0)):
+        hold(driver, times[-1][1], *further)
+        times.append(timeline.path.times)
+    found["times"], found["chosen"] = times, timeline.chosen
+    found["at key"] = viewer.stage.pose is timeline.path.poses[1]
+    hold(driver, 0.5, 1.5, 1.0)
+    driver.rest()
+    [expected] = timeline.path.at([timeline.now])
+    moved = viewer.stage.pose.position - expected.position
+    found["scrubbed"] = [timeline.now, float(np.abs(moved).max())]
+    driver.key("i")
+    driver.wait(lambda: len(timeline.path.poses) == 4)
+    found["between"] = timeline.path.times
+    press(driver, "Drop")
+    driver.wait(lambda: len(timeline.path.poses) == 3)
+
+
+def flights(driver: Driver, found: dict) -> None:
+    """Fly, film, save and open the path."""
+    viewer, timeline = driver.viewer, driver.viewer.timeline
+    path = timeline.path
+    timeline.set_seconds(1.0)
+    timeline.set_fps(5)
+    viewer.visits.overview()
+    driver.rest()
+    driver.key("space")
+    driver.wait(lambda: timeline.flying)
+    driver.tick(5)
+    begun = driver.models()
+    driver.rest()
+    ends = [np.abs(viewer.stage.pose.position - pose.position).max() for pose in path.poses]
+    found["ends"], found["flown"] = ends, driver.models() != begun
+    if find_spec("imageio_ffmpeg") is not None:
+        save(driver, "Film", "film")
+        driver.wait(lambda: not timeline.filming and "saved" in viewer.panel.status.text)
+        found["film"] = viewer.panel.status.text
+        save(driver, "Film", "stopped")
+        timeline.close()
+    save(driver, "Save", "path")
+    driver.wait(Path("path.json").exists)
+    kept = timeline.path
+    timeline.drop()
+    timeline.open("path.json")
+    driver.wait(lambda: len(timeline.path.poses) == 3)
+    pairs = zip(kept.poses, timeline.path.poses, strict=True)
+    found["apart"] = [float(np.abs(a.position - b.position).max()) for a, b in pairs]
+    found["again"] = [timeline.path.times, timeline.path.fps]
+    timeline.open("nothing.json")
+    driver.wait(lambda: viewer.message is not None)
+    found["message"] = viewer.message
+    viewer.dismiss()
+
+
+def run(folder: Path) -> dict:
+    driver, found = Driver(folder, size=(700, 400)), {}
+    driver.rest()
+    driver.viewer.panel.show("Path")
+    driver.rest()
+    keyframes(driver, found)
+    flights(driver, found)
+    return found
+
+
+if __name__ == "__main__":
+    os.chdir(sys.argv[1])  # where paths are saved
+    tell(run(Path(sys.argv[1])))

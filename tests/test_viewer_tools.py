@@ -1,0 +1,65 @@
+"""The camera path and other tools of the viewer's window, driven as in test_viewer_window.py."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from windows import drive, make_folder, needs_display
+
+import gs_codec
+
+pytestmark = [needs_display, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return make_folder(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def found(display, folder) -> dict:
+    return drive("drive_tools.py", display, folder)
+
+
+def test_keyframes_are_kept_replaced_and_put_between_others(found):
+    first, later = found["enabled"]
+    assert first == ["Keep", "Open", "Timeline"]
+    assert later == ["Keep", "Set", "Drop", "Fly", "Even", "Film", "Save", "Open", "Timeline"]
+    now = found["scrubbed"][0]
+    assert found["between"] == pytest.approx([0, now, found["times"][-1][1], 4])
+
+
+def test_times_are_dragged_between_neighbours(found):
+    at_first, dragged, clipped, last = found["times"]
+    assert at_first == [0, 2, 4]
+    assert dragged == pytest.approx([0, 3, 4], abs=0.05)
+    assert clipped == pytest.approx([0, 4, 4], abs=0.05)
+    assert last == pytest.approx([0, 2, 4], abs=0.05)
+    assert found["chosen"] == 1
+    assert found["at key"]
+
+
+def test_the_timeline_looks_along_the_path(found):
+    now, apart = found["scrubbed"]
+    assert now == pytest.approx(1, abs=0.05)
+    assert apart < 1e-9
+
+
+def test_the_path_is_flown_filmed_saved_and_opened(found, folder):
+    assert found["flown"]
+    assert found["ends"][0] > 0.1
+    assert found["ends"][-1] < 1e-9
+    if find_spec("imageio_ffmpeg") is not None:
+        assert found["film"] == "film.mp4 saved: 6 frames"
+        assert (folder / "film.mp4").read_bytes()[4:8] == b"ftyp"
+    assert not [path for path in folder.iterdir() if "stopped" in path.name]
+    assert max(found["apart"]) < 1e-9
+    times, fps = found["again"]
+    assert times == pytest.approx([0, 0.5, 1], abs=0.02)
+    assert fps == 5
+    assert len(gs_codec.read_cameras(folder / "path.json")) == 6
+    title, text = found["message"]
+    assert title == "Not possible"
+    assert text.startswith("nothing.json: no such file")

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from drive_viewer import Driver, tell
 
+from viewer.pictures.drawer import depth_at
+
 
 def press(driver: Driver, name: str) -> None:
     """Click a button of the path tab."""
@@ -112,6 +114,41 @@ def flights(driver: Driver, found: dict) -> None:
     viewer.dismiss()
 
 
+def measure(driver: Driver, found: dict) -> None:
+    """Measure between two clicked points, with a drag between them, and set a known length."""
+    viewer, measuring, stage = driver.viewer, driver.viewer.measuring, driver.viewer.stage
+    viewer.visits.go_to(1)
+    before = driver.scenes(driver.rest())
+    driver.key("y")
+    driver.wait(lambda: measuring.on)
+    pane, expected = stage.panes[0], []
+    for count, place in ((1, (80, 100)), (2, (100, 110))):
+        frame, size = pane.widget.frame, stage.picture_size
+        driver.move(frame.x + place[0], frame.y + place[1])
+        driver.xdotool("mousedown", 1)
+        driver.xdotool("mouseup", 1)
+        driver.wait(lambda count=count: len(measuring.points) == count)
+        at = place[0] + 0.5, place[1] + 0.5
+        pixel, depth = stage.pose.project(measuring.points[-1][None], *size)
+        look = stage.shown.look(pane.scene)
+        seen = depth_at(stage.views, pane.scene, stage.pose, at, size, look)
+        expected.append([*np.abs(pixel[0] - at).tolist(), abs(float(depth[0]) - seen)])
+        driver.drag(pane, back=True)
+    found["off"] = expected
+    points = measuring.points
+    found["distance"] = [measuring.distance, float(np.linalg.norm(points[1] - points[0]))]
+    measuring.set_length(2 * measuring.distance)
+    driver.key("r")
+    found["drawn"] = int((np.abs(driver.scenes(driver.rest()) - before).max(axis=2) > 60).sum())
+    found["measured"] = [measuring._label.text, viewer.panel.pick.measure._said.text]
+    driver.key("Escape")
+    driver.wait(lambda: not measuring.points)
+    driver.key("Escape")
+    driver.wait(lambda: not measuring.on)
+    found["left"] = int(np.abs(driver.scenes(driver.rest()) - before).max())
+    found["picked"] = viewer.picking.hit is not None
+
+
 def run(folder: Path) -> dict:
     driver, found = Driver(folder, size=(700, 400)), {}
     driver.rest()
@@ -119,6 +156,7 @@ def run(folder: Path) -> dict:
     driver.rest()
     keyframes(driver, found)
     flights(driver, found)
+    measure(driver, found)
     return found
 
 

@@ -18,7 +18,7 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import open_scene as open_file
 from gs_codec.scene import ANTIALIASED
 from viewer.pictures.drawer import splats
-from viewer.pictures.marker import draw_marker, marker
+from viewer.pictures.marker import draw_marker, marker, measure_lines
 from viewer.pictures.picture import Shown, draw_scene
 from viewer.scenes.appearance import Look
 from viewer.scenes.matched import NEAREST, Match
@@ -330,3 +330,17 @@ def test_pictures_that_are_saved_have_the_mark(a):
     before, _ = draw_scene(a, POSE, *SIZE, plain, views)
     after, _ = draw_scene(a, POSE, *SIZE, replace(plain, marked=(a, row)), views)
     assert (np.abs(after - before).max(axis=2) > 0.2).sum() > 20
+
+
+def test_a_measured_line_is_cut_where_it_comes_before_the_camera():
+    pose = look_at(np.array([0.0, 0, -4]), np.zeros(3))
+    assert measure_lines([], pose, 90, 60) == []
+    line, *rings = measure_lines(np.array([[0.0, 0, 0], [1, 0, 0]]), pose, 90, 60)
+    np.testing.assert_allclose(line[0], (45, 30))
+    np.testing.assert_allclose([ring.mean(axis=0) for ring in rings], line, atol=1e-9)
+    cut, *rings = measure_lines(np.array([[0.0, 0, 0], [1, 0, -6]]), pose, 90, 60)
+    assert len(rings) == 1
+    assert np.isfinite(cut).all()
+    np.testing.assert_allclose(cut[0], (45, 30))
+    assert np.sign(cut[1][0] - 45) == np.sign(line[1][0] - 45)
+    assert measure_lines(np.array([[0.0, 0, -5], [1, 0, -6]]), pose, 90, 60) == []

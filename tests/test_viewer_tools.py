@@ -63,3 +63,15 @@ def test_the_path_is_flown_filmed_saved_and_opened(found, folder):
     title, text = found["message"]
     assert title == "Not possible"
     assert text.startswith("nothing.json: no such file")
+
+
+def test_distances_are_measured_on_what_is_seen_and_set_the_scale(found):
+    assert max(map(max, found["off"])) < 1e-4
+    distance, expected = found["distance"]
+    assert distance == expected > 0
+    label, said = found["measured"]
+    assert label == f" {2 * distance:.4g} "
+    assert said == f"{distance:.5g} scene units = {2 * distance:.5g}\ngs-codec convert --scale 2"
+    assert found["drawn"] > 40
+    assert found["left"] <= 4
+    assert not found["picked"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
@@ -16,6 +18,9 @@ _LEAST = 7.0
 
 #: Radius of the mark of the centre, pixels.
 _CENTRE = 3.0
+
+#: Radius of the ring around a measured point, pixels.
+_POINT = 5.0
 
 #: Widths of the dark line and the light one over it, pixels, and their RGB, 0-1.
 LINES = ((5.0, (0.0, 0.0, 0.0)), (2.0, (1.0, 1.0, 1.0)))
@@ -42,6 +47,25 @@ def marker(
     outline = splat_outline(scene.gaussians, as_camera(pose.camera(width, height)), row)
     around = _LEAST * _CIRCLE if outline is None else _widened(outline - centre)
     return [centre + around, centre + _CENTRE * _CIRCLE]
+
+
+def measure_lines(
+    points: Sequence[NDArray], pose: Pose, width: int, height: int
+) -> list[NDArray[np.float64]]:
+    """Closed lines ``(n, 2)``, pixels: between two points if it is seen, and a ring at each."""
+    if not points:
+        return []
+    ends = (np.array(points) - pose.position) @ pose.rotation.T
+    front = ends[:, 2] > _NEAR
+    lines = []
+    if len(ends) == 2 and front.any():
+        if not front.all():  # cut where it comes before the camera
+            behind, ahead = ends[np.argsort(front)]
+            share = (ahead[2] - _NEAR) / (ahead[2] - behind[2])
+            ends[np.argmin(front)] = ahead + share * (behind - ahead)
+        lines.append(pose.project(ends @ pose.rotation + pose.position, width, height)[0])
+    places = pose.project(np.array(points), width, height)[0][front]
+    return [*lines, *(place + _POINT * _CIRCLE for place in places)]
 
 
 def _widened(around: NDArray[np.float64]) -> NDArray[np.float64]:

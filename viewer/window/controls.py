@@ -12,6 +12,7 @@ from viewer.window.background_encoding import Encoding
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
 from viewer.window.loading import Loading
+from viewer.window.measuring import Measuring
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.picking import Picking
 from viewer.window.shared import Host
@@ -28,6 +29,7 @@ class Controls(Host, Protocol):
 
     visits: Visits
     timeline: Timeline
+    measuring: Measuring
     loading: Loading
     picking: Picking
     editor: Editor

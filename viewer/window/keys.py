@@ -78,6 +78,7 @@ KEYS = (
     Key("U", "next up axis", ord("u"), lambda v: v.visits.next_up()),
     Key("I", "add this view to the camera path", ord("i"), lambda v: v.timeline.keep()),
     Key("space", "fly along the camera path, or stop", ord(" "), lambda v: v.timeline.fly()),
+    Key("Y", "measure distances by clicks, or pick", ord("y"), lambda v: v.measuring.toggle()),
     Key("T", "convert B: reverse its y and z axes", ord("t"), lambda v: v.loading.turn()),
     Key("M", "side by side, wipe, flip", ord("m"), lambda v: v.next_mode()),
     Key("F", "in one view, switch between A and B", ord("f"), lambda v: v.flip()),

@@ -20,6 +20,7 @@ from viewer.window.editor import Editor
 from viewer.window.file_dialog import Files
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
+from viewer.window.measuring import Measuring
 from viewer.window.mouse import Place
 from viewer.window.notice import Notice
 from viewer.window.pane import Pane
@@ -52,6 +53,7 @@ class Viewer(Controls):
     visits : Visits
     loading : Loading
     timeline : Timeline
+    measuring : Measuring
     picking : Picking
     encoding : Encoding
     panel : Panel
@@ -92,7 +94,7 @@ class Viewer(Controls):
         )
         self.files = Files(self.modal, self.stage)
         self.visits, self.picking = Visits(self), Picking(self)
-        self.timeline = Timeline(self)
+        self.timeline, self.measuring = Timeline(self), Measuring(self)
         self.dock = Dock(self, self.visits, self.timeline, self._select_range)
         self.editor = Editor(self, self.visits, self.dock)
         self.loading = Loading(self, self.visits, self.editor)
@@ -142,7 +144,7 @@ class Viewer(Controls):
         self.panel.rate.refresh()
 
     def _clicked(self, pane: Pane, at: Place) -> None:
-        self.picking.click(pane, at)
+        (self.measuring if self.measuring.on else self.picking).click(pane, at)
 
     def _focused(self, pane: Pane, at: Place) -> None:
         self.stage.focus(pane, at)
@@ -154,7 +156,7 @@ class Viewer(Controls):
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
         flown = self.timeline.tick()
-        worked = self.modal.tick() | self.notice.tick()
+        worked = self.modal.tick() | self.notice.tick() | self.measuring.tick()
         drawn = self.stage.tick()
         self.visits.tick()
         return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)

@@ -6,6 +6,7 @@ from open3d.visualization import gui
 
 from viewer.scenes.picked_text import picked_sections
 from viewer.window.controls import Controls
+from viewer.window.measuring import MeasureControls
 from viewer.window.widgets import Widgets
 
 #: Width of a row, characters.
@@ -21,6 +22,7 @@ class PickTab:
     ----------
     widget : gui.Widget
     text : gui.Label
+    measure : MeasureControls
     """
 
     def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
@@ -32,6 +34,7 @@ class PickTab:
 
         self._clear = widgets.button("Clear", clear, "clear the pick (Esc)")
         widgets.row(self.widget, self._clear)
+        self.measure = MeasureControls(viewer.measuring, widgets, self.widget)
         self.text = gui.Label(_NOTHING)
         self.text.font_id = font
         self.widget.add_child(self.text)
@@ -40,9 +43,10 @@ class PickTab:
         """Update the text."""
         picking = self._viewer.picking
         picking.follow()
+        self.measure.refresh()
         self._clear.enabled = picking.hit is not None
         if picking.hit is None:
-            self.text.text = _NOTHING
+            self.text.text = "" if self._viewer.measuring.on else _NOTHING
         elif picking.picked is None:
             self.text.text = "..."
         else:

@@ -38,6 +38,9 @@ _DRAFT = 100_000
 #: Minimum height of the captions above the panes, pixels: that of label backgrounds in Open3D.
 _CAPTION = 32
 
+#: Closed lines ``(n, 2)``, pixels, of a picture from a pose, of a width and a height.
+Overlay = Callable[[Pose, int, int], list[NDArray[np.float64]]]
+
 
 class Stage:
     """Panes with a common pose, side by side or in one view.
@@ -70,6 +73,8 @@ class Stage:
         The pose of the panes; follows the pictures if gs_codec's rasteriser draws.
     painter : Painter
     navigator : Navigator
+    overlays : dict of str to Overlay
+        Lines drawn over all panes, by name.
     captions : list of gui.Label
         The captions above the panes.
     divider : Canvas
@@ -97,6 +102,7 @@ class Stage:
         self.pose: Pose | None = None
         self.seen: Pose | None = None
         self.navigator = Navigator()
+        self.overlays: dict[str, Overlay] = {}
         self.captions = [gui.Label("") for _ in range(2)]
         for label in self.captions:
             window.add_child(label)
@@ -397,6 +403,8 @@ class Stage:
                 pane.outline(self.seen, wide, height)
             lines = marker(*self._marked, self.seen, wide, height) if self._marked else []
             pane.show_lines("mark", lines, self.seen, wide, height)
+            for name, overlay in self.overlays.items():
+                pane.show_lines(name, overlay(self.seen, wide, height), self.seen, wide, height)
 
     def see(self, pose: Pose) -> None:
         """Make the panes look from a pose."""

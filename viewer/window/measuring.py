@@ -1,0 +1,169 @@
+"""Measuring: the distance between two clicked points, and the scale that a known length sets."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from open3d.visualization import gui
+
+from viewer.pictures.drawer import depth_at
+from viewer.pictures.marker import measure_lines
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
+from viewer.window.mouse import Place
+from viewer.window.pane import Pane
+from viewer.window.shared import Host
+from viewer.window.widgets import Widgets
+from viewer.window.worker import Stale
+
+#: Offset of the label from the middle of the line, in font sizes.
+_BESIDE = 0.5
+
+
+class Measuring:
+    """Two points on what the panes show; a third click begins again.
+
+    Parameters
+    ----------
+    viewer : Host
+
+    Attributes
+    ----------
+    on : bool
+        Whether clicks choose points.
+    points : list of ndarray, shape (3,)
+    unit : float
+        Length of a scene unit, from a known length; 1 until then.
+    """
+
+    def __init__(self, viewer: Host) -> None:
+        self._viewer = viewer
+        self.on, self.unit = False, 1.0
+        self.points: list[NDArray[np.float64]] = []
+        self._of: Opened | None = None
+        self._placed: tuple[object, ...] = ()
+        self._label = gui.Label("")
+        self._label.background_color = gui.Color(0.0, 0.0, 0.0, 0.75)
+        self._label.visible = False
+        viewer.window.add_child(self._label)
+        viewer.stage.overlays["measure"] = self._lines
+        viewer.modal.cancels.append(self._cancel)
+
+    def toggle(self) -> None:
+        """Let clicks choose points, or pick Gaussians again."""
+        self.on = not self.on
+        self._put(self.points if self.on else [])
+        self._viewer.panel.show("Pick")
+
+    def click(self, pane: Pane, at: Place) -> None:
+        """Choose the point seen at a pixel of a pane's picture."""
+        stage = self._viewer.stage
+        pose, size, scene, views = stage.pose, stage.picture_size, pane.scene, stage.views
+        look = stage.shown.look(scene)
+        if pose is None:
+            return
+
+        def find(stale: Stale) -> float:
+            return depth_at(views, scene, pose, at, size, look)
+
+        def done(depth: float) -> None:
+            if depth > 0:
+                fx, fy, cx, cy = pose.lens(*size)
+                ray = np.array([(at[0] - cx) / fx, (at[1] - cy) / fy, 1.0])
+                point = pose.position + depth * ray @ pose.rotation
+                self._put([*(self.points if len(self.points) < 2 else []), point])
+            else:
+                self._viewer.panel.say("nothing to measure there")
+
+        self._viewer.worker.submit("measure point", find, done, self._viewer.fail)
+
+    def _put(self, points: list[NDArray[np.float64]]) -> None:
+        self.points, scenes = points, self._viewer.stage.scenes
+        self._of = (scenes[0].whole or scenes[0]) if scenes else None
+        self._viewer.stage.arrange()
+        self._viewer.panel.refresh()
+
+    def _cancel(self) -> bool:
+        """Clear the points, or stop measuring; return whether there was anything to end."""
+        was = self.on
+        if self.points:
+            self._put([])
+        elif self.on:
+            self.toggle()
+        return was
+
+    @property
+    def distance(self) -> float | None:
+        """Distance of the two points, scene units; None if there are fewer."""
+        if len(self.points) < 2:
+            return None
+        return float(np.linalg.norm(self.points[1] - self.points[0]))
+
+    def set_length(self, length: float) -> None:
+        """Set the scale: the two points are this far apart."""
+        if self.distance and length > 0:
+            self.unit = length / self.distance
+            self._viewer.panel.refresh()
+
+    @property
+    def text(self) -> str:
+        """What was measured, and the command that scales the scene."""
+        if self.distance is None:
+            return "Click two points.\n" if self.on else ""
+        text = f"{self.distance:.5g} scene units"
+        if self.unit == 1:
+            return f"{text}\n"
+        return f"{text} = {self.unit * self.distance:.5g}\ngs-codec convert --scale {self.unit:.6g}"
+
+    def tick(self) -> bool:
+        """Keep the label at the line; return whether to draw the window."""
+        stage, distance = self._viewer.stage, self.distance
+        placed = stage.seen, stage.size, distance, self.unit, *stage.columns
+        if placed == self._placed:
+            return False
+        self._placed = placed
+        scenes = stage.scenes
+        if self.points and (not scenes or self._of is not (scenes[0].whole or scenes[0])):
+            self._put([])
+        lines = self._lines(stage.seen, *stage.picture_size) if stage.seen else []
+        self._label.visible = distance is not None and len(lines) == 3
+        if distance is not None and self._label.visible:
+            self._label.text = f" {self.unit * distance:.4g} "
+            em, frame = self._viewer.window.theme.font_size, stage.visible[0].widget.frame
+            x, y = lines[0].mean(axis=0) + _BESIDE * em - (stage.columns[0][3], 0)
+            wide = int(len(self._label.text) * 0.55 * em)
+            x, y = min(max(x, 0), frame.width - wide), min(max(y, 0), frame.height - 1.5 * em)
+            self._label.frame = gui.Rect(frame.x + int(x), frame.y + int(y), wide, int(1.5 * em))
+        return True
+
+    def _lines(self, pose: Pose, width: int, height: int) -> list[NDArray[np.float64]]:
+        return measure_lines(self.points, pose, width, height)
+
+
+class MeasureControls:
+    """A switch for measuring, the distance, and a field for a known length.
+
+    Attributes
+    ----------
+    on : gui.Checkbox
+    length : gui.NumberEdit
+    """
+
+    def __init__(self, measuring: Measuring, widgets: Widgets, parent: gui.Widget) -> None:
+        self._measuring = measuring
+        self.on = widgets.checkbox("measure distances (Y)", lambda _: measuring.toggle())
+        parent.add_child(self.on)
+        self._said = gui.Label("")
+        parent.add_child(self._said)
+        self.length = widgets.number(measuring.set_length)
+        self._row = widgets.row(parent, gui.Label("known length"), self.length)
+
+    def refresh(self) -> None:
+        """Update the controls."""
+        measuring = self._measuring
+        self.on.checked = measuring.on
+        self._said.text = measuring.text
+        self._said.visible = bool(measuring.text)
+        self._row.visible = measuring.distance is not None
+        if measuring.distance is not None:
+            self.length.double_value = measuring.unit * measuring.distance

@@ -25,7 +25,7 @@ from viewer.scenes.matched import NEAREST, Match
 from viewer.scenes.opened import Opened, Pruned, open_scene, turned
 from viewer.scenes.picked import Hit, Picker
 from viewer.scenes.picked_text import picked_sections
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, look_at
 
 POSE = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
 SIZE = (48, 32)

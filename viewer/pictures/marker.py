@@ -53,7 +53,7 @@ def measure_lines(
     points: Sequence[NDArray], pose: Pose, width: int, height: int
 ) -> list[NDArray[np.float64]]:
     """Closed lines ``(n, 2)``, pixels: between two points if it is seen, and a ring at each."""
-    if not points:
+    if not len(points):
         return []
     ends = (np.array(points) - pose.position) @ pose.rotation.T
     front = ends[:, 2] > _NEAR

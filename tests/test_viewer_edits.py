@@ -19,12 +19,13 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from viewer.scenes import edits as editing
+from viewer.scenes.appearance import Look
 from viewer.scenes.edits import HOW, Edits
 from viewer.scenes.opened import Opened, Pruned, open_scene, turned
 from viewer.scenes.pose import look_at
 from viewer.scenes.region import REGIONS, Region, in_polygon, in_region
 from viewer.scenes.saving import save_scene
-from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
+from viewer.scenes.selecting import around, by_rule, grown, in_range, inside_box, rules, shrunk
 
 
 @pytest.fixture(scope="module")
@@ -72,16 +73,17 @@ def test_a_region_selects_drawn_centres_in_front_of_the_camera(scene):
         expected.append(inside and depth > 0.2)
     assert behind
     assert 20 < sum(expected) < 680
-    np.testing.assert_array_equal(in_region(scene, pose, size, box.corners), expected)
+    np.testing.assert_array_equal(in_region(scene, pose, size, box), expected)
     drawn = np.arange(700) % 2 == 0
-    found = in_region(scene, pose, size, box.corners, drawn)
+    found = in_region(scene, pose, size, box, Look(drawn=drawn))
     np.testing.assert_array_equal(found, expected & drawn)
 
 
 def test_nan_centres_are_in_no_region():
     gaussians = random_scene(4, 0)
     gaussians.positions[:] = [[0, np.nan, np.inf, 0], [0, 0, 0, -np.inf], [1, 1, 1, 1]]
-    pose, box = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0])), [(0, 0), (9, 0), (9, 9), (0, 9)]
+    pose, box = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0])), Region("box", (0, 0))
+    box.extend((9, 9))
     assert in_region(Opened("", to_cloud(gaussians)), pose, (9, 9), box).tolist() == [1, 0, 0, 0]
     assert not in_region(Opened("", to_cloud(random_scene(0, 0))), pose, (9, 9), box).size
 
@@ -93,6 +95,106 @@ def test_a_lasso_follows_the_mouse_and_a_click_draws_nothing():
     assert lasso.corners == [(0, 0), (10, 0), (10, 10)]
     for kind in REGIONS:
         assert Region(kind, (5, 5)).corners == [(5, 5)]
+
+
+def test_a_polygon_is_closed_by_a_click_at_its_first_corner():
+    polygon = Region("polygon", (10, 10))
+    for place in ((40, 10), (41, 11), (20, 60)):
+        assert not polygon.closes((12, 11)) or len(polygon.path) > 2
+        assert polygon.extend(place)
+    assert polygon.corners == [(10, 10), (40, 10), (41, 11), (20, 60)]
+    assert polygon.closes((12, 11))
+    assert not polygon.closes((20, 10))
+
+
+def test_a_brush_covers_everything_near_its_path():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(0, 100, (2000, 2))
+    brush, expected = Region("brush", (20, 30), 7.5), np.zeros(2000, bool)
+    path = [(20, 30), (60, 35), (60, 80), (58, 20)]
+    for place in path[1:]:
+        brush.extend(place)
+    for start, end in zip(path[:-1], path[1:], strict=True):
+        for share in np.linspace(0, 1, 400):
+            at = (1 - share) * np.array(start) + share * np.array(end)
+            expected |= np.linalg.norm(points - at, axis=1) <= 7.5
+    found = brush.covers(points)
+    assert 100 < found.sum() < 1500
+    assert (found != expected).sum() < 5  # at the edge, by sampling
+    dot = Region("brush", (50, 50), 10)
+    np.testing.assert_array_equal(
+        dot.covers(points), np.linalg.norm(points - (50, 50), axis=1) <= 10
+    )
+
+
+def walls() -> Opened:
+    """Two walls of 20 x 20 opaque Gaussians, one behind the other, and a large one between."""
+    scene = random_scene(801, 0, seed=5)
+    grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=-1).reshape(-1, 2) - 9.5
+    scene.positions[:2, :400] = scene.positions[:2, 400:800] = 0.1 * grid.T
+    scene.positions[2, :400], scene.positions[2, 400:800] = 4, 6
+    scene.positions[:, 800] = 0.0, 1.2, 4.5
+    scene.log_scale[:] = np.log(0.06)
+    scene.log_scale[:, 800] = np.log(0.3)
+    scene.opacity[:] = 5
+    scene.f_dc[:] = 0
+    scene.f_dc[0, 400:800] = 1
+    return Opened("walls", to_cloud(scene))
+
+
+def test_regions_select_what_is_seen_and_by_footprints():
+    scene, size = walls(), (200, 200)
+    pose = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    box = Region("box", (75, 75))
+    box.extend((125, 125))
+
+    def found(**options: bool) -> set[int]:
+        return set(np.flatnonzero(in_region(scene, pose, size, box, **options)).tolist())
+
+    centres, front = found(), found(front=True)
+    assert {k // 400 for k in centres} == {0, 1}
+    assert front == {k for k in centres if k < 400}
+    assert 800 not in centres  # below the box, by its centre
+    wide = found(footprint=True)
+    assert wide >= centres | {800}
+    seen = found(footprint=True, front=True)
+    assert len(front - seen) < 2  # seen only outside the box
+    assert seen < set(range(400))
+    hidden = np.arange(801) >= 400
+    assert found(front=True, look=Look(drawn=hidden)) == centres - front
+
+
+def test_spheres_colours_and_floods_around_a_gaussian():
+    scene = walls()
+    places, row = scene.positions.astype(float), 210
+    away = np.linalg.norm(places - places[row], axis=1)
+    assert (away <= 0.35).sum() > 20
+    np.testing.assert_array_equal(around(scene, "sphere", row, 0.35, 0), away <= 0.35)
+    assert not around(scene, "sphere", row, 0, 0)[:row].any()
+    blue = around(scene, "colour", row, 0, 10)
+    assert np.flatnonzero(blue).tolist() == [*range(400), 800]
+    flood = around(scene, "flood", row, 0, 255)
+    assert np.flatnonzero(flood).tolist() == [*range(400)]
+    drawn = ~np.isin(np.arange(801) // 20, (3, 4)) & (np.arange(801) < 800)
+    part = around(scene, "flood", row, 0, 10, drawn)
+    assert np.flatnonzero(part).tolist() == [*range(100, 400)]
+    assert not around(scene, "flood", row, 0, 10, drawn & (np.arange(801) != row)).any()
+
+
+def test_a_selection_grows_and_shrinks_by_neighbours():
+    scene = walls()
+    block = (np.arange(801) < 400) & (np.arange(801) % 20 < 10)
+    more = grown(scene, block)
+    assert (more & ~block)[:400].sum() >= 20  # at least the next column
+    assert not more[400:800].any()
+    assert (shrunk(scene, more) >= block).all()
+    less = shrunk(scene, block)
+    assert not less[9:400:20].any()
+    assert (block & ~less)[:400].reshape(20, 20).any(axis=1).all()
+    rows = np.arange(801) % 20 != 15
+    left = Edits(scene)
+    left.keep(rows, "test")
+    assert not grown(left.scene, block[rows])[left.scene.rows % 20 > 15].any()
 
 
 @pytest.mark.parametrize(
@@ -161,6 +263,7 @@ def test_random_steps_match_plain_sets_and_are_undone(scene):
             "replace": (picked, hidden, left),
             "add": (selected | picked, hidden, left),
             "remove": (selected - picked, hidden, left),
+            "intersect": (selected & picked, hidden, left),
             "all": (left - hidden, hidden, left),
             "invert": (left - hidden - selected, hidden, left),
             "hide": (frozenset(), hidden | selected, left),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.neighbours import Neighbours
 from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.spacing import (
+    NEIGHBOURS,
     Spacing,
     by_size,
     find_spacing,
@@ -32,6 +33,33 @@ def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
         first = int(np.argmax(np.bincount(labels)))
         cluster[finite[_grow(spacing, limit, labels, first)]] = True
     return cluster
+
+
+def linked_neighbours(scene: Scene) -> NDArray[np.int32]:
+    """The neighbours ``(N, K)`` that each Gaussian is linked to; itself in place of missing ones.
+
+    Of the eight nearest, those that `keep_largest_cluster` follows first.
+    """
+    finite = in_place_order(scene)
+    linked = np.arange(scene.count, dtype=np.int32)[:, None].repeat(NEIGHBOURS, axis=1)
+    if len(finite):
+        spacing = find_spacing(scene.take(finite))
+        near = spacing.in_sizes() <= usual_distance(spacing)
+        own, others = finite[:, None], finite[spacing.nearest]
+        linked[finite, : near.shape[1]] = np.where(near, others, own)
+    return linked
+
+
+def connected(
+    neighbours: NDArray[np.int32], allowed: NDArray[np.bool_], row: int
+) -> NDArray[np.bool_]:
+    """Mask ``(N,)`` of the Gaussians reached from one by links between the allowed ones.
+
+    `neighbours` is from `linked_neighbours`; `allowed` is a mask ``(N,)``.
+    """
+    labels = np.arange(len(neighbours))
+    _join(neighbours, allowed[:, None] & allowed[neighbours], labels)
+    return allowed & (labels == labels[row])
 
 
 @on_clouds

@@ -89,6 +89,11 @@ def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
     >>> cloud = gs_codec.read("scene.ply")
     >>> near = gs_codec.edit.crop_sphere(cloud, (0, 0, 0), 2.5)
     """
+    return _keep(scene, in_sphere(scene, centre, radius))
+
+
+def in_sphere(scene: Scene, centre: Sequence[float], radius: float) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` `crop_sphere` keeps."""
     middle, limit = finite("centre", centre, 3), finite("radius", [radius], 1)[0]
     if limit <= 0:
         raise InvalidInput(f"radius {radius}: expected a number above 0")
@@ -96,7 +101,7 @@ def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
     def inside(some: Scene) -> NDArray[np.bool_]:
         return np.linalg.norm(some.positions.T - middle, axis=1) <= limit
 
-    return _keep(scene, _mask(scene, inside))
+    return _mask(scene, inside)
 
 
 @on_clouds

@@ -12,7 +12,7 @@ import gs_codec
 from viewer.scenes.opened import Opened, keep
 
 #: Ways to combine chosen Gaussians with the selection.
-HOW = ("replace", "add", "remove")
+HOW = ("replace", "add", "remove", "intersect")
 
 #: Maximum number of undo steps: up to 25 bytes per Gaussian in all, of its 236 with SH degree 3.
 _STEPS = 100
@@ -98,14 +98,16 @@ class Edits:
 
     def select(self, chosen: NDArray[np.bool_], how: str = "replace") -> None:
         """Combine a mask ``(N,)`` with the selection, as `how` (one of `HOW`) says."""
-        before = self.selected
+        self._do("select", selected=self.combined(chosen, how))
+
+    def combined(self, chosen: NDArray[np.bool_], how: str) -> NDArray[np.bool_]:
+        """The selection ``(N,)`` that `select` would make."""
+        before = self.selected if how != "replace" else chosen
         if how == "remove":
             after = before & ~chosen
         else:
-            after = before | chosen if how == "add" else chosen.copy()
-        if self.drawn is not None:
-            after &= self.drawn
-        self._do("select", selected=after)
+            after = before | chosen if how == "add" else before & chosen
+        return after if self.drawn is None else after & self.drawn
 
     def select_all(self) -> None:
         """Select all Gaussians that are not hidden."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import gs_codec
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import ADAPTIVE_PROFILES
+from gs_codec.edit.clusters import linked_neighbours
 from gs_codec.errors import one_line, printable
 from gs_codec.files.scenes import (
     gaussian_bits_of_file,
@@ -151,6 +152,16 @@ class Opened:
         """Sum of squares of the SH-AC of each Gaussian ``(N,)``."""
         f_rest = self._array("f_rest")
         return np.einsum("nkc,nkc->n", f_rest, f_rest, dtype=np.float64)
+
+    @cached_property
+    def neighbours(self) -> NDArray[np.int32]:
+        """Linked neighbours ``(N, K)`` of each Gaussian; see `linked_neighbours`."""
+        if self.whole is None:
+            return linked_neighbours(self.gaussians)
+        places = np.full(self.whole.count, -1, np.int32)
+        places[self.rows] = own = np.arange(self.count, dtype=np.int32)
+        found = places[self.whole.neighbours[self.rows]]
+        return np.where(found < 0, own[:, None], found)
 
     @property
     def sh_degree(self) -> int:

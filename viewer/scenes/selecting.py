@@ -1,17 +1,18 @@
-"""Select Gaussians by a range of a quantity, a pruning reason, or a `gs_codec.edit` function."""
+"""Select Gaussians by a quantity, colour, place, neighbours, or a `gs_codec.edit` function."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.cameras.camera import Camera
-from gs_codec.edit.clusters import largest_cluster
+from gs_codec.edit.clusters import connected, largest_cluster
 from gs_codec.edit.floaters import find_floaters
-from gs_codec.edit.selection import attribute_names, attribute_values, in_box
+from gs_codec.edit.selection import attribute_names, attribute_values, in_box, in_sphere
 from gs_codec.edit.shares import SHARES, members
 from viewer.scenes.opened import Opened, Progress, Pruned
 
@@ -19,6 +20,33 @@ from viewer.scenes.opened import Opened, Progress, Pruned
 _FLOATERS = "floaters"
 _OUTLIERS = "outside the largest cluster"
 _PRUNED = "pruned by "
+
+
+#: What is selected around a Gaussian.
+SEEDS = ("sphere", "colour", "flood")
+
+
+@dataclass
+class Selecting:
+    """How tools select.
+
+    Attributes
+    ----------
+    how : str
+        One of `viewer.scenes.edits.HOW`.
+    footprint, front : bool
+        As in `viewer.scenes.region.in_region`.
+    radius : int
+        Of the brush, pixels.
+    tolerance : int
+        Largest difference of a colour channel, of 255, for `alike`.
+    """
+
+    how: str = "replace"
+    footprint: bool = False
+    front: bool = False
+    radius: int = 20
+    tolerance: int = 50
 
 
 def quantity(scene: Opened, name: str) -> NDArray:
@@ -85,3 +113,39 @@ def by_rule(
 def inside_box(scene: Opened, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
     """Mask ``(N,)`` of the Gaussians that `gs_codec.edit.crop_box` keeps; raises like it."""
     return in_box(scene.gaussians, low, high)
+
+
+def around(
+    scene: Opened,
+    kind: str,
+    row: int,
+    radius: float,
+    tolerance: float,
+    drawn: NDArray[np.bool_] | None = None,
+) -> NDArray[np.bool_]:
+    """Mask ``(N,)`` of the Gaussians around one, by `kind`, one of `SEEDS`.
+
+    A sphere of a radius (scene units) around its centre; all SH-DC colours that differ by at most
+    `tolerance` of 255 in any channel; or, of these, those reached through linked neighbours. With
+    a mask `drawn` ``(N,)``, only Gaussians in it.
+    """
+    if kind == "sphere":
+        centre = scene.positions[row].tolist()
+        same = in_sphere(scene.gaussians, centre, max(radius, np.finfo(float).tiny))
+    else:
+        differences = np.abs(scene.colours - scene.colours[row]).max(axis=1)
+        same = differences <= np.float32(tolerance / 255 + 1e-6)
+    same = same if drawn is None else same & drawn
+    return same if kind != "flood" else connected(scene.neighbours, same, row)
+
+
+def grown(scene: Opened, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask ``(N,)``, extended by all linked neighbours of its Gaussians."""
+    after = selected | selected[scene.neighbours].any(axis=1)
+    after[scene.neighbours[selected]] = True
+    return after
+
+
+def shrunk(scene: Opened, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask ``(N,)`` without the Gaussians that have linked neighbours outside it."""
+    return ~grown(scene, ~selected)

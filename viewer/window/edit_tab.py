@@ -8,10 +8,31 @@ from functools import partial
 from open3d.visualization import gui
 
 from viewer.pictures.layers import SELECTED
-from viewer.scenes.edits import Edits
+from viewer.scenes.edits import HOW, Edits
+from viewer.scenes.selecting import grown, shrunk
 from viewer.window.controls import Controls
-from viewer.window.editor import TOOLS
+from viewer.window.editor import NAVIGATE
 from viewer.window.widgets import Widgets, choose
+
+#: Tools, with their tips.
+_TOOLS = {
+    NAVIGATE: "Drags move the camera.",
+    "box": "Drags select by boxes (X).",
+    "lasso": "Drags select by lassos (L).",
+    "polygon": "Clicks are corners; the first corner or Enter closes it, Esc drops it (Y).",
+    "brush": "Drags select what the brush passes (B; [ and ] change its size).",
+    "sphere": "Drags select by spheres around the Gaussian under the mouse (J).",
+    "colour": "Clicks select this colour, within the tolerance (of 255).",
+    "flood": "Clicks select connected Gaussians of this colour, within the tolerance.",
+}
+
+#: Texts for ways to select.
+_HOW = {
+    "replace": "select",
+    "add": "add (shift)",
+    "remove": "remove (ctrl)",
+    "intersect": "intersect (both)",
+}
 
 
 class EditTab:
@@ -23,6 +44,9 @@ class EditTab:
     buttons : dict of str to gui.Button
         Buttons by text; those of tools by tool.
     scene, rule : gui.Combobox
+    how : gui.Combobox
+    footprint, front : gui.Checkbox
+    radius, tolerance : gui.NumberEdit
     low, high : gui.VectorEdit
         Corners of the box to crop to.
     """
@@ -43,16 +67,40 @@ class EditTab:
 
     def _add_tools(self) -> None:
         """Tools for drags in panes."""
-        tips = (
-            "Drags move the camera.",
-            "Drags select by boxes (X).",
-            "Drags select by lassos (L).",
-        )
-        actions = [partial(self._editor.set_tool, tool) for tool in TOOLS]
-        self._row(*zip(TOOLS, actions, tips, strict=True))
-        for tool in TOOLS:
+        tools = [(tool, partial(self._editor.set_tool, tool), tip) for tool, tip in _TOOLS.items()]
+        for row in (tools[:4], tools[4:]):
+            self._row(*row)
+        for tool in _TOOLS:
             self.buttons[tool].toggleable = True
-        self.widget.add_child(gui.Label("shift adds, ctrl removes"))
+        options = self._editor.selecting
+
+        def number(name: str, high: int, tip: str) -> gui.NumberEdit:
+            edit = gui.NumberEdit(gui.NumberEdit.INT)
+            edit.set_limits(1, high)
+            edit.int_value = getattr(options, name)
+            edit.set_on_value_changed(lambda value: setattr(options, name, round(float(value))))
+            edit.tooltip = tip
+            edit.set_preferred_width(int(5.6 * self._widgets.em))
+            return edit
+
+        self.radius, self.tolerance = (
+            number("radius", 500, "radius of the brush, pixels ([ and ])"),
+            number("tolerance", 255, "largest difference of colour and flood, of 255 levels"),
+        )
+        self.how = gui.Combobox()
+        for how in HOW:
+            self.how.add_item(_HOW[how])
+        self.how.set_on_selection_changed(lambda _, k: setattr(options, "how", HOW[int(k)]))
+        self.how.tooltip = "shift adds, ctrl removes, both intersect"
+        self.footprint = self._widgets.checkbox(
+            "footprints", lambda on: setattr(options, "footprint", on)
+        )
+        self.footprint.tooltip = "Regions also select by splats, not only by centres."
+        self.front = self._widgets.checkbox("front", lambda on: setattr(options, "front", on))
+        self.front.tooltip = "Regions select only what is seen: nothing behind a surface."
+        self._widgets.row(self.widget, self.how, self.footprint, self.front)
+        numbers = gui.Label("brush"), self.radius, gui.Label("tolerance"), self.tolerance
+        self._widgets.row(self.widget, *numbers)
 
     def _add_steps(self) -> None:
         """Steps that use the selection."""
@@ -67,6 +115,8 @@ class EditTab:
             ("All", does(Edits.select_all), "ctrl + A"),
             ("None", does(Edits.select_none), "ctrl + D"),
             ("Invert", does(Edits.invert), "ctrl + I"),
+            ("Grow", lambda: self._editor.neighbours(grown), "Add the neighbours."),
+            ("Shrink", lambda: self._editor.neighbours(shrunk), "Remove the outermost."),
         )
         self.rule = gui.Combobox()
         button = self._widgets.button("Select", self._select_by, "Select these Gaussians.")
@@ -115,16 +165,17 @@ class EditTab:
         scenes = self._viewer.stage.scenes
         names = [f"{letter}: {scene.name}" for letter, scene in zip("AB", scenes, strict=False)]
         choose(self.scene, names, editor.number)
-        for tool in TOOLS:
+        for tool in _TOOLS:
             self.buttons[tool].is_on = editor.tool == tool
+        self.radius.int_value = editor.selecting.radius
         choose(self.rule, editor.rules, max(self.rule.selected_index, 0))
         for text, button in self.buttons.items():
-            button.enabled = text in TOOLS or edits is not None
+            button.enabled = text in _TOOLS or edits is not None
         if edits is None:
             return
         hidden = f", {edits.hidden_count:,} hidden" if edits.hidden_count else ""
         self.count.text = f"{edits.count:,} of {edits.scene.count:,} selected{hidden}"
-        for text in ("Delete", "Hide", "Of selection"):
+        for text in ("Delete", "Hide", "Of selection", "Grow", "Shrink"):
             self.buttons[text].enabled = bool(edits.count)
         self.buttons["Show all"].enabled = bool(edits.hidden_count)
         self.buttons["Undo"].enabled = bool(edits.undone_next)

@@ -7,30 +7,30 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from open3d.visualization import gui
 
 import gs_codec
-from viewer.scenes.appearance import which_drawn
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened
-from viewer.scenes.region import REGIONS, Region, in_region
+from viewer.scenes.region import REGIONS
 from viewer.scenes.saving import save_scene
-from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
+from viewer.scenes.selecting import SEEDS, Selecting, by_rule, in_range, inside_box, rules
 from viewer.scenes.typed_paths import SAVED_SCENES
 from viewer.window import dialogs
 from viewer.window.dock import Dock
-from viewer.window.mouse import Place
+from viewer.window.mouse import Tool
 from viewer.window.pane import Pane
+from viewer.window.region_tool import RegionTool
+from viewer.window.seed_tool import SeedTool
 from viewer.window.shared import Host
 from viewer.window.visits import Visits
 from viewer.window.worker import Stale
 
-#: Tools for drags in a pane: the first moves the camera, the others draw a region.
-TOOLS = ("navigate", *REGIONS)
+#: The name of the tool that moves the camera.
+NAVIGATE = "navigate"
 
 
 class Editor:
-    """Edits of the scenes of a window, and the tool that draws regions.
+    """Edits of the scenes of a window, and the tools for drags in its panes.
 
     Parameters
     ----------
@@ -40,8 +40,12 @@ class Editor:
 
     Attributes
     ----------
+    tools : dict of str to Tool
+        Tools for drags in a pane, by name.
     tool : str
-        One of `TOOLS`.
+        The name of one of them, or `NAVIGATE`.
+    selecting : Selecting
+        How tools and rules select.
     all : list of Edits
         Edits of the scenes shown.
     number : int
@@ -52,17 +56,18 @@ class Editor:
 
     def __init__(self, viewer: Host, visits: Visits, dock: Dock) -> None:
         self._viewer, self._visits, self._dock = viewer, visits, dock
-        self.tool = "navigate"
+        self.tool = NAVIGATE
         self.number = 0
         self.all: list[Edits] = []
-        self._pane: Pane | None = None
-        self._region: Region | None = None
-        self._how = "replace"
+        self.selecting = Selecting()
         self.worker = viewer.worker.another()
+        self.tools: dict[str, Tool] = {kind: RegionTool(kind, viewer, self) for kind in REGIONS}
+        self.tools |= {kind: SeedTool(kind, viewer, self) for kind in SEEDS}
+        viewer.modal.cancels.append(self._drop)
 
     def put(self, scenes: Sequence[Opened]) -> None:
         """Set the scenes shown; scenes shown before keep their edits."""
-        self._pane = self._region = None
+        self._drop()
         known = {edits.scene: edits for edits in self.all}
         self.all = [known.get(scene) or Edits(scene) for scene in scenes]
         self.number = min(self.number, max(len(scenes) - 1, 0))
@@ -91,51 +96,34 @@ class Editor:
     # Tool
 
     def set_tool(self, tool: str) -> None:
-        """Choose a tool of `TOOLS`; the same tool again switches back to the first."""
+        """Choose a tool by name; the same tool again switches back to moving the camera."""
         self._drop()
-        self.tool = TOOLS[0] if tool == self.tool else tool
-        self._viewer.stage.mouse.tool = None if self.tool == TOOLS[0] else self
+        self.tool = NAVIGATE if tool == self.tool else tool
+        self._viewer.stage.mouse.tool = self.tools.get(self.tool)
         self._viewer.panel.refresh()
 
-    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
-        """Begin drawing a region in a pane; see `Tool`."""
-        self._drop()
-        added = event.is_modifier_down(gui.KeyModifier.SHIFT)
-        removed = event.is_modifier_down(gui.KeyModifier.CTRL)
-        self._how = "add" if added else "remove" if removed else "replace"
-        self._pane, self._region = pane, Region(self.tool, at)
+    def choose(self, pane: Pane, chosen: NDArray[np.bool_], how: str) -> None:
+        """Edit a pane's scene, and combine a mask ``(N,)`` with its selection."""
+        self.number = self._viewer.stage.panes.index(pane)
+        self.do(lambda edits: edits.select(chosen, how))
 
-    def move(self, at: Place) -> None:
-        """Extend the region, within the pane."""
-        stage, pane, region = self._viewer.stage, self._pane, self._region
-        if pane is None or region is None or stage.pose is None:
-            return
-        frame = pane.widget.frame
-        left, top = stage.place(pane, frame.x, frame.y)
-        ends = (left, top), (left + frame.width - 1, top + frame.height - 1)
-        x, y = np.clip(at, *ends).tolist()
-        region.extend((x, y))
-        line = np.asarray(region.corners)
-        pane.show_lines("region", [line], stage.pose, *stage.picture_size)
+    def preview(self, pane: Pane, chosen: NDArray[np.bool_], how: str) -> None:
+        """Only show the selection that `choose` would make."""
+        number = self._viewer.stage.panes.index(pane)
+        self._viewer.stage.show_selected(number, self.all[number].combined(chosen, how))
 
-    def end(self) -> None:
-        """Select the Gaussians in the region; a click alone selects nothing."""
-        stage, pane, region = self._viewer.stage, self._pane, self._region
-        self._drop()
-        if pane is None or region is None or stage.pose is None or pane not in stage.visible:
-            return
-        self.number = stage.panes.index(pane)
-        edits = self.all[self.number]
-        drawn = which_drawn(edits.scene, stage.shown.look(edits.scene))
-        chosen = in_region(edits.scene, stage.pose, stage.picture_size, region.corners, drawn)
-        self.do(lambda edits: edits.select(chosen, self._how))
+    def resize_brush(self, way: int) -> None:
+        """Make the brush a fifth smaller (-1) or larger (1)."""
+        radius = round(self.selecting.radius * 1.25**way) + way
+        self.selecting.radius = min(max(radius, 2), 500)
+        self._viewer.panel.refresh()
 
-    def _drop(self) -> None:
-        """Drop the unfinished region, if any."""
-        stage = self._viewer.stage
-        if self._pane is not None and stage.pose is not None:
-            self._pane.show_lines("region", [], stage.pose, *stage.picture_size)
-        self._pane = self._region = None
+    def finish(self) -> bool:
+        """End the polygon; return whether one was begun."""
+        return self.tool in self.tools and self.tools[self.tool].finish()
+
+    def _drop(self) -> bool:
+        return self.tool in self.tools and self.tools[self.tool].drop()
 
     # Steps
 
@@ -168,7 +156,8 @@ class Editor:
 
     def select_range(self, name: str, low: float, high: float) -> None:
         """Select by a range of a quantity, inclusive; see `in_range`."""
-        self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high)))
+        how = self.selecting.how
+        self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high), how))
         self._dock.mark(name, low, high)
 
     def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
@@ -201,10 +190,25 @@ class Editor:
         def done(chosen: NDArray[np.bool_]) -> None:
             viewer.panel.say("")
             if self.edits is edits and edits.scene is scene:
-                self.do(lambda edits: edits.select(chosen))
+                self.do(lambda edits: edits.select(chosen, self.selecting.how))
 
         viewer.panel.say(f"looking for {rule} ...", progress=0)
         self.worker.submit("select", choose, done, viewer.fail)
+
+    def neighbours(self, step: Callable[[Opened, NDArray[np.bool_]], NDArray[np.bool_]]) -> None:
+        """Change the selection by `grown` or `shrunk`, in the background."""
+        edits, viewer = self.edits, self._viewer
+        if edits is None:
+            return
+        scene, before = edits.scene, edits.selected
+
+        def done(chosen: NDArray[np.bool_]) -> None:
+            viewer.panel.say("")
+            if self.edits is edits and edits.scene is scene:
+                self.do(lambda edits: edits.select(chosen))
+
+        viewer.panel.say("looking for neighbours ...", progress=0)
+        self.worker.submit("select", lambda stale: step(scene, before), done, viewer.fail)
 
     def stop(self) -> None:
         """Stop selecting by a rule."""

@@ -58,6 +58,11 @@ def _edit(letter: str, what: str, step: Callable[[Edits], None]) -> Key:
     return Key(f"ctrl + {letter}", what, code, lambda viewer: viewer.editor.do(step), control=True)
 
 
+def _tool(letter: str, tool: str, what: str) -> Key:
+    """A key that chooses a tool of the editor."""
+    return Key(letter, what, ord(letter.lower()), lambda viewer: viewer.editor.set_tool(tool))
+
+
 KEYS = (
     Key("drag", "turn the camera; while flying, look around"),
     Key("ctrl + drag, right drag", "pan"),
@@ -96,16 +101,15 @@ KEYS = (
     ),
     Key("C", "colour centres by the next quantity", ord("c"), lambda v: v.next_colouring()),
     Key("K", "show the next chart below", ord("k"), lambda v: v.next_dock()),
-    Key(
-        "X", "select by boxes; again: turn the camera", ord("x"), lambda v: v.editor.set_tool("box")
-    ),
-    Key(
-        "L",
-        "select by lassos; again: turn the camera",
-        ord("l"),
-        lambda v: v.editor.set_tool("lasso"),
-    ),
-    Key("shift, ctrl + drag with these", "add to the selection, remove from it"),
+    _tool("X", "box", "select by boxes; again: turn the camera"),
+    _tool("L", "lasso", "select by lassos; again: turn the camera"),
+    _tool("Y", "polygon", "select by polygons: click their corners, Enter closes"),
+    Key("", "", int(gui.KeyName.ENTER), lambda v: v.editor.finish()),
+    _tool("B", "brush", "select with a brush"),
+    Key("[, ]", "smaller, larger brush", ord("["), lambda v: v.editor.resize_brush(-1)),
+    Key("", "", ord("]"), lambda v: v.editor.resize_brush(1)),
+    _tool("J", "sphere", "select by spheres around the Gaussian under the mouse"),
+    Key("shift, ctrl, both + drag with these", "add to the selection, remove from it, intersect"),
     _edit("A", "select all", Edits.select_all),
     _edit("D", "select nothing", Edits.select_none),
     _edit("I", "invert the selection", Edits.invert),

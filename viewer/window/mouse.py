@@ -37,6 +37,15 @@ class Tool(Protocol):
     def end(self) -> None:
         """End the drag."""
 
+    def hover(self, pane: Pane, at: Place) -> None:
+        """Follow the mouse while no button is down."""
+
+    def finish(self) -> bool:
+        """End what takes several clicks; return whether there was anything to end."""
+
+    def drop(self) -> bool:
+        """Drop what is unfinished; return whether there was anything."""
+
 
 class Steered(Protocol):
     """The stage whose panes get mouse events; see `viewer.window.stage.Stage`."""
@@ -99,6 +108,8 @@ class Mouse:
                 self._drag(pane, event)
             elif event.type == kind.BUTTON_UP:
                 self._release(pane, event)
+            elif event.type == kind.MOVE and self.tool is not None:
+                self.tool.hover(pane, stage.place(pane, event.x, event.y))
             elif event.type == kind.WHEEL:
                 self._pressed = None
                 stage.steer(stage.navigator.nearer(pose, event.wheel_dy))

@@ -25,7 +25,8 @@ PACKED_COLOURS = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
 
 def ply_file(elements: list[tuple[str, np.ndarray]], lines: str = "", end: str = "<") -> bytes:
     """A binary PLY of elements, written by hand."""
-    codes = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint"}
+    codes = {"f4": "float", "f8": "double", "i1": "char", "u1": "uchar", "u2": "ushort"}
+    codes |= {"i4": "int", "u4": "uint"}
     form = {"<": "little", ">": "big"}[end]
     header = f"ply\nformat binary_{form}_endian 1.0\n{lines}"
     body = b""

@@ -467,9 +467,9 @@ BAD_FILES = {
         rewritten("element", "element vertex 0\nproperty float x\nelement"),
         "two elements of the same name",
     ),
-    "100 elements": (
-        rewritten("element", "".join(f"element e{i} 0\n" for i in range(100)) + "element"),
-        "more than 64 elements",
+    "100,000 elements": (
+        rewritten("element", "".join(f"element e{i} 0\n" for i in range(10**5)) + "element"),
+        "more than 65536 elements",
     ),
     "100,000 properties": (
         rewritten("property", "".join(f"property char e{i}\n" for i in range(10**5)) + "property"),

@@ -19,7 +19,9 @@ _HEADER_BYTES = 1 << 24
 _FIRST_BYTES = 1 << 16
 
 _PROPERTIES = 1 << 16
-_ELEMENTS = 64
+
+#: Maximum number of elements; animations of Brush have three for each frame.
+_ELEMENTS = 1 << 16
 
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CODES = {

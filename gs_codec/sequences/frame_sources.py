@@ -1,0 +1,233 @@
+"""Frames read from disk, one at a time: files, a zip of files, or an animation in one file."""
+
+from __future__ import annotations
+
+import glob
+import logging
+import math
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path, PurePath, PurePosixPath
+from typing import TypeVar
+
+from gs_codec.config import Extra
+from gs_codec.errors import InvalidInput
+from gs_codec.format_table import EGS, FORMATS, PLY
+from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.formats.ply.animation import frame_names, read_frame
+from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.zip_file import opened_zip
+from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.scene import Scene
+
+log = logging.getLogger(__name__)
+
+P = TypeVar("P", bound=PurePath)
+
+#: Suffix of a zip of frames.
+ZIP_SUFFIX = ".zip"
+
+#: Formats whose files are frames: all but the one that sequences are encoded to.
+_FORMATS = [known for known in FORMATS if known is not EGS]
+_SUFFIXES = tuple(suffix for known in _FORMATS for suffix in known.read)
+
+#: Suffixes of files in folders and zips that are frames; other files are left out.
+_BATCHED = tuple(suffix for known in _FORMATS for suffix in known.batched)
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames of a sequence on disk.
+
+    Attributes
+    ----------
+    names : list of str
+        Name of each frame, in their order: what a file is called, without its suffix.
+    stored_bytes : int
+        Bytes of all frames as they are stored.
+    fps : float, optional
+        Frames per second; None if unknown.
+    open_frame : callable
+        ``(number) -> Scene``, as it is stored; see `read`.
+    """
+
+    names: list[str]
+    stored_bytes: int
+    fps: float | None
+    open_frame: Callable[[int], Scene]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def read(self, number: int) -> Scene:
+        """The scene of a frame, 0 being the first one, in the usual coordinate system (RDF).
+
+        Raises InvalidInput if its file is damaged.
+        """
+        scene = self.open_frame(number)
+        return scene if system_of(scene) == CONVENTION else turn_axes(scene)
+
+    def __iter__(self) -> Iterator[Scene]:
+        return map(self.read, range(len(self)))
+
+
+def open_frames(
+    source: str | Path,
+    fps: float | None = None,
+    extra: Extra = "keep",
+    max_bytes: int | None = None,
+) -> Frames:
+    """Find the frames of a sequence; they are read later, one at a time.
+
+    Parameters
+    ----------
+    source : str or Path
+        A folder; a pattern such as ``frames/*.ply``; a `.zip`; an animation of Brush (`.ply`), or
+        one of USD, with time samples. Files are frames of one format, in natural order:
+        ``frame2`` before ``frame10``.
+    fps : float, optional
+        Frames per second, above 0; by default, as stated in the source, if it is.
+    extra : {"keep", "drop", "error"}
+        Handling of extra properties, as in `read_ply`.
+    max_bytes : int, optional
+        Maximum bytes of a frame's floats; default: see `most_bytes`.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no frames, files of several formats, or `fps` is out of range.
+    """
+    if fps is not None and not 0 < fps < math.inf:
+        raise InvalidInput(f"fps: {fps}, expected more than 0")
+    path, options = Path(source), (extra, max_bytes)
+    if path.is_dir():
+        found = sorted(each for each in path.iterdir() if _is_frame(each.name) and each.is_file())
+        frames = _of_files(path, found, *options)
+    elif not path.exists() and glob.has_magic(str(source)):
+        matching = sorted(map(Path, glob.glob(str(source), recursive=True)))
+        frames = _of_files(path, [each for each in matching if each.is_file()], *options)
+    elif path.suffix.lower() == ZIP_SUFFIX:
+        frames = _of_zip(path, *options)
+    else:
+        frames = _of_animation(path, *options)
+    return frames if fps is None else replace(frames, fps=float(fps))
+
+
+def _of_files(source: Path, paths: Sequence[Path], extra: Extra, max_bytes: int | None) -> Frames:
+    paths, names = _in_order(source, paths)
+    stored = 0
+    for path in paths:
+        with open_scene(path) as file:
+            stored += file.stored_bytes
+
+    def read_file(number: int) -> Scene:
+        with open_scene(paths[number]) as file:
+            return file.scene(extra, max_bytes)
+
+    return Frames(names, stored, None, read_file)
+
+
+def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
+    with located(source), opened_zip(source) as archive:
+        entries = [PurePosixPath(name) for name in archive.names]
+        # macOS adds files that only have attributes.
+        found = [e for e in entries if _is_frame(e.name) and "__MACOSX" not in e.parts]
+        found, names = _in_order(source, found)
+        stored = sum(archive.size(str(entry)) for entry in found)
+
+    def read_entry(number: int) -> Scene:
+        shown = source / found[number]
+        with tempfile.TemporaryFile() as file:
+            with located(source), opened_zip(source) as archive:
+                name = str(found[number])
+                file.write(archive.read(name, archive.size(name)))
+            file.flush()
+            return SceneFile(shown, FileBytes(shown, file.fileno())).scene(extra, max_bytes)
+
+    return Frames(names, stored, None, read_entry)
+
+
+def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
+    with open_scene(source) as file:
+        names = frame_names(file.ply.header) if file.scene_format is PLY else []
+        if not names:
+            raise InvalidInput(
+                f"{source}: one scene, expected frames: a folder, a pattern such as "
+                f"'frames/*.ply', a {ZIP_SUFFIX}, or an animation"
+            )
+        stored = file.stored_bytes
+
+    def read_in_file(number: int) -> Scene:
+        with open_scene(source) as file:
+            return read_frame(file.ply, number, extra, max_bytes)
+
+    return Frames(names, stored, None, read_in_file)
+
+
+def _is_frame(name: str) -> bool:
+    """Whether a file in a folder or zip is a scene; names with a dot in front are hidden."""
+    return name.lower().endswith(_BATCHED) and not name.startswith(".")
+
+
+def _suffix(path: PurePath) -> str:
+    """The longest suffix of a scene in the name of a file; "" if there is none."""
+    name = path.name.lower()
+    return max((suffix for suffix in _SUFFIXES if name.endswith(suffix)), key=len, default="")
+
+
+def _in_order(source: Path, paths: Sequence[P]) -> tuple[list[P], list[str]]:
+    """Paths in natural order, and the names of their frames; see `open_frames` for errors."""
+    if not paths:
+        raise InvalidInput(f"{source}: no frames, expected files of one of {', '.join(_SUFFIXES)}")
+    kinds = Counter(map(_suffix, paths))
+    if len(kinds) > 1 or not all(kinds):
+        found = ", ".join(f"{n:,} {suffix or 'of another kind'}" for suffix, n in kinds.items())
+        raise InvalidInput(
+            f"{source}: {found}; expected frames of one of the formats {', '.join(_SUFFIXES)}, "
+            "selected by a pattern such as 'frames/*.ply'"
+        )
+    ordered = sorted(paths, key=lambda path: [_natural(part) for part in path.parts])
+    names = _names([_parts(path) for path in ordered])
+    _warn_of_gaps(source, names)
+    return ordered, names
+
+
+def _natural(text: str) -> list[str | int]:
+    """A key that orders numbers in texts by their value."""
+    return [int(each) if each.isdigit() else each for each in re.split(r"([0-9]+)", text)]
+
+
+def _parts(path: PurePath) -> tuple[str, ...]:
+    """The folders of a frame and its name without suffix, if that is not all of it."""
+    stem = path.name[: len(path.name) - len(_suffix(path))]
+    return (*path.parent.parts, stem) if stem else path.parent.parts
+
+
+def _names(parts: list[tuple[str, ...]]) -> list[str]:
+    """The last part of each frame or, where these are alike, all parts that differ."""
+    names = [each[-1] for each in parts]
+    if len(set(names)) < len(names):
+        depth = min(map(len, parts))
+        differ = [k for k in range(-depth, 0) if len({each[k] for each in parts}) > 1]
+        names = ["_".join(each[k] for k in differ) for each in parts]
+    if len(set(names)) < len(names):
+        twice = Counter(names).most_common(1)[0][0]
+        raise InvalidInput(f"two frames of the same name {twice!a:.60}")
+    return names
+
+
+def _warn_of_gaps(source: Path, names: Sequence[str]) -> None:
+    """Warn where the last number in names is not the next one."""
+    numbers = [int(found[-1]) for name in names if (found := re.findall("[0-9]+", name))]
+    steps = [after - before for before, after in pairwise(numbers)]
+    if len(numbers) < len(names) or not steps or min(steps) < 1:
+        return
+    gaps = [names[k : k + 2] for k, step in enumerate(steps) if step > min(steps)]
+    if gaps:
+        shown = ", ".join(f"{before} and {after}" for before, after in gaps[:3])
+        more = f", and in {len(gaps) - 3:,} other places" if len(gaps) > 3 else ""
+        log.warning("%s: frames are missing between %s%s", source, shown, more)

@@ -42,7 +42,7 @@ def changed(driver: Driver) -> list[int]:
 
 def polygons(driver: Driver, pane: Pane, found: dict) -> None:
     """Polygons closed by Enter and by a click; one dropped by Esc."""
-    driver.key("y")
+    driver.key("z")
     driver.wait(lambda: driver.viewer.editor.tool == "polygon")
     corners = [(60, 40), (150, 30), (160, 120), (80, 160)]
     click(driver, pane, *corners)

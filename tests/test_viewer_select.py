@@ -10,8 +10,14 @@ from windows import crossings, drive, make_folder, needs_display
 
 from gs_codec.files.scenes import read_scene
 from gs_codec.scene import SH_C0
+from viewer.window.keys import KEYS
 
 pytestmark = [needs_display, pytest.mark.slow]
+
+
+def test_no_key_has_two_meanings():
+    codes = [(key.code, key.control) for key in KEYS if key.code is not None]
+    assert len(set(codes)) == len(codes)
 
 
 @pytest.fixture(scope="module")

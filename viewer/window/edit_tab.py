@@ -19,7 +19,7 @@ _TOOLS = {
     NAVIGATE: "Drags move the camera.",
     "box": "Drags select by boxes (X).",
     "lasso": "Drags select by lassos (L).",
-    "polygon": "Clicks are corners; the first corner or Enter closes it, Esc drops it (Y).",
+    "polygon": "Clicks are corners; the first corner or Enter closes it, Esc drops it (Z).",
     "brush": "Drags select what the brush passes (B; [ and ] change its size).",
     "sphere": "Drags select by spheres around the Gaussian under the mouse (J).",
     "colour": "Clicks select this colour, within the tolerance (of 255).",
@@ -74,19 +74,15 @@ class EditTab:
             self.buttons[tool].toggleable = True
         options = self._editor.selecting
 
-        def number(name: str, high: int, tip: str) -> gui.NumberEdit:
-            edit = gui.NumberEdit(gui.NumberEdit.INT)
-            edit.set_limits(1, high)
+        def number(name: str, tip: str) -> gui.NumberEdit:
+            edit = self._widgets.number(lambda value: setattr(options, name, round(value)), True)
             edit.int_value = getattr(options, name)
-            edit.set_on_value_changed(lambda value: setattr(options, name, round(float(value))))
-            edit.tooltip = tip
             edit.set_preferred_width(int(5.6 * self._widgets.em))
+            edit.tooltip = tip
             return edit
 
-        self.radius, self.tolerance = (
-            number("radius", 500, "radius of the brush, pixels ([ and ])"),
-            number("tolerance", 255, "largest difference of colour and flood, of 255 levels"),
-        )
+        self.radius = number("radius", "radius of the brush, pixels ([ and ])")
+        self.tolerance = number("tolerance", "largest difference of colour and flood, of 255")
         self.how = gui.Combobox()
         for how in HOW:
             self.how.add_item(_HOW[how])

@@ -103,7 +103,7 @@ KEYS = (
     Key("K", "show the next chart below", ord("k"), lambda v: v.next_dock()),
     _tool("X", "box", "select by boxes; again: turn the camera"),
     _tool("L", "lasso", "select by lassos; again: turn the camera"),
-    _tool("Y", "polygon", "select by polygons: click their corners, Enter closes"),
+    _tool("Z", "polygon", "select by polygons: click their corners, Enter closes"),
     Key("", "", int(gui.KeyName.ENTER), lambda v: v.editor.finish()),
     _tool("B", "brush", "select with a brush"),
     Key("[, ]", "smaller, larger brush", ord("["), lambda v: v.editor.resize_brush(-1)),

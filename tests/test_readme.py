@@ -37,8 +37,9 @@ SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, few_cameras):
-    """A folder with the scene.ply that the documents assume."""
+    """A folder with the files that the documents assume."""
     write_ply(tmp_path / "scene.ply", generate(1100, 1, 80))
+    (tmp_path / "notes.json").write_text('[{"position": [0, 0, 0], "title": "middle"}]')
     monkeypatch.chdir(tmp_path)
     # SOG takes minutes if its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")

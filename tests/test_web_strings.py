@@ -8,11 +8,7 @@ import subprocess
 from html.parser import HTMLParser
 
 import pytest
-from scenes import random_scene
-from web_pages import NODE, ROOT, Job, in_browser, open_pages
-
-from gs_codec.files.sharing import share
-from gs_codec.formats.ply.writer import write_ply
+from web_pages import NODE, ROOT, Job, in_browser, open_pages, small_page
 
 PAGE = ROOT / "viewer" / "web" / "page"
 
@@ -89,13 +85,7 @@ def test_the_address_or_else_the_browser_chooses_the_language():
 
 @in_browser
 def test_a_page_speaks_the_language_of_its_reader(tmp_path):
-    write_ply(tmp_path / "Show.ply", random_scene(500, 0, seed=2))
-    cameras = tmp_path / "cameras.json"
-    entry = {"id": 0, "img_name": "0", "width": 60, "height": 40, "fx": 50, "fy": 50}
-    pose = {"position": [0, 0, -5], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
-    cameras.write_text(json.dumps([entry | pose]))
-    share([tmp_path / "Show.ply"], tmp_path / "page.html", cameras)
-    url = (tmp_path / "page.html").as_uri()
+    url = small_page(tmp_path, "Show.ply")
     told = (
         "value",
         """[document.documentElement.lang, save.textContent,
@@ -104,7 +94,7 @@ def test_a_page_speaks_the_language_of_its_reader(tmp_path):
     german = Job(url, [("drawn",), told], locale="de-CH", panel=True)
     german.steps.append(("choose", "#language", "fr"))
     german.steps.append(("until", "document.documentElement.lang === 'fr'"))
-    german.steps += [("drawn",), told, ("value", "location.hash"), ("key", "n")]
+    german.steps += [("drawn",), told, ("value", "location.hash")]
     german.steps += [("until", "document.querySelector('summary').textContent === 'Scène'")]
     opened = open_pages(german, Job(url + "#lang=zh", [("drawn",), told]))
     for one in opened:

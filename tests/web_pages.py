@@ -15,8 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scenes import random_scene
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.files.sharing import share
+from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import psnr
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
@@ -85,6 +88,26 @@ def open_pages(*jobs: Job) -> list[Opened]:
     for one in found:
         assert not one.failure, one.failure
     return found
+
+
+#: Size and focal length of the views of `small_page`, pixels.
+LENS = {"width": 60, "height": 40, "fx": 50, "fy": 50}
+
+#: Positions of its cameras, which look along z.
+POSITIONS = ([0, 0, -5], [1, 0, -4], [0, 1, -6])
+
+
+def small_page(folder: Path, name: str = "a.ply", **options: Any) -> str:
+    """Address of a page of `share` with 500 Gaussians around the origin and three views."""
+    write_ply(folder / name, random_scene(500, 0, seed=2))
+    turn = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    entries = [
+        {"id": k, "img_name": f"{k}", "position": position, "rotation": turn, **LENS}
+        for k, position in enumerate(POSITIONS)
+    ]
+    (folder / "cameras.json").write_text(json.dumps(entries))
+    share([folder / name], folder / "page.html", folder / "cameras.json", **options)
+    return (folder / "page.html").as_uri()
 
 
 def seen(path: str | Path) -> np.ndarray:

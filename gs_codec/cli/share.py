@@ -41,6 +41,10 @@ def command(
             help=f"Up axis: {', '.join(UP_AXES)}; by default from the cameras, given or estimated.",
         ),
     ] = None,
+    annotations: Annotated[
+        Path | None,
+        typer.Option(metavar="JSON", help="Points with titles and texts, which the page shows."),
+    ] = None,
 ) -> None:
     """Write a web page that shows a scene, or compares two, in any browser."""
     from gs_codec.files.sharing import share
@@ -49,7 +53,7 @@ def command(
     with progress_bar() as progress:
         shared = share(
             sources, out, cameras, progress=progress, max_bytes=typed["max_bytes"],
-            overwrite=typed["overwrite"], up=up,
+            overwrite=typed["overwrite"], up=up, annotations=annotations,
         )  # fmt: skip
     if typed["json"]:
         scenes = [

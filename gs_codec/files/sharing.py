@@ -8,7 +8,7 @@ import importlib.util
 import json
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -24,6 +24,7 @@ from gs_codec.egs.header import Feature
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.files.annotations import Annotation, read_annotations
 from gs_codec.files.scenes import scene_in
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
@@ -81,6 +82,7 @@ def share(
     max_bytes: int | None = None,
     overwrite: bool = False,
     up: str | None = None,
+    annotations: str | Path | None = None,
 ) -> list[SharedScene]:
     """Write a page that shows a scene, or two versions of it, in a browser.
 
@@ -108,8 +110,11 @@ def share(
     up : {"-y", "y", "-z", "z", "-x", "x"}, optional
         Up axis: estimated cameras are upright with respect to it, all views are shown upright, and
         the page rotates about it. By default it is derived from the cameras, given or estimated.
+    annotations : str or Path, optional
+        A JSON file with points of the scene, each with a title and a text, as in COMMANDS.md.
     """
     target = Path(target)
+    notes = [] if annotations is None else read_annotations(annotations)
     if up is not None:
         up_axis(up)
     if len(sources) not in (1, 2):
@@ -121,7 +126,9 @@ def share(
         raise InvalidInput(f"{target}: expected a .html file or a folder")
     else:
         check_folder(target, overwrite)
-    shared, files = page_of(sources, cameras, alone, progress=progress, max_bytes=max_bytes, up=up)
+    shared, files = page_of(
+        sources, cameras, alone, progress=progress, max_bytes=max_bytes, up=up, annotations=notes
+    )
     if alone:
         with atomic_writer(target) as file:
             file.write(files[PAGE])
@@ -138,6 +145,7 @@ def page_of(
     progress: Progress | None = None,
     max_bytes: int | None = None,
     up: str | None = None,
+    annotations: Sequence[Annotation] = (),
 ) -> tuple[list[SharedScene], dict[str, bytes]]:
     """The scenes of a page, and its files by name, `PAGE` last; with `alone`, only `PAGE`.
 
@@ -163,7 +171,12 @@ def page_of(
         **_views(cameras, first, up, progress),
         "middle": middle.tolist(),
         "scenes": entries,
+        "annotations": [asdict(one) for one in annotations],
     }
+    for k, note in enumerate(annotations, 1):
+        if note.view is not None and note.view >= len(described["views"]):
+            many = counted(len(described["views"]), "view")
+            raise InvalidInput(f"annotation {k}: view {note.view}, expected one of {many}")
     # No text of a file can close the element that contains it.
     listed = json.dumps(described, allow_nan=False).replace("<", "\\u003c")
     title = html.escape(" and ".join(one.name for one in shared))

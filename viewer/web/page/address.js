@@ -18,9 +18,10 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {string} state.background
  * @param {boolean} state.turn whether the picture turns
  * @param {boolean} state.bare whether only the picture is shown
+ * @param {number} [state.note] number of the open annotation
  * @param {string} [state.lang] language, if chosen
  */
-export function addressOf({ view, pose, show, wipe, degree, up, background, turn, bare, lang }) {
+export function addressOf({ view, pose, show, wipe, degree, up, background, turn, bare, note, lang }) {
   const parts = { view };
   if (pose) {
     const top = pose.turn[1].map((value) => -value);
@@ -33,6 +34,7 @@ export function addressOf({ view, pose, show, wipe, degree, up, background, turn
   if (background !== 'black') parts.background = background;
   if (turn) parts.turn = 1;
   if (bare) parts.bare = 1;
+  if (note) parts.note = note;
   if (lang) parts.lang = lang;
   // Commas and minus signs need no escapes.
   return new URLSearchParams(parts).toString().replaceAll('%2C', ',');
@@ -49,9 +51,9 @@ function numbers(listed, length) {
  *
  * @param {string} hash
  * @param {object} possible names and numbers: `views`, `shows`, `ups`, `backgrounds`,
- *   `languages`
+ *   `notes`, `languages`
  */
-export function stateOf(hash, { views, shows, ups, backgrounds, languages }) {
+export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages }) {
   const asked = new URLSearchParams(hash.replace(/^#/, ''));
   const one = (name, known) => (known.includes(asked.get(name)) ? asked.get(name) : undefined);
   const whole = (name, end) => {
@@ -69,6 +71,7 @@ export function stateOf(hash, { views, shows, ups, backgrounds, languages }) {
     background: one('background', backgrounds),
     turn: asked.get('turn') === '1',
     bare: asked.get('bare') === '1',
+    note: whole('note', notes + 1),
     lang: one('lang', languages),
   };
 }

@@ -27,7 +27,8 @@ const HELD = {
  * Control a viewer by mouse, touch and keys on its canvas.
  *
  * @param {HTMLElement} element
- * @param {object} viewer has `pose`, `up`, `focal` (pixels of the page), and `moved()`
+ * @param {object} viewer has `pose`, `up`, `focal` (pixels of the page), `moved()`, and
+ *   `rest()`, which stops what moves the camera by itself
  */
 export function control(element, viewer) {
   const pointers = new Map();
@@ -38,6 +39,7 @@ export function control(element, viewer) {
   };
 
   element.addEventListener('pointerdown', (event) => {
+    viewer.rest();
     element.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
   });
@@ -70,6 +72,7 @@ export function control(element, viewer) {
       // In an embedded page, the wheel belongs to the outer page until the scene is clicked.
       if (self !== top && !document.hasFocus()) return;
       event.preventDefault();
+      viewer.rest();
       const lines = event.deltaY * [1, 30, 300][event.deltaMode];
       viewer.pose.zoom(Math.exp(Math.min(Math.max(lines, -300), 300) * 0.0012));
       viewer.moved();
@@ -101,6 +104,7 @@ export function control(element, viewer) {
     const isElsewhere = target !== element && target !== document.body;
     if (target.tagName === 'SELECT' || (isElsewhere && code.startsWith('Arrow'))) return;
     event.preventDefault();
+    viewer.rest();
     if (held.size === 0) {
       last = performance.now();
       requestAnimationFrame(step);

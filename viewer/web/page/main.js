@@ -1,6 +1,7 @@
 // The page: one scene, or two to compare.
 import { SourceError } from '../src/index.js';
 import { addressOf, stateOf } from './address.js';
+import { Annotations } from './annotations.js';
 import { control } from './controls.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
@@ -11,6 +12,9 @@ import { LANGUAGE, LANGUAGES, say } from './strings.js';
 
 /** Radians per second of a picture that turns by itself. */
 const TURN = 0.25;
+
+/** Seconds of a flight to another pose. */
+const FLIGHT = 1.2;
 
 /** Milliseconds without a change after which the address tells what is shown. */
 const SETTLED = 400;
@@ -27,7 +31,7 @@ function defaultBudget() {
 }
 
 class Viewer {
-  constructor({ scenes, views, home, middle, ups, up }) {
+  constructor({ scenes, views, home, middle, ups, up, annotations = [] }) {
     this.views = views;
     this.home = home; // number of the overview
     this.middle = middle;
@@ -43,11 +47,11 @@ class Viewer {
     this.budget = defaultBudget();
     this.panel = new Panel(this, scenes);
     this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
+    this.notes = new Annotations(this, annotations, () => this.#remember());
     this.choose(0);
     this.panel.upright(this.axis);
     this.#restore();
     addEventListener('hashchange', () => this.#restore());
-    this.canvas.addEventListener('pointerdown', () => this.isTurning && this.turn(false));
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
@@ -139,13 +143,20 @@ class Viewer {
   /** Go to a view, by its number. */
   choose(index) {
     const count = this.views.length;
+    if (!this.isTurning) this.rest();
     this.view = ((index % count) + count) % count;
-    this.pose = Pose.of(this.views[this.view], this.middle);
+    this.pose = this.poseOf(this.view);
     this.hasMoved = false;
-    if (this.axis !== BY_CAMERAS) this.pose.roll(this.up);
     this.panel.chosen(this.view);
     this.redraw();
     this.#remember();
+  }
+
+  /** The pose of a view, upright if another axis than that of the cameras is up. */
+  poseOf(index) {
+    const pose = Pose.of(this.views[index], this.middle);
+    if (this.axis !== BY_CAMERAS) pose.roll(this.up);
+    return pose;
   }
 
   /** The up axis, of length 1. */
@@ -179,20 +190,49 @@ class Viewer {
     this.#remember();
   }
 
-  /** Turn the picture slowly about its target, or stop; the first touch of the scene stops it. */
+  /** Turn the picture slowly about its target, or stop. */
   turn(isOn) {
-    this.isTurning = isOn;
-    this.panel.turning(isOn);
+    if (!isOn) return this.rest();
+    this.#play('turn', (seconds) => this.pose.orbit(TURN * seconds, 0, this.up));
+  }
+
+  /** Fly to a pose, of a view if it has one; at once if the system asks for reduced motion. */
+  fly(pose, view) {
+    const from = this.pose;
+    let share = matchMedia('(prefers-reduced-motion)').matches ? 1 : 0;
+    if (view !== undefined) this.panel.chosen((this.view = view));
+    this.#play('flight', (seconds) => {
+      share = Math.min(share + seconds / FLIGHT, 1);
+      this.pose = from.towards(pose, eased(share));
+      return share < 1;
+    });
+  }
+
+  /** Whether the picture turns by itself. */
+  get isTurning() {
+    return this.motion === 'turn';
+  }
+
+  /** Stop what moves the camera by itself. */
+  rest() {
+    if (this.motion) this.#play();
+  }
+
+  /** Let `step` move the camera, by seconds, until it returns false or the scene is touched. */
+  #play(motion, step) {
+    this.motion = motion;
+    this.panel.playing(motion);
     let last = performance.now();
-    const step = (now) => {
-      if (!this.isTurning || this.turns !== step) return;
-      this.pose.orbit((TURN * Math.min(now - last, 100)) / 1000, 0, this.up);
+    const next = (now) => {
+      if (this.next !== next) return;
+      const goesOn = step(Math.min(now - last, 100) / 1000) !== false;
       last = now;
       this.moved();
-      requestAnimationFrame(step);
+      if (goesOn) requestAnimationFrame(next);
+      else this.rest();
     };
-    this.turns = step;
-    requestAnimationFrame(step);
+    this.next = motion && next;
+    if (motion) requestAnimationFrame(next);
     this.#remember();
   }
 
@@ -217,7 +257,7 @@ class Viewer {
 
   /** What is shown, as the part of the address after '#'. */
   get #address() {
-    const { view, hasMoved, pose, look, panel, degree, isTurned, axis, language } = this;
+    const { view, hasMoved, pose, look, panel, degree, isTurned, axis, language, notes } = this;
     return addressOf({
       view,
       pose: hasMoved ? pose : undefined,
@@ -228,6 +268,7 @@ class Viewer {
       background: look.background,
       turn: this.isTurning,
       bare: this.isBare,
+      note: notes.shown,
       lang: language,
     });
   }
@@ -239,6 +280,7 @@ class Viewer {
       shows: this.panel.two ? ['a', 'b', 'wipe', 'error'] : [],
       ups: Object.keys(this.ups),
       backgrounds: Object.keys(BACKGROUNDS),
+      notes: this.notes.listed.length,
       languages: Object.keys(LANGUAGES),
     });
     this.language = asked.lang;
@@ -257,6 +299,7 @@ class Viewer {
     const look = Object.entries({ show, background, split });
     this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
     this.bare(asked.bare);
+    this.notes.open(asked.note ?? 0, true);
     this.turn(asked.turn && !matchMedia('(prefers-reduced-motion)').matches);
     clearTimeout(this.settling);
     this.remembered = this.#address;
@@ -369,6 +412,7 @@ class Viewer {
       errors: look.show === 'error',
     });
     for (const { detail } of scenes) detail?.pictured();
+    this.notes.place(pose, this.#lens(this.canvas.clientWidth, this.canvas.clientHeight));
     if (this.shrink > 1) this.#sharpen();
     else if (this.isSaving) this.#download();
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
@@ -399,6 +443,9 @@ class Viewer {
     });
   }
 }
+
+/** A share of time as a share of the way, which begins and ends slowly. */
+const eased = (share) => share * share * (3 - 2 * share);
 
 // On phones, and in embedded pages, there is no room for both.
 document.getElementById('panel').open = innerWidth > (self === top ? 560 : 1000);

@@ -110,6 +110,7 @@ export class Panel {
       f: () => show(viewer.look.show === 'a' ? 'b' : 'a'),
       x: () => viewer.save(),
       c: () => this.#copy(),
+      m: () => viewer.notes.next(),
       o: () => viewer.turn(!viewer.isTurning),
       i: () => viewer.bare(!viewer.isBare),
       h: () => {
@@ -143,9 +144,9 @@ export class Panel {
     $('retry').hidden = !mayRetry;
   }
 
-  /** Show whether the picture turns by itself. */
-  turning(isOn) {
-    $('turn').checked = isOn;
+  /** Show how the picture moves by itself. */
+  playing(motion) {
+    $('turn').checked = motion === 'turn';
   }
 
   /** Show which view is selected. */

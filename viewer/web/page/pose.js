@@ -1,7 +1,7 @@
 // The camera's pose: `eye`, and `turn`, whose rows point right, down and forward in the world.
 
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const plus = (a, b, times = 1) => a.map((value, k) => value + times * b[k]);
+export const plus = (a, b, times = 1) => a.map((value, k) => value + times * b[k]);
 const times = (a, factor) => a.map((value) => value * factor);
 const cross = (a, b) => [
   a[1] * b[2] - a[2] * b[1],
@@ -51,6 +51,20 @@ export class Pose {
     if (!(distance > 0 && Math.hypot(...right) > LEVEL * Math.hypot(...top))) return undefined;
     const level = unit(right);
     return new Pose(eye, [level, cross(forward, level), forward], distance);
+  }
+
+  /** The pose at a share of the way to another: about the points that they orbit. */
+  towards(other, share) {
+    if (share >= 1) return other;
+    const pairs = this.turn.map((row, k) => [row, other.turn[k]]);
+    const axis = pairs.reduce((sum, pair) => plus(sum, cross(...pair)), [0, 0, 0]);
+    const sine = Math.hypot(...axis) / 2;
+    const angle = Math.atan2(sine, (pairs.reduce((sum, pair) => sum + dot(...pair), 0) - 1) / 2);
+    const about = sine > LEVEL ? unit(axis) : this.turn[1];
+    const turn = this.turn.map((row) => turned(row, about, share * angle));
+    const distance = this.distance * (other.distance / this.distance) ** share;
+    const target = plus(times(this.target, 1 - share), other.target, share);
+    return new Pose(plus(target, turn[2], -distance), turn, distance);
   }
 
   copy() {

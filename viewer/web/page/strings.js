@@ -56,6 +56,8 @@ export const WORDS = {
   'flip between A and B': ['zwischen A und B wechseln', 'alterner A et B', '切换 A 和 B', 'A と B を切り替え'],
   'save a picture': ['ein Bild speichern', 'enregistrer une image', '保存图片', '画像を保存'],
   'copy a link to this': ['Link hierauf kopieren', 'copier un lien vers ceci', '复制当前链接', 'このリンクをコピー'],
+  'next annotation': ['nächste Anmerkung', 'annotation suivante', '下一个注释', '次の注釈'],
+  Close: ['Schließen', 'Fermer', '关闭', '閉じる'],
   'turn slowly, stop': ['langsam drehen, anhalten', 'tourner lentement, arrêter', '缓慢旋转、停止', 'ゆっくり回転、停止'],
   'hide all but the picture': ['nur das Bild zeigen', 'ne montrer que l’image', '只显示画面', '画像だけを表示'],
   'this list': ['diese Liste', 'cette liste', '此列表', 'この一覧'],

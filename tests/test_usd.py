@@ -22,6 +22,7 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.usd import scene as usd
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
+from gs_codec.sequences.frame_sources import open_frames
 
 pytest.importorskip("pxr", reason="the extra 'usd' is not installed")
 
@@ -206,6 +207,31 @@ def test_missing_attributes_have_the_schemas_defaults(tmp_path):
     assert not scene.f_dc.any()
     assert not scene.f_rest.any()
     assert scene.opacity[0, 0] > 17
+
+
+def test_times_at_which_attributes_or_places_change_are_frames(tmp_path):
+    animated = """def Xform "Moved"
+{
+    double3 xformOp:translate.timeSamples = {3: (0, 0, 0), 9: (10, 0, 0)}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def ParticleField3DGaussianSplat "A"
+    {
+        point3f[] positions.timeSamples = {3: [(1, 2, 3)], 6: [(4, 2, 3), (0, 0, 0)]}
+        float[] opacities.timeSamples = {3: [1], 6: [1, 0.5]}
+    }
+}"""
+    (tmp_path / "a.usda").write_text(HEAD.replace("(", "(\n    timeCodesPerSecond = 60") + animated)
+    frames = open_frames(tmp_path / "a.usda")
+    assert (frames.names, frames.fps) == (["0000", "0001", "0002"], 20)
+    assert frames.stored_bytes == (tmp_path / "a.usda").stat().st_size
+    first, second, third = frames
+    np.testing.assert_array_equal(first.positions.T, [[1, -2, -3]])
+    np.testing.assert_array_equal(second.positions.T, [[9, -2, -3], [5, 0, 0]])
+    np.testing.assert_array_equal(third.positions.T, [[14, -2, -3], [10, 0, 0]])
+    np.testing.assert_array_equal(second.opacity, third.opacity)
+    (tmp_path / "a.usda").write_text(HEAD + SPLATS)
+    with pytest.raises(InvalidInput, match="one scene, expected frames"):
+        open_frames(tmp_path / "a.usda")
 
 
 @pytest.mark.thorough

@@ -14,12 +14,16 @@ from itertools import pairwise
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TypeVar
 
+import numpy as np
+
+from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import EGS, FORMATS, PLY
+from gs_codec.format_table import EGS, FORMATS, PLY, USD
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply.animation import frame_names, read_frame
 from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.usd.scene import frame_times, read_usd
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import Scene
@@ -86,8 +90,8 @@ def open_frames(
     Parameters
     ----------
     source : str or Path
-        A folder; a pattern such as ``frames/*.ply``; a `.zip`; an animation of Brush (`.ply`), or
-        one of USD, with time samples. Files are frames of one format, in natural order:
+        A folder; a pattern such as ``frames/*.ply``; a `.zip`; an animation in one file: of Brush
+        (`.ply`), or time samples of USD. Files are frames of one format, in natural order:
         ``frame2`` before ``frame10``.
     fps : float, optional
         Frames per second, above 0; by default, as stated in the source, if it is.
@@ -152,8 +156,15 @@ def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
 
 
 def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
+    names, times, fps = list[str](), list[float](), None
     with open_scene(source) as file:
-        names = frame_names(file.ply.header) if file.scene_format is PLY else []
+        if file.format == USD.name:
+            times, rate = frame_times(source, file.data[:])
+            if len(times) > 1:
+                names = [f"{number:04d}" for number in range(len(times))]
+                fps = rate / float(np.median(np.diff(times)))
+        elif file.scene_format is PLY:
+            names = frame_names(file.ply.header)
         if not names:
             raise InvalidInput(
                 f"{source}: one scene, expected frames: a folder, a pattern such as "
@@ -163,9 +174,13 @@ def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
 
     def read_in_file(number: int) -> Scene:
         with open_scene(source) as file:
-            return read_frame(file.ply, number, extra, max_bytes)
+            if times:
+                scene = read_usd(source, file.data[:], max_bytes, times[number])
+            else:
+                scene = read_frame(file.ply, number, extra, max_bytes)
+            return with_finite_ends(scene, source)
 
-    return Frames(names, stored, None, read_in_file)
+    return Frames(names, stored, fps, read_in_file)
 
 
 def _is_frame(name: str) -> bool:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.body import Ply
@@ -42,9 +41,8 @@ def read_frame(ply: Ply, number: int, extra: Extra = "keep", max_bytes: int | No
     with located(ply.path):
         count = ply.header.elements[name].count
         if count != scene.count:
-            raise InvalidInput(
-                f"element '{name}': {counted(count, 'row')}, expected {scene.count:,} as in 'vertex'"
-            )
+            rows = counted(count, "row")
+            raise InvalidInput(f"element '{name}': {rows}, expected {scene.count:,} as in 'vertex'")
         change = ply.rows(name).all()
         low, high = (_last_row(ply, before, prefix) for prefix in (_LOW, _HIGH))
         changes: dict[str, Any] = {}
@@ -56,7 +54,7 @@ def read_frame(ply: Ply, number: int, extra: Extra = "keep", max_bytes: int | No
                     with np.errstate(all="ignore"):
                         plane += (_shares(change[each]) * (end - start) + start).astype(np.float32)
             changes[group] = planes
-    return with_finite_ends(replace(scene, **changes), ply.path)
+    return replace(scene, **changes)
 
 
 def _last_row(ply: Ply, names: list[str], prefix: str) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """Read the stage of a USD file in a separate process, because the native code may crash.
 
-Run by `usd.py`; arguments are the file, the output file, and the maximum bytes of floats. It writes
-named NumPy arrays of all Gaussians. If it rejects the file, it writes only the reason, as
-``refused``.
+Run by `usd.py`; arguments are the file, the output file, the maximum bytes of floats, and the time
+at which attributes are read. It writes named NumPy arrays of all Gaussians. If it rejects the file,
+it writes only the reason, as ``refused``.
 """
 
 from __future__ import annotations
@@ -36,18 +36,15 @@ _MISSING = {
     _COEFFICIENTS: (0, 0, 0),
 }
 
-#: The time at which animated attributes are read.
-_TIME = Usd.TimeCode.EarliestTime()
-
 #: Exceptions for which a file is rejected; errors of OpenUSD are RuntimeErrors.
 _REFUSALS: tuple[type[Exception], ...] = (GsCodecError, zipfile.BadZipFile, *FAILURES)
 
 
 def main() -> None:
     """Read the file named in the arguments."""
-    source, target, most = sys.argv[1:]
+    source, target, most, time = sys.argv[1:]
     try:
-        arrays: dict[str, Any] = _arrays(source, int(most))
+        arrays: dict[str, Any] = _arrays(source, int(most), Usd.TimeCode(float(time)))
     except _REFUSALS as error:
         arrays = {"refused": np.array(_why(error))}
     np.savez(target, **arrays)
@@ -64,7 +61,7 @@ def _why(error: Exception) -> str:
         return "damaged: text that is not UTF-8"
 
 
-def _arrays(source: str, most: int) -> dict[str, NDArray]:
+def _arrays(source: str, most: int, time: Any) -> dict[str, NDArray]:
     """The arrays that `main` writes; only sizes if the floats take more than `most` bytes."""
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
         raise missing_package("pxr", "USD", WITHOUT_GAUSSIANS)
@@ -75,9 +72,9 @@ def _arrays(source: str, most: int) -> dict[str, NDArray]:
     if not prims:
         raise InvalidInput("no ParticleField3DGaussianSplat, not a scene of Gaussians")
     positions, sizes, total = [], [], 0
-    degrees = [_degree(prim) for prim in prims]
+    degrees = [_degree(prim, time) for prim in prims]
     for prim, degree in zip(prims, degrees, strict=True):
-        rows = _rows(prim, "positions", 3)
+        rows = _rows(prim, "positions", 3, time)
         if rows is None:
             raise InvalidInput("no positions, expected those of all Gaussians")
         sizes.append((len(rows), min(degree, 3)))
@@ -86,15 +83,16 @@ def _arrays(source: str, most: int) -> dict[str, NDArray]:
             positions.append(rows)
     found = {"sizes": np.array(sizes), "z_up": UsdGeom.GetStageUpAxis(stage) == "Z"}
     found["has_degree_4"] = np.array(4 in degrees)
+    found["times"], found["rate"] = _times(prims), np.array(stage.GetTimeCodesPerSecond())
     if total > most or len({degree for _, degree in sizes}) > 1:
         return found
     found["positions"] = np.concatenate(positions)
     for name, missing in _MISSING.items():
         found[name] = np.concatenate([
-            _first_rows(prim, name, missing, count, degree if name == _COEFFICIENTS else 0)
+            _first_rows(prim, name, missing, count, degree if name == _COEFFICIENTS else 0, time)
             for prim, (count, _), degree in zip(prims, sizes, degrees, strict=True)
         ])  # fmt: skip
-    found["matrices"] = np.array([_placed(prim) for prim in prims])
+    found["matrices"] = np.array([_placed(prim, time) for prim in prims])
     return found
 
 
@@ -145,10 +143,24 @@ def _is_splats(prim: Any) -> bool:
     return True
 
 
-def _rows(prim: Any, name: str, width: int) -> NDArray[np.float32] | None:
+def _times(prims: Sequence[Any]) -> NDArray[np.float64]:
+    """The times at which an attribute of a prim, or its place in the stage, has a value."""
+    times = set[float]()
+    for prim in prims:
+        for name in ("positions", *_MISSING):
+            for each in (name, f"{name}h"):
+                times.update(prim.GetAttribute(each).GetTimeSamples())
+        while prim:
+            placed = UsdGeom.Xformable(prim)
+            times.update(placed.GetTimeSamples() if placed else ())
+            prim = prim.GetParent()
+    return np.array(sorted(times), np.float64)
+
+
+def _rows(prim: Any, name: str, width: int, time: Any) -> NDArray[np.float32] | None:
     """Rows of an attribute, from half floats if there are no floats; None if absent."""
     for each in (name, f"{name}h"):
-        value = prim.GetAttribute(each).Get(_TIME)
+        value = prim.GetAttribute(each).Get(time)
         if value is not None:
             with np.errstate(over="ignore"):  # reported later, as in a PLY
                 return np.asarray(value, np.float32).reshape(-1, width)
@@ -156,14 +168,14 @@ def _rows(prim: Any, name: str, width: int) -> NDArray[np.float32] | None:
 
 
 def _first_rows(
-    prim: Any, name: str, missing: Sequence[float], count: int, degree: int
+    prim: Any, name: str, missing: Sequence[float], count: int, degree: int, time: Any
 ) -> NDArray[np.float32]:
     """The first rows of an attribute for `count` Gaussians, or its default values.
 
     SH rows are limited to degree 3, from an attribute of `degree`.
     """
     each = (degree + 1) ** 2
-    rows = _rows(prim, name, len(missing))
+    rows = _rows(prim, name, len(missing), time)
     if rows is None:
         rows = np.full((each * count, len(missing)), missing, np.float32)
     if len(rows) < each * count:
@@ -173,13 +185,13 @@ def _first_rows(
     return rows.reshape(kept * count, len(missing))
 
 
-def _degree(prim: Any) -> int:
-    degree = prim.GetAttribute(_DEGREE).Get(_TIME)
+def _degree(prim: Any, time: Any) -> int:
+    degree = prim.GetAttribute(_DEGREE).Get(time)
     if not isinstance(degree, int) or not 0 <= degree <= 4:
         raise InvalidInput(f"SH degree {degree!a:.20}, expected 0 to 4")
     return degree
 
 
-def _placed(prim: Any) -> NDArray[np.float64]:
+def _placed(prim: Any, time: Any) -> NDArray[np.float64]:
     """Matrix ``(4, 4)`` that transforms columns from the prim to the stage."""
-    return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(_TIME)).T
+    return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)).T

@@ -63,6 +63,9 @@ from gs_codec.formats.usd.read_stage import main
 main()
 """
 
+#: The time before all others, at which the stage of a scene is read.
+_EARLIEST = -sys.float_info.max
+
 #: Maximum address space of that process without a scene, in bytes.
 _SPACE = 4 << 30
 
@@ -92,10 +95,10 @@ def is_usd(path: Path, data: FileBytes) -> bool:
     return name.lower().endswith(tuple(suffix.encode() for suffix in LAYERS))
 
 
-def read_usd(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
-    """Read the bytes of a USD file; see `SceneFile.scene`."""
+def read_usd(path: Path, view: memoryview, max_bytes: int | None, time: float = _EARLIEST) -> Scene:
+    """Read the bytes of a USD file, at one of its times; see `SceneFile.scene`."""
     with located(path):
-        found = _read_in_process(view, most_bytes(len(view), max_bytes))
+        found = _read_in_process(view, most_bytes(len(view), max_bytes), time)
         check_count(*_total(found), len(view), max_bytes)
         if found["has_degree_4"]:
             say_degree_4(path)
@@ -109,13 +112,20 @@ def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
         return _total(_read_in_process(view, -1))
 
 
-def _read_in_process(view: memoryview, most: int) -> dict[str, NDArray]:
+def frame_times(path: Path, view: memoryview) -> tuple[list[float], float]:
+    """Times at which the Gaussians change, ascending, and times per second."""
+    with located(path):
+        found = _read_in_process(view, -1)
+        return found["times"].tolist(), float(found["rate"])
+
+
+def _read_in_process(view: memoryview, most: int, time: float = _EARLIEST) -> dict[str, NDArray]:
     """The result of `read_stage.main`; only sizes if the floats take more than `most` bytes."""
     require_usd_core()
     suffix = dict(zip(USD.signatures, (".usda", ".usdc", ".usdz"), strict=True))
     name = "scene" + next((s for begin, s in suffix.items() if view[: len(begin)] == begin), ".usd")
     package = Path(__file__).parents[2]
-    command = [sys.executable, "-c", _READ, str(package), name, "found.npz", str(most)]
+    command = [sys.executable, "-c", _READ, str(package), name, "found.npz", str(most), repr(time)]
     floats, size = max(most, 0), len(view)
     seconds = _SECONDS + size // _BYTES_A_SECOND
     space = _SPACE + _TIMES_FLOATS * min(floats, EXPANSION * size) + _TIMES_FILE * size

@@ -16,6 +16,7 @@ from open3d.visualization import gui
 
 from gs_codec.runtime import compiling
 from viewer.pictures.picture import picture
+from viewer.scenes.recent import remember
 from viewer.scenes.view_request import Request
 from viewer.window.dialogs import inside
 from viewer.window.x11 import Keyboard
@@ -142,13 +143,27 @@ def notices(driver: Driver) -> list[str]:
     return lines
 
 
+def starts(driver: Driver) -> list[list]:
+    """The buttons of the empty window, and the dialog that the first opens."""
+    buttons = driver.viewer.start.buttons
+    shown = [button.text for button in buttons if button.visible]
+    driver.click(buttons[0])
+    driver.wait(lambda: bool(said(driver)))
+    dialog = said(driver)
+    enter(driver, "", "Escape")
+    return [shown, dialog]
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     os.chdir(folder)
     os.environ["HOME"] = str(folder)
+    remember(folder / "b.egs")
     Keyboard.clipboard = lambda self: f"file://{folder}/a.ply\n"
     driver = Driver(folder, request=Request(None, size=(480, 360)))
     driver.tick(5, redraw=True)
     driver.move(100, 100)
-    found = {"ghosts": ghosts(driver), "notices": notices(driver)} | opens(driver) | saves(driver)
+    found = {"ghosts": ghosts(driver), "notices": notices(driver)}
+    found["starts"] = starts(driver)
+    found |= opens(driver) | saves(driver)
     tell(found | {"resized": resized(driver)})

@@ -13,7 +13,10 @@ from pathlib import Path
 import numpy as np
 from drive_viewer import Driver, tell
 
+from gs_codec.formats.ply.writer import write_ply
+from samples.generate import generate
 from viewer.pictures.drawer import depth_at
+from viewer.scenes.edits import Edits
 
 
 def press(driver: Driver, name: str) -> None:
@@ -149,6 +152,52 @@ def measure(driver: Driver, found: dict) -> None:
     found["picked"] = viewer.picking.hit is not None
 
 
+def write(path: Path, seed: int) -> None:
+    """Write a scene, later than any before."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_ply(path, generate(1000 + seed, 1, seed))
+    os.utime(path, (2e9 + seed, 2e9 + seed))
+
+
+def watch(driver: Driver, found: dict) -> None:
+    """Change an open file, with and without reloading it, damage it, and add a later one."""
+    viewer, stage, watching = driver.viewer, driver.viewer.stage, driver.viewer.watching
+    path, later = (Path(f"model/iteration_{k}/cloud.ply") for k in (7, 30))
+    write(path, 1)
+    viewer.loading.open(str(path), 0)
+    driver.wait(lambda: stage.scenes[0].count == 1001)
+    driver.drag(stage.panes[0], back=False)
+    driver.rest()
+    pose, counts = stage.pose, []
+
+    def reloaded() -> None:
+        driver.wait(lambda: stage.scenes[0].count not in (1001, *counts))
+        driver.rest()
+        counts.append(stage.scenes[0].count)
+
+    write(path, 2)
+    driver.wait(lambda: "changed" in viewer.panel.status.text)
+    found["changed"] = [stage.scenes[0].count, viewer.panel.status.text]
+    driver.key("ctrl+r")
+    reloaded()
+    viewer.panel.show("Scene")
+    driver.rest()
+    driver.click(viewer.panel.scene.watch)
+    driver.wait(lambda: watching.on)
+    write(path, 3)
+    reloaded()
+    path.write_bytes(b"ply")
+    driver.wait(lambda: "not reloaded" in viewer.panel.status.text)
+    write(later, 4)
+    reloaded()
+    found["reloaded"] = [counts, stage.pose is pose, str(stage.scenes[0].path)]
+    viewer.editor.do(Edits.select_all)
+    viewer.editor.do(lambda edits: edits.keep(np.arange(1004) > 3, "test"))
+    write(later, 5)
+    driver.wait(lambda: "changed" in viewer.panel.status.text)
+    found["edited"] = stage.scenes[0].count
+
+
 def run(folder: Path) -> dict:
     driver, found = Driver(folder, size=(700, 400)), {}
     driver.rest()
@@ -157,6 +206,7 @@ def run(folder: Path) -> dict:
     keyframes(driver, found)
     flights(driver, found)
     measure(driver, found)
+    watch(driver, found)
     return found
 
 

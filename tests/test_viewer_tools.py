@@ -75,3 +75,11 @@ def test_distances_are_measured_on_what_is_seen_and_set_the_scale(found):
     assert found["drawn"] > 40
     assert found["left"] <= 4
     assert not found["picked"]
+
+
+def test_changed_files_are_reported_or_reloaded_from_the_same_pose(found):
+    count, said = found["changed"]
+    assert count == 1001
+    assert " ".join(said.split()) == "cloud.ply has changed on disk: ctrl + R reloads it"
+    assert found["reloaded"] == [[1002, 1003, 1004], True, "model/iteration_30/cloud.ply"]
+    assert found["edited"] == 1000  # unsaved edits are kept

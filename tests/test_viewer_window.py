@@ -190,6 +190,13 @@ def test_notices_of_empty_and_compiling_windows(files):
     assert compiles.startswith("Compiling, once only: ")
 
 
+def test_an_empty_window_offers_a_dialog_and_recent_files(files, folder):
+    (first, recent, *_), dialog = files["starts"]
+    assert first == "Open a scene ..."
+    assert ends(folder / "b.egs", recent)
+    assert dialog[1] == "Open a scene"
+
+
 @pytest.fixture(scope="module")
 def switched(display, folder) -> dict:
     return drive("drive_exact.py", display, folder)

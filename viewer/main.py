@@ -85,6 +85,14 @@ def command(
             rich_help_panel=_INPUT,
         ),
     ] = None,
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch",
+            help="Reload files that change; follow iteration_7000/a.ply to iteration_30000/a.ply.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = False,
     layers: Annotated[
         str | None,
         typer.Option(
@@ -250,6 +258,7 @@ def command(
         up,
         OctreeChoice(octree_depth, octree_colour),
         colour_scale,
+        watch,
     )
     request.check()
     film = _film(screenshot, turntable, flythrough, frames, fps, overwrite)

@@ -60,6 +60,8 @@ class Request:
     octree : OctreeChoice
     scale : str or None
         One of `SCALES`, for the colours of centres; None is the quantity's default.
+    watch : bool
+        Whether to reload files that change.
     """
 
     a: PointCloud | str | Path | None = None
@@ -76,6 +78,7 @@ class Request:
     up: str | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
     scale: str | None = None
+    watch: bool = False
 
     def check(self) -> None:
         """Run all checks that do not need a file opened.
@@ -125,6 +128,8 @@ class Request:
         self.check()
         if self.a is None:
             raise gs_codec.GsCodecError(f"{name}: no scene to draw")
+        if self.watch:
+            raise gs_codec.GsCodecError(f"watch: has no effect on a {name}")
         if self.b is None:
             if self.mode != MODES[0]:
                 raise gs_codec.GsCodecError(f"mode {self.mode}: expected two scenes")

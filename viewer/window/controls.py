@@ -18,6 +18,7 @@ from viewer.window.picking import Picking
 from viewer.window.shared import Host
 from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
+from viewer.window.watching import Watching
 from viewer.window.worker import Stale
 
 #: Fields of view are equal within this tolerance, degrees.
@@ -30,6 +31,7 @@ class Controls(Host, Protocol):
     visits: Visits
     timeline: Timeline
     measuring: Measuring
+    watching: Watching
     loading: Loading
     picking: Picking
     editor: Editor

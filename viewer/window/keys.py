@@ -130,6 +130,7 @@ KEYS = (
     ),
     _edit("Y", "redo", Edits.redo),
     Key("O", "open a scene", ord("o"), lambda v: v.loading.ask_open()),
+    Key("ctrl + R", "reload changed files", ord("r"), lambda v: v.loading.reload_all(), True),
     Key(
         "ctrl + S",
         "save a picture; with shift, the scene",

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import gs_codec
-from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned, turned
+from viewer.scenes.opened import Opened, Pruned, modified, open_scene, read_pruned, turned
 from viewer.scenes.recent import recent_files, remember
 from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.view_request import find_pruned, find_views, first_view
@@ -104,6 +104,45 @@ class Loading:
 
         viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
         viewer.worker.submit("load", read, done, self._failed)
+
+    def reload(self, pane: int, path: Path, then: Callable[[], None] = lambda: None) -> None:
+        """Show a file in place of scene `pane`, of which it is a later version; the pose stays.
+
+        Unsaved edits are lost. If the file cannot be read, the panel says so; otherwise `then` is
+        called.
+        """
+        viewer, before = self._viewer, self._viewer.stage.scenes[pane]
+        size = viewer.request.max_bytes
+
+        def read(stale: Stale) -> Opened:
+            progress = viewer.worker.progress(stale, viewer.panel.show_progress)
+            return open_scene(path, progress=progress, max_bytes=size)
+
+        def done(opened: Opened) -> None:
+            stage = viewer.stage
+            if before not in stage.scenes:
+                return
+            viewer.panel.say(f"{path.name} reloaded")
+            if pane == 0:
+                stage.pruned = None
+            stage.replace(pane, opened)
+            self._editor.put(stage.scenes)
+            viewer.refresh()
+            then()
+
+        def failed(error: Exception) -> None:
+            viewer.panel.say(f"not reloaded: {error}")
+
+        viewer.panel.say(f"loading {path.name} ...", progress=0)
+        viewer.worker.submit("load", read, done, failed)
+
+    def reload_all(self) -> None:
+        """Read changed files of the scenes again; asks first if unsaved edits would be lost."""
+        scenes = self._viewer.stage.scenes
+        changed = [k for k, each in enumerate(scenes) if modified(each.path) != each.modified]
+        changed = [k for k in changed if scenes[k].file_bytes is not None]
+        if changed and not self._editor.ask_unsaved(changed, self.reload_all):
+            self.reload(changed[0], scenes[changed[0]].path, self.reload_all)
 
     def stop(self) -> None:
         """Stop loading or selecting; the scenes shown stay."""

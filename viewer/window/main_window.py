@@ -27,8 +27,10 @@ from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
 from viewer.window.picking import Picking
 from viewer.window.stage import Stage
+from viewer.window.start import Start
 from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
+from viewer.window.watching import Watching
 from viewer.window.widgets import monospace
 from viewer.window.worker import Worker
 
@@ -52,6 +54,8 @@ class Viewer(Controls):
     stage : Stage
     visits : Visits
     loading : Loading
+    watching : Watching
+    start : Start
     timeline : Timeline
     measuring : Measuring
     picking : Picking
@@ -98,6 +102,8 @@ class Viewer(Controls):
         self.dock = Dock(self, self.visits, self.timeline, self._select_range)
         self.editor = Editor(self, self.visits, self.dock)
         self.loading = Loading(self, self.visits, self.editor)
+        self.watching = Watching(self, self.loading, self.editor)
+        self.start = Start(self, self.loading)
         self.encoding = Encoding(self, self.visits, self.loading, self._encoding_changed)
         self.panel: Panel = Panel(self, font)
         self.keys, self.notice = Keys(self), Notice(self)
@@ -159,6 +165,7 @@ class Viewer(Controls):
         worked = self.modal.tick() | self.notice.tick() | self.measuring.tick()
         drawn = self.stage.tick()
         self.visits.tick()
+        self.watching.tick()
         return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)
 
     @property
@@ -181,6 +188,7 @@ class Viewer(Controls):
         width = self.visits.lay_out(space, panes, self.stage.caption_height, hidden)
         self.stage.lay_out(space.x, space.y, width, space.height)
         self.notice.lay_out(space, context)
+        self.start.lay_out(space, context)
         # Requesting a picture makes Open3D wait for the device, so it does not skip the frame.
         # After a skipped frame, the interface could still use old pictures of widgets while these
         # are resized again, and Open3D would abort.

@@ -99,6 +99,8 @@ class SceneTab:
         for row in rows:
             buttons = [widgets.button(text, action, tips.get(text, "")) for text, action in row]
             widgets.row(self._upper, *buttons)
+        self.watch = widgets.checkbox("reload files that change", self._viewer.watching.set_on)
+        self._upper.add_child(self.watch)
 
     def _add_octree(self, widgets: Widgets) -> None:
         """Controls of the octree, visible while its layer is on."""
@@ -126,6 +128,7 @@ class SceneTab:
         """Update controls and numbers."""
         choice, stage = self._viewer.choice, self._viewer.stage
         two = len(stage.scenes) > 1
+        self.watch.checked = self._viewer.watching.on
         for layer, box in self.boxes.items():
             box.checked = layer in choice.layers
         self.boxes["pruned"].enabled = stage.pruned is not None

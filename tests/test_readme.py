@@ -18,8 +18,10 @@ from gs_codec.analysis import plots
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Results, bd_rate
 from gs_codec.bench.suite.suite_tables import headline
+from gs_codec.cameras.camera_files import write_cameras
 from gs_codec.cli.main import NAMES, app
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.views.estimate import auto_cameras
 from samples.generate import generate
 
 ROOT = Path(__file__).parents[1]
@@ -38,8 +40,10 @@ SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 @pytest.fixture
 def folder(tmp_path, monkeypatch, few_cameras):
     """A folder with the files that the documents assume."""
-    write_ply(tmp_path / "scene.ply", generate(1100, 1, 80))
+    scene = generate(1100, 1, 80)
+    write_ply(tmp_path / "scene.ply", scene)
     (tmp_path / "notes.json").write_text('[{"position": [0, 0, 0], "title": "middle"}]')
+    write_cameras(tmp_path / "path.json", auto_cameras(scene, 2))
     monkeypatch.chdir(tmp_path)
     # SOG takes minutes if its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")

@@ -45,6 +45,12 @@ def command(
         Path | None,
         typer.Option(metavar="JSON", help="Points with titles and texts, which the page shows."),
     ] = None,
+    tour: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="A camera path for a tour; by default through the views."
+        ),
+    ] = None,
 ) -> None:
     """Write a web page that shows a scene, or compares two, in any browser."""
     from gs_codec.files.sharing import share
@@ -53,7 +59,7 @@ def command(
     with progress_bar() as progress:
         shared = share(
             sources, out, cameras, progress=progress, max_bytes=typed["max_bytes"],
-            overwrite=typed["overwrite"], up=up, annotations=annotations,
+            overwrite=typed["overwrite"], up=up, annotations=annotations, tour=tour,
         )  # fmt: skip
     if typed["json"]:
         scenes = [

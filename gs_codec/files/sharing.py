@@ -26,6 +26,7 @@ from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.annotations import Annotation, read_annotations
 from gs_codec.files.scenes import scene_in
+from gs_codec.files.tours import read_tour
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress, RenderedLoss
@@ -83,6 +84,7 @@ def share(
     overwrite: bool = False,
     up: str | None = None,
     annotations: str | Path | None = None,
+    tour: str | Path | None = None,
 ) -> list[SharedScene]:
     """Write a page that shows a scene, or two versions of it, in a browser.
 
@@ -112,9 +114,13 @@ def share(
         the page rotates about it. By default it is derived from the cameras, given or estimated.
     annotations : str or Path, optional
         A JSON file with points of the scene, each with a title and a text, as in COMMANDS.md.
+    tour : str or Path, optional
+        A camera path, such as the viewer saves, or any file of cameras. By default, the page's tour
+        goes through its views.
     """
     target = Path(target)
     notes = [] if annotations is None else read_annotations(annotations)
+    path = None if tour is None else read_tour(tour)
     if up is not None:
         up_axis(up)
     if len(sources) not in (1, 2):
@@ -127,8 +133,9 @@ def share(
     else:
         check_folder(target, overwrite)
     shared, files = page_of(
-        sources, cameras, alone, progress=progress, max_bytes=max_bytes, up=up, annotations=notes
-    )
+        sources, cameras, alone, progress=progress, max_bytes=max_bytes, up=up,
+        annotations=notes, tour=path,
+    )  # fmt: skip
     if alone:
         with atomic_writer(target) as file:
             file.write(files[PAGE])
@@ -146,6 +153,7 @@ def page_of(
     max_bytes: int | None = None,
     up: str | None = None,
     annotations: Sequence[Annotation] = (),
+    tour: list[dict[str, Any]] | None = None,
 ) -> tuple[list[SharedScene], dict[str, bytes]]:
     """The scenes of a page, and its files by name, `PAGE` last; with `alone`, only `PAGE`.
 
@@ -173,6 +181,8 @@ def page_of(
         "scenes": entries,
         "annotations": [asdict(one) for one in annotations],
     }
+    if tour:
+        described["tour"] = tour
     for k, note in enumerate(annotations, 1):
         if note.view is not None and note.view >= len(described["views"]):
             many = counted(len(described["views"]), "view")

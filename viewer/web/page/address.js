@@ -17,11 +17,12 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {string} [state.up] if chosen
  * @param {string} state.background
  * @param {boolean} state.turn whether the picture turns
+ * @param {boolean} state.tour whether a tour goes on
  * @param {boolean} state.bare whether only the picture is shown
  * @param {number} [state.note] number of the open annotation
  * @param {string} [state.lang] language, if chosen
  */
-export function addressOf({ view, pose, show, wipe, degree, up, background, turn, bare, note, lang }) {
+export function addressOf({ view, pose, show, wipe, degree, up, background, turn, tour, bare, note, lang }) {
   const parts = { view };
   if (pose) {
     const top = pose.turn[1].map((value) => -value);
@@ -33,6 +34,7 @@ export function addressOf({ view, pose, show, wipe, degree, up, background, turn
   if (up !== undefined) parts.up = up;
   if (background !== 'black') parts.background = background;
   if (turn) parts.turn = 1;
+  if (tour) parts.tour = 1;
   if (bare) parts.bare = 1;
   if (note) parts.note = note;
   if (lang) parts.lang = lang;
@@ -70,6 +72,7 @@ export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages
     up: one('up', ups),
     background: one('background', backgrounds),
     turn: asked.get('turn') === '1',
+    tour: asked.get('tour') === '1',
     bare: asked.get('bare') === '1',
     note: whole('note', notes + 1),
     lang: one('lang', languages),

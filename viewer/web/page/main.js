@@ -9,6 +9,7 @@ import { Panel } from './panel.js';
 import { Pose } from './pose.js';
 import { Renderer } from './renderer.js';
 import { LANGUAGE, LANGUAGES, say } from './strings.js';
+import { Tour, eased } from './tour.js';
 
 /** Radians per second of a picture that turns by itself. */
 const TURN = 0.25;
@@ -31,12 +32,14 @@ function defaultBudget() {
 }
 
 class Viewer {
-  constructor({ scenes, views, home, middle, ups, up, annotations = [] }) {
+  constructor({ scenes, views, home, middle, ups, up, annotations = [], tour }) {
     this.views = views;
     this.home = home; // number of the overview
     this.middle = middle;
     this.ups = ups; // vectors by name, the cameras' first
     this.axis = up;
+    this.path = tour; // cameras with times
+    this.frame = null; // the lens, if not that of the view
     this.canvas = document.getElementById('view');
     this.abort = new AbortController();
     this.pace = new Pace();
@@ -200,12 +203,24 @@ class Viewer {
   fly(pose, view) {
     const from = this.pose;
     let share = matchMedia('(prefers-reduced-motion)').matches ? 1 : 0;
-    if (view !== undefined) this.panel.chosen((this.view = view));
+    if (view !== undefined) this.passed(view);
     this.#play('flight', (seconds) => {
       share = Math.min(share + seconds / FLIGHT, 1);
       this.pose = from.towards(pose, eased(share));
       return share < 1;
     });
+  }
+
+  /** Go on a tour, or stop. */
+  tour(isOn) {
+    if (!isOn) return this.rest();
+    this.#play('tour', new Tour(this, this.path).begin());
+  }
+
+  /** Take the lens of a view from now on. */
+  passed(view) {
+    this.view = view;
+    this.panel.chosen(view);
   }
 
   /** Whether the picture turns by itself. */
@@ -221,6 +236,7 @@ class Viewer {
   /** Let `step` move the camera, by seconds, until it returns false or the scene is touched. */
   #play(motion, step) {
     this.motion = motion;
+    this.frame = null;
     this.panel.playing(motion);
     let last = performance.now();
     const next = (now) => {
@@ -267,6 +283,7 @@ class Viewer {
       up: isTurned ? axis : undefined,
       background: look.background,
       turn: this.isTurning,
+      tour: this.motion === 'tour',
       bare: this.isBare,
       note: notes.shown,
       lang: language,
@@ -300,7 +317,9 @@ class Viewer {
     this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
     this.bare(asked.bare);
     this.notes.open(asked.note ?? 0, true);
-    this.turn(asked.turn && !matchMedia('(prefers-reduced-motion)').matches);
+    const isStill = matchMedia('(prefers-reduced-motion)').matches;
+    this.turn(asked.turn && !isStill);
+    if (asked.tour && !isStill) this.tour(true);
     clearTimeout(this.settling);
     this.remembered = this.#address;
   }
@@ -336,7 +355,7 @@ class Viewer {
 
   /** The lens of the view, with its whole frame inside w x h pixels. */
   #lens(w, h) {
-    const { width, height, fx, fy, cx, cy } = this.views[this.view];
+    const { width, height, fx, fy, cx, cy } = this.frame ?? this.views[this.view];
     const scale = Math.min(w / width, h / height);
     const aside = [(w - scale * width) / 2, (h - scale * height) / 2];
     return {
@@ -443,9 +462,6 @@ class Viewer {
     });
   }
 }
-
-/** A share of time as a share of the way, which begins and ends slowly. */
-const eased = (share) => share * share * (3 - 2 * share);
 
 // On phones, and in embedded pages, there is no room for both.
 document.getElementById('panel').open = innerWidth > (self === top ? 560 : 1000);

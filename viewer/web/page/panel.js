@@ -68,6 +68,8 @@ export class Panel {
       if (target.value > 0) viewer.resize(1e6 * target.value);
     });
     $('turn').addEventListener('change', ({ target }) => viewer.turn(target.checked));
+    $('tour').parentElement.hidden = !viewer.path && viewer.views.length === 1;
+    $('tour').addEventListener('change', ({ target }) => viewer.tour(target.checked));
     $('full').hidden = !document.fullscreenEnabled;
     $('full').addEventListener('click', () => document.documentElement.requestFullscreen());
     $('shows').addEventListener('change', ({ target }) => viewer.set({ show: target.value }));
@@ -112,6 +114,7 @@ export class Panel {
       c: () => this.#copy(),
       m: () => viewer.notes.next(),
       o: () => viewer.turn(!viewer.isTurning),
+      t: () => viewer.tour(viewer.motion !== 'tour'),
       i: () => viewer.bare(!viewer.isBare),
       h: () => {
         $('panel').open = true;
@@ -147,6 +150,7 @@ export class Panel {
   /** Show how the picture moves by itself. */
   playing(motion) {
     $('turn').checked = motion === 'turn';
+    $('tour').checked = motion === 'tour';
   }
 
   /** Show which view is selected. */

@@ -59,6 +59,8 @@ export const WORDS = {
   'next annotation': ['nächste Anmerkung', 'annotation suivante', '下一个注释', '次の注釈'],
   Close: ['Schließen', 'Fermer', '关闭', '閉じる'],
   'turn slowly, stop': ['langsam drehen, anhalten', 'tourner lentement, arrêter', '缓慢旋转、停止', 'ゆっくり回転、停止'],
+  Tour: ['Rundgang', 'Visite', '漫游', 'ツアー'],
+  'tour, stop': ['Rundgang, anhalten', 'visite, arrêter', '漫游、停止', 'ツアー、停止'],
   'hide all but the picture': ['nur das Bild zeigen', 'ne montrer que l’image', '只显示画面', '画像だけを表示'],
   'this list': ['diese Liste', 'cette liste', '此列表', 'この一覧'],
   '1 Gaussian': ['1 Gaussian', '1 gaussienne', '1 个高斯', 'ガウシアン 1 個'],

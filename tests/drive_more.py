@@ -14,6 +14,7 @@ import numpy as np
 from drive_viewer import Driver, resident, tell
 from open3d.visualization import gui
 
+from viewer.pictures.picture import LINE_COLOUR
 from viewer.scenes.choice import Appearance
 from viewer.window.worker import Stale
 
@@ -92,11 +93,23 @@ def stop_loading(driver: Driver) -> list[str]:
     return scenes
 
 
+def edge_colours(driver: Driver) -> float:
+    """The largest difference of the edges of cells from the colours of the legend."""
+    viewer = driver.viewer
+    viewer.set_appearance(Appearance(least_opacity=1.0))  # no splats
+    image = driver.scenes(driver.rest())
+    viewer.set_appearance(Appearance())
+    bar = np.concatenate([viewer.stage.legends[0].bar(4096, 1)[0], [LINE_COLOUR]])
+    seen = np.unique(image[image.max(axis=2) > 0].reshape(-1, 3), axis=0)
+    return max(float(np.abs(255 * bar - colour).max(axis=1).min()) for colour in seen)
+
+
 def octree(driver: Driver) -> dict:
     """Depths chosen by dragging the slider to its ends, and the screen."""
     viewer, corner = driver.viewer, driver.viewer.window.os_frame
     driver.toggle("octree")
     first = driver.scenes(driver.rest())
+    off = edge_colours(driver)
     frame, depths = viewer.panel.scene.depth.frame, []
     y = corner.y + frame.y + frame.height // 2
     columns = np.linspace(frame.x + 10, frame.get_right() - 10, 12).round().astype(int)
@@ -118,6 +131,7 @@ def octree(driver: Driver) -> dict:
         "captions": captions,
         "legends": legends,
         "after": len(viewer.stage.legends),
+        "off": off,
     }
 
 

@@ -277,6 +277,7 @@ def run(folder: Path) -> dict:
     first = driver.rest()
     found["drawn"] = float(driver.scenes(first).std())
     found["quality"] = viewer.stage.quality
+    found["speed"] = viewer.panel.speed.text
     found["captions"] = [label.text for label in viewer.stage.captions]
     found["where"] = [viewer.visits.where]
     found["outlined"] = outlined(driver, first)

@@ -82,6 +82,10 @@ def test_the_octree_says_whose_bits_are_unknown(found):
     assert found["octree"]["after"] == 0
 
 
+def test_edges_of_cells_have_the_colours_of_the_legend(found):
+    assert found["octree"]["off"] <= 2
+
+
 def test_a_third_scene_asks_which_to_replace(found):
     assert found["asked"] == [["a.ply", "b.egs"], ["a.ply", "b.egs"]]
 

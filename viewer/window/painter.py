@@ -70,6 +70,9 @@ class Painter:
     ----------
     until : callable or None
         Drawing waits until it returns True.
+    seconds : tuple of two float
+        How long the last change took: from its begin to the first picture, and from the last move
+        to the full pictures on the screen.
     """
 
     def __init__(
@@ -80,6 +83,9 @@ class Painter:
         self._pace = Pace()
         self._measured: tuple[Pose | None, str] = (None, "")
         self._painted = False
+        self._begun = self._moved = self._first = 0.0
+        self._fresh: bool | None = None
+        self.seconds = (0.0, 0.0)
         self.until: Callable[[], bool] | None = None
 
     def put(self, scenes: list[Opened]) -> None:
@@ -91,7 +97,10 @@ class Painter:
 
     def move(self) -> None:
         """Redraw; more motion may follow."""
-        self._pace.move(time.monotonic())
+        self._moved = time.monotonic()
+        if self._pace.resting and self._fresh is None:
+            self._begun, self._first = self._moved, 0.0
+        self._pace.move(self._moved)
 
     def rest(self) -> None:
         """Redraw in full, because the motion has ended."""
@@ -120,6 +129,11 @@ class Painter:
 
     def tick(self, pose: Pose) -> bool:
         """Start the next picture if it is due; return whether one was started."""
+        if self._fresh is not None:  # the pictures have been drawn since
+            now, full = time.monotonic(), self._fresh
+            self._first, self._fresh = self._first or now - self._begun, None
+            if full:
+                self.seconds = self._first, now - self._moved
         step = None if self.waits else self._pace.next(time.monotonic())
         if step is None:
             return False
@@ -130,10 +144,10 @@ class Painter:
         else:
             self._pace.drop()
             self._show(pose, stage.visible, [None] * len(wanted))
+            self._fresh = step.full
             if step.full:
+                self._measure(pose)
                 self._changed()
-        if step.full:
-            self._measure(pose)
         return True
 
     def _draw(self, step: Step, shown: Shown, wanted: list[bool], pose: Pose) -> None:
@@ -163,6 +177,9 @@ class Painter:
                 return
             self._pace.done(step, found[1])
             self._show(pose, visible, found[0])
+            self._fresh = step.full
+            if step.full:  # not earlier, because it would delay the picture
+                self._measure(pose)
             self._changed()
 
         def failed(error: Exception) -> None:

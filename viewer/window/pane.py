@@ -50,6 +50,9 @@ _IN = 0.75
 #: Point sizes by name; `POINT_SIZE` for others.
 _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
 
+#: Number of different values of a colour channel in the octree's edges: within 2 levels of 255.
+_SHADES = 85
+
 #: Number of frames after removing splats until the pane is resized for an instant; otherwise Open3D
 #: would keep showing only the splats.
 _STUCK = 4
@@ -99,6 +102,7 @@ class Pane:
         self._background = Appearance().background
         self._splats: Look | None = None
         self._stuck = 0
+        self._shades: list[str] = []
         self._show_background()
 
     def put(self, scene: Opened) -> None:
@@ -190,13 +194,29 @@ class Pane:
 
     def show_cells(self, cells: Cubes | Points | None) -> None:
         """Show or hide cells of the octree."""
-        if isinstance(cells, Cubes):
-            drawn = (
-                cube_geometry(cells) if cells.filled else box_geometry(cells.boxes, cells.colours)
-            )
-            self._replace("octree", drawn)
+        for name in self._shades:
+            self._replace(name, None)
+        self._shades = []
+        if isinstance(cells, Cubes) and not cells.filled:
+            self._show_edges(cells)
+        elif isinstance(cells, Cubes):
+            self._replace("octree", cube_geometry(cells))
         else:
             self.show_points("octree", cells)
+
+    def _show_edges(self, cells: Cubes) -> None:
+        """Show edges of cells, in shades of one colour each.
+
+        Lines of any colour and width take a software driver a hundred times as long.
+        """
+        self._replace("octree", None)
+        shades, numbers = np.unique(
+            np.rint(_SHADES * cells.colours).astype(int), axis=0, return_inverse=True
+        )
+        for k, shade in enumerate(shades / _SHADES):
+            lines, _ = box_geometry(cells.boxes[numbers.ravel() == k], shade[None])
+            self._shades.append(f"octree {k}")
+            self._replace(self._shades[-1], (lines, _solid(tuple(shade))))
 
     def show_boxes(self, boxes: NDArray | None) -> None:
         """Show the edges of boxes ``(n, 2, 3)``."""
@@ -273,12 +293,13 @@ def cube_geometry(
 def box_geometry(
     boxes: NDArray, colours: NDArray
 ) -> tuple[o3d.geometry.LineSet, rendering.MaterialRecord]:
-    """The edges of boxes ``(n, 2, 3)`` in colours ``(n, 3)``, with a material that shows them."""
+    """The edges of boxes ``(n, 2, 3)`` in colours ``(n, 3)`` or one, and a material for them."""
     corners, edges = box_lines(boxes)
     lines = o3d.geometry.LineSet(
         o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(edges)
     )
-    lines.colors = o3d.utility.Vector3dVector(colours.repeat(EDGES, axis=0).astype(np.float64))
+    each = np.broadcast_to(colours, (len(boxes), 3)).repeat(EDGES, axis=0)
+    lines.colors = o3d.utility.Vector3dVector(each.astype(np.float64))
     material = rendering.MaterialRecord()
     material.shader = "unlitLine"
     material.line_width = 1.5
@@ -293,7 +314,9 @@ def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
     # Open3D interprets this colour as sRGB, but output without post-processing stays linear.
-    material.base_color = (*np.power(colour, 1 / 2.2), 1.0)
+    linear = np.asarray(colour)
+    curved = 1.055 * linear ** (1 / 2.4) - 0.055
+    material.base_color = (*np.where(linear < 0.0031308, 12.92 * linear, curved), 1.0)
     return material
 
 

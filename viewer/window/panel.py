@@ -56,7 +56,9 @@ class Panel:
         margins = gui.Margins(0.6 * em, 0.3 * em, 0.6 * em, 0.3 * em)
         self._head = gui.Vert(0.25 * em, margins)
         self.status = gui.Label("")
+        self.speed = gui.Label("")
         self._head.add_child(self.status)
+        self._head.add_child(self.speed)
         self.progress = gui.ProgressBar()
         self.stop = widgets.button("Stop", viewer.loading.stop)
         self._loading = gui.Vert(0.3 * em)
@@ -119,7 +121,15 @@ class Panel:
         self.status.text = "\n".join(folded(text, _COLUMNS))
         self._loading.visible = progress is not None
         self.show_progress(progress or 0.0)
+        self.status.visible, self.speed.visible = bool(text), not text
         self._viewer.window.set_needs_layout()
+
+    def show_speed(self, first: float, rest: float) -> None:
+        """Show how long the last pictures took, while there is no status line."""
+        text = f"picture {first:.2f} s, at rest {rest:.2f} s" if rest else ""
+        if text != self.speed.text:
+            self.speed.text = text
+            self._viewer.window.set_needs_layout()
 
     def show_progress(self, progress: float) -> None:
         """Set the progress bar, 0-1."""

@@ -267,7 +267,9 @@ def test_large_scenes_have_levels_in_folders(tmp_path, monkeypatch):
 def test_a_folder_is_shown_by_any_server(files, tmp_path):
     site = tmp_path / "site"
     share([files.folder / "a.egs", files.folder / "b.egs"], site, files.folder / "cameras.json")
-    assert sorted(path.name for path in site.iterdir()) == ["a.egs", "b.egs", "index.html"]
+    assert sorted(path.name for path in site.iterdir()) == [
+        "a.egs", "b.egs", "embed.js", "index.html", "preview.jpg",
+    ]  # fmt: skip
     with serving(site) as url:
         job = Job(url, [])
         job.shot(str(tmp_path / "wipe.png"))

@@ -110,6 +110,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
             "gs_codec/runtime/kernels.txt",
             "*/py.typed",
             "viewer/*.png",
+            "viewer/web/embed.js",
             "viewer/web/page.html",
         )
         for path in ROOT.glob(pattern)

@@ -51,15 +51,32 @@ def command(
             metavar="PATH", help="A camera path for a tour; by default through the views."
         ),
     ] = None,
+    title: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Title; by default the names of the scenes."),
+    ] = None,
+    url: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Address of the page on the web, for previews of links."),
+    ] = None,
+    embed: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ORIGIN",
+            help="Another site whose pages may control this one, as https://example.org; * is any.",
+        ),
+    ] = None,
 ) -> None:
     """Write a web page that shows a scene, or compares two, in any browser."""
-    from gs_codec.files.sharing import share
+    from gs_codec.files.sharing import Publication, share
 
+    publication = Publication(title, url, tuple(embed or ()))
     sources = [first] if second is None else [first, second]
     with progress_bar() as progress:
         shared = share(
             sources, out, cameras, progress=progress, max_bytes=typed["max_bytes"],
             overwrite=typed["overwrite"], up=up, annotations=annotations, tour=tour,
+            publication=publication,
         )  # fmt: skip
     if typed["json"]:
         scenes = [

@@ -7,14 +7,16 @@ import html
 import importlib.util
 import json
 import logging
+import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.inria import as_entry
 from gs_codec.cameras.up import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
 from gs_codec.cameras.widest import widest_view
@@ -25,6 +27,7 @@ from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.annotations import Annotation, read_annotations
+from gs_codec.files.link_preview import PICTURE, picture_of, tags_of
 from gs_codec.files.scenes import scene_in
 from gs_codec.files.tours import read_tour
 from gs_codec.formats.coordinates import CONVENTION
@@ -32,7 +35,7 @@ from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
-from gs_codec.runtime.wording import counted
+from gs_codec.runtime.wording import counted, size_text
 from gs_codec.scene import Scene
 from gs_codec.views.estimate import COUNT, estimate_views
 from gs_codec.views.find import find_cameras
@@ -47,6 +50,41 @@ _LEVELLED = 1_000_000
 
 #: Name of the page among its files.
 PAGE = "index.html"
+
+#: The module that shows a page in another one.
+_MODULE = "embed.js"
+
+
+@dataclass(frozen=True)
+class Publication:
+    """What the links to a page show, and which pages may embed it.
+
+    Parameters
+    ----------
+    title : str, optional
+        Title of the page; by default the names of its scenes.
+    url : str, optional
+        Address of the page on the web. Some programs show the picture of a link only with it.
+    embed : sequence of str
+        Origins (``https://example.org``) of other sites whose pages may control this one and save
+        its pictures; ``*`` is any. Pages of its own site always may.
+
+    Raises
+    ------
+    InvalidInput
+        If an address or an origin is not one of the web.
+    """
+
+    title: str | None = None
+    url: str | None = None
+    embed: Sequence[str] = field(default=())
+
+    def __post_init__(self) -> None:
+        if self.url is not None and not re.fullmatch(r"https?://[^/\s]+/\S*", self.url):
+            raise InvalidInput(f"url '{self.url}': expected the page's, as https://example.org/a/")
+        for origin in self.embed:
+            if origin != "*" and not re.fullmatch(r"https?://[^/\s]+", origin):
+                raise InvalidInput(f"embed '{origin}': expected * or as https://example.org")
 
 
 @dataclass(frozen=True)
@@ -85,6 +123,7 @@ def share(
     up: str | None = None,
     annotations: str | Path | None = None,
     tour: str | Path | None = None,
+    publication: Publication | None = None,
 ) -> list[SharedScene]:
     """Write a page that shows a scene, or two versions of it, in a browser.
 
@@ -100,7 +139,8 @@ def share(
         encoded with profile `l`, for a folder with levels of detail if they are large.
     target : str or Path
         A self-contained ``.html`` file; or a folder for any static web server, with the page,
-        ``index.html``, and the scenes.
+        ``index.html``, the scenes, ``preview.jpg`` for links to it, and ``embed.js``, by which
+        other pages show it.
     cameras : str or Path
         The selectable views, as in `render`; the page starts with the first.
     progress : callable, optional
@@ -117,6 +157,7 @@ def share(
     tour : str or Path, optional
         A camera path, such as the viewer saves, or any file of cameras. By default, the page's tour
         goes through its views.
+    publication : Publication, optional
     """
     target = Path(target)
     notes = [] if annotations is None else read_annotations(annotations)
@@ -134,7 +175,7 @@ def share(
         check_folder(target, overwrite)
     shared, files = page_of(
         sources, cameras, alone, progress=progress, max_bytes=max_bytes, up=up,
-        annotations=notes, tour=path,
+        annotations=notes, tour=path, publication=publication or Publication(),
     )  # fmt: skip
     if alone:
         with atomic_writer(target) as file:
@@ -154,12 +195,14 @@ def page_of(
     up: str | None = None,
     annotations: Sequence[Annotation] = (),
     tour: list[dict[str, Any]] | None = None,
+    publication: Publication | None = None,
 ) -> tuple[list[SharedScene], dict[str, bytes]]:
     """The scenes of a page, and its files by name, `PAGE` last; with `alone`, only `PAGE`.
 
-    See `share`. A `Scene` has the coordinates of a PLY.
+    See `share`. A `Scene` has the coordinates of a PLY. A page without `publication` has no files
+    for links and other pages.
     """
-    template = _template()
+    template = _built("page.html").decode()
     opened = [_open(source, progress, max_bytes, streamed=not alone) for source in sources]
     shared = [one for one, _ in opened]
     first = opened[0][1]
@@ -175,8 +218,8 @@ def page_of(
             entries.append(entry | {"url": quote(name)})
             files[name] = one.data
     middle = np.median(finite.astype(np.float64), axis=1) if finite.size else np.zeros(3)
-    described = {
-        **_views(cameras, first, up, progress),
+    views, described = _views(cameras, first, up, progress)
+    described |= {
         "middle": middle.tolist(),
         "scenes": entries,
         "annotations": [asdict(one) for one in annotations],
@@ -184,15 +227,33 @@ def page_of(
     if tour:
         described["tour"] = tour
     for k, note in enumerate(annotations, 1):
-        if note.view is not None and note.view >= len(described["views"]):
-            many = counted(len(described["views"]), "view")
+        if note.view is not None and note.view >= len(views):
+            many = counted(len(views), "view")
             raise InvalidInput(f"annotation {k}: view {note.view}, expected one of {many}")
+    title, tags = " and ".join(one.name for one in shared), ""
+    if publication:
+        title = publication.title or title
+        if publication.embed:
+            described["embed"] = list(publication.embed)
+        shown = None if alone else views[0]
+        tags = tags_of(title, _description(opened), publication.url, shown)
+        if shown:
+            scenes = [scene for _, scene in opened]
+            files[PICTURE] = picture_of(scenes, shown, None if up is None else up_axis(up))
+            files[_MODULE] = _built(_MODULE)
     # No text of a file can close the element that contains it.
     listed = json.dumps(described, allow_nan=False).replace("<", "\\u003c")
-    title = html.escape(" and ".join(one.name for one in shared))
     data = "\n".join([_block("scene-list", "application/json", listed), *blocks])
-    files[PAGE] = _fill(template, title=title, data=data).encode()
+    files[PAGE] = _fill(template, title=html.escape(title), tags=tags, data=data).encode()
     return shared, files
+
+
+def _description(opened: Sequence[tuple[SharedScene, Scene]]) -> str:
+    """What a page shows, in a line."""
+    sizes = [
+        f"{counted(scene.count, 'Gaussian')}, {size_text(len(one.data))}" for one, scene in opened
+    ]
+    return f"3D Gaussian splatting scene: {'; '.join(sizes)}"
 
 
 def _entry(one: SharedScene) -> dict[str, Any]:
@@ -203,8 +264,11 @@ def _entry(one: SharedScene) -> dict[str, Any]:
 
 def _views(
     cameras: str | Path, scene: Scene, up: str | None, progress: Progress | None
-) -> dict[str, Any]:
-    """The views of a page and its overview, the possible up axes by name, and the current one."""
+) -> tuple[list[Camera], dict[str, Any]]:
+    """The views of a page.
+
+    Their description has the overview, the possible up axes by name, and the current one, too.
+    """
     home = 0
     if str(cameras) == "auto":
         axis = None if up is None else up_axis(up)
@@ -217,7 +281,7 @@ def _views(
         by_cameras = up_of([view.rotation for view in views])
         home = widest_view(scene, views)
     ups = {BY_CAMERAS: by_cameras} | UPS
-    return {
+    return list(views), {
         "views": [as_entry(index, camera) for index, camera in enumerate(views)],
         "home": home,
         "ups": {name: axis.tolist() for name, axis in ups.items()},
@@ -272,14 +336,14 @@ def _file_names(shared: Sequence[SharedScene]) -> list[str]:
     return names
 
 
-def _template() -> str:
-    """The built page, without scenes."""
+def _built(name: str) -> bytes:
+    """A file of the web viewer; `page.html` is the built page, without scenes."""
     spec = importlib.util.find_spec("viewer")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
-        built = Path(folder, "web", "page.html")
+        built = Path(folder, "web", name)
         if built.is_file():
-            return built.read_text(encoding="utf-8")
-    raise MissingTool("viewer/web/page.html: no such file; install gs-codec again")
+            return built.read_bytes()
+    raise MissingTool(f"viewer/web/{name}: no such file; install gs-codec again")
 
 
 def _fill(template: str, **parts: str) -> str:

@@ -1,6 +1,8 @@
 // What pages in TypeScript may write, and what they may not; test_web_types.py has it checked.
 import { CorruptError, decode, EgsError, open } from '../../viewer/web/src/index.js';
 import type { DecodeOptions, EgsFile, Scene, View } from '../../viewer/web/src/index.js';
+import { createViewer } from '../../viewer/web/embed.js';
+import type { ViewerState } from '../../viewer/web/embed.js';
 import { toPly } from '../../viewer/web/src/ply.js';
 
 const options: DecodeOptions = {
@@ -37,6 +39,17 @@ const parts = await Promise.all(chosen.map((blocks, level) => file.decode(level,
 const errors: Float64Array | undefined = file.levels[parts.length - 1].errors;
 file.close();
 
+const viewer = createViewer(document.body, {
+  page: new URL('https://example.org/site/'),
+  state: { view: 3, show: 'wipe', wipe: 0.4 },
+  onChange: ({ camera: [x, y, z] }) => `${x + y + z}`,
+  onMessage: (text, isError) => (isError ? text.length : 0),
+});
+const { views } = await viewer.ready;
+const shown: ViewerState = await viewer.set({ view: views.length - 1, turn: true });
+const picture: Blob = await viewer.picture();
+viewer.close();
+
 export function whereOf(error: unknown): string {
   return error instanceof CorruptError || error instanceof EgsError ? error.where : '';
 }
@@ -49,4 +62,6 @@ decode('scene.egs', { shDegree: 4 });
 scene.positions = new Float32Array(3);
 // @ts-expect-error there may be none
 errors.length;
-export { opacity, ply };
+// @ts-expect-error there is no such background
+viewer.set({ background: 'red' });
+export { opacity, picture, ply, shown };

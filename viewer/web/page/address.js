@@ -10,7 +10,7 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  *
  * @param {object} state
  * @param {number} state.view
- * @param {object} [state.pose] if it is no longer the view's: eye, target, up in the picture
+ * @param {number[]} [state.camera] if it is no longer the view's: eye, target, up in the picture
  * @param {string} [state.show] if there are two scenes
  * @param {number} state.wipe
  * @param {number} [state.degree] if chosen
@@ -22,12 +22,10 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {number} [state.note] number of the open annotation
  * @param {string} [state.lang] language, if chosen
  */
-export function addressOf({ view, pose, show, wipe, degree, up, background, turn, tour, bare, note, lang }) {
+export function addressOf(state) {
+  const { view, camera, show, wipe, degree, up, background, turn, tour, bare, note, lang } = state;
   const parts = { view };
-  if (pose) {
-    const top = pose.turn[1].map((value) => -value);
-    parts.camera = text([...pose.eye, ...pose.target, ...top]);
-  }
+  if (camera) parts.camera = text(camera);
   if (show) parts.show = show;
   if (show === 'wipe') parts.wipe = text([wipe]);
   if (degree !== undefined) parts.degree = degree;
@@ -51,16 +49,20 @@ function numbers(listed, length) {
 /**
  * What an address asks for; whatever is missing or not possible is undefined.
  *
- * @param {string} hash
+ * @param {string | object} hash or what it would contain, by name
  * @param {object} possible names and numbers: `views`, `shows`, `ups`, `backgrounds`,
  *   `notes`, `languages`
  */
 export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages }) {
-  const asked = new URLSearchParams(hash.replace(/^#/, ''));
+  const asked = new URLSearchParams(typeof hash === 'string' ? hash.replace(/^#/, '') : hash);
   const one = (name, known) => (known.includes(asked.get(name)) ? asked.get(name) : undefined);
   const whole = (name, end) => {
     const [value] = numbers(asked.get(name), 1) ?? [];
     return Number.isInteger(value) && value >= 0 && value < end ? value : undefined;
+  };
+  const isOn = (name) => {
+    const found = one(name, ['0', '1', 'false', 'true']);
+    return found && (found === '1' || found === 'true');
   };
   const [wipe] = numbers(asked.get('wipe'), 1) ?? [];
   return {
@@ -71,9 +73,9 @@ export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages
     degree: whole('degree', 4),
     up: one('up', ups),
     background: one('background', backgrounds),
-    turn: asked.get('turn') === '1',
-    tour: asked.get('tour') === '1',
-    bare: asked.get('bare') === '1',
+    turn: isOn('turn'),
+    tour: isOn('tour'),
+    bare: isOn('bare'),
     note: whole('note', notes + 1),
     lang: one('lang', languages),
   };

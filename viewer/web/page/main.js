@@ -3,6 +3,7 @@ import { SourceError } from '../src/index.js';
 import { addressOf, stateOf } from './address.js';
 import { Annotations } from './annotations.js';
 import { control } from './controls.js';
+import { answer } from './embedded.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
@@ -31,8 +32,9 @@ function defaultBudget() {
   return (navigator.deviceMemory ?? 4) >= 8 ? 3e6 : 1.5e6;
 }
 
-class Viewer {
-  constructor({ scenes, views, home, middle, ups, up, annotations = [], tour }) {
+class Viewer extends EventTarget {
+  constructor({ scenes, views, home, middle, ups, up, annotations = [], tour, embed }) {
+    super();
     this.views = views;
     this.home = home; // number of the overview
     this.middle = middle;
@@ -44,7 +46,7 @@ class Viewer {
     this.abort = new AbortController();
     this.pace = new Pace();
     this.shrink = null; // divisor of the last picture's sides
-    this.isSaving = false;
+    this.takers = []; // functions that wait for a picture drawn in full
     this.failures = []; // of the device
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.budget = defaultBudget();
@@ -55,6 +57,7 @@ class Viewer {
     this.panel.upright(this.axis);
     this.#restore();
     addEventListener('hashchange', () => this.#restore());
+    answer(this, embed);
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
@@ -67,7 +70,7 @@ class Viewer {
       this.renderer = new Renderer(this.canvas);
     } catch (error) {
       this.#fail(error);
-      this.panel.loaded();
+      this.#ended();
       document.body.dataset.state = 'error';
       return;
     }
@@ -84,9 +87,14 @@ class Viewer {
     await Promise.all(
       missing.map((scene) => scene.load(this.renderer.gl, signal, () => this.#share)),
     );
-    this.panel.loaded();
+    this.#ended();
     this.isLoaded = true;
     this.#arrived();
+  }
+
+  #ended() {
+    this.panel.loaded();
+    this.dispatchEvent(new Event('ended'));
   }
 
   /** Retry what connections lost. */
@@ -101,7 +109,7 @@ class Viewer {
   }
 
   /** Current failures, as messages. */
-  get #errors() {
+  get errors() {
     const ofScenes = this.scenes.flatMap((scene) =>
       scene.errors.map((error) => ({ text: scene.told(error), error })),
     );
@@ -110,7 +118,7 @@ class Viewer {
 
   /** Show the current failures, or clear the message. */
   #tell() {
-    const errors = this.#errors;
+    const errors = this.errors;
     const isStopped = this.abort.signal.aborted;
     const lost = this.scenes.find((scene) => scene.lost);
     let text = [...new Set(errors.map((one) => one.text))].join('\n');
@@ -271,37 +279,61 @@ class Viewer {
     location.hash = this.#address;
   }
 
-  /** What is shown, as the part of the address after '#'. */
-  get #address() {
-    const { view, hasMoved, pose, look, panel, degree, isTurned, axis, language, notes } = this;
-    return addressOf({
+  /** What is shown; `addressOf` puts it into the address. */
+  get state() {
+    const { view, pose, look, panel, axis, isBare, notes, language } = this;
+    return {
       view,
-      pose: hasMoved ? pose : undefined,
+      camera: [...pose.eye, ...pose.target, ...pose.top],
       show: panel.two ? look.show : undefined,
       wipe: look.split,
-      degree,
-      up: isTurned ? axis : undefined,
+      degree: look.degree,
+      up: axis,
       background: look.background,
       turn: this.isTurning,
       tour: this.motion === 'tour',
-      bare: this.isBare,
+      bare: Boolean(isBare),
       note: notes.shown,
       lang: language,
+    };
+  }
+
+  /** What is shown, as the part of the address after '#'. */
+  get #address() {
+    const { state, hasMoved, degree, isTurned } = this;
+    return addressOf({
+      ...state,
+      camera: hasMoved ? state.camera : undefined,
+      degree,
+      up: isTurned ? state.up : undefined,
     });
   }
 
-  /** Show what the address asks for. */
-  #restore() {
-    const asked = stateOf(location.hash, {
+  /** What may be shown; see `stateOf`. */
+  get possible() {
+    return {
       views: this.views.length,
       shows: this.panel.two ? ['a', 'b', 'wipe', 'error'] : [],
       ups: Object.keys(this.ups),
       backgrounds: Object.keys(BACKGROUNDS),
       notes: this.notes.listed.length,
       languages: Object.keys(LANGUAGES),
-    });
+    };
+  }
+
+  /** Show what the address asks for. */
+  #restore() {
+    const asked = stateOf(location.hash, this.possible);
     this.language = asked.lang;
     if (asked.lang && asked.lang !== LANGUAGE) return location.reload();
+    const { turn = false, bare = false, note = 0 } = asked;
+    this.show({ ...asked, turn, bare, note });
+    clearTimeout(this.settling);
+    this.remembered = this.#address;
+  }
+
+  /** Show what is asked for (see `stateOf`), but turn only where motion is welcome. */
+  show(asked) {
     if (asked.up) this.setUp(asked.up);
     if (asked.view !== undefined) this.choose(asked.view);
     const { camera } = asked;
@@ -315,18 +347,19 @@ class Viewer {
     const { show, background, wipe: split } = asked;
     const look = Object.entries({ show, background, split });
     this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
-    this.bare(asked.bare);
-    this.notes.open(asked.note ?? 0, true);
+    const { bare, note, turn, tour } = asked;
+    if (bare !== undefined) this.bare(bare);
+    if (note !== undefined) this.notes.open(note, true);
     const isStill = matchMedia('(prefers-reduced-motion)').matches;
-    this.turn(asked.turn && !isStill);
-    if (asked.tour && !isStill) this.tour(true);
-    clearTimeout(this.settling);
-    this.remembered = this.#address;
+    if (turn !== undefined) this.turn(turn && !isStill);
+    if (tour && !isStill) this.tour(true);
+    else if (tour === false && this.motion === 'tour') this.rest();
   }
 
   /** Put what is shown into the address, once nothing changes; a page in a notebook has none. */
   #remember() {
     clearTimeout(this.settling);
+    this.dispatchEvent(new Event('changed'));
     if (location.protocol === 'about:') return;
     this.settling = setTimeout(() => {
       if (this.#address === this.remembered) return;
@@ -400,7 +433,7 @@ class Viewer {
   /** Divisor of the next picture's sides; saved and compared pictures are never drafts. */
   get #shrink() {
     const isCompared = this.look.show === 'wipe' || this.look.show === 'error';
-    return this.isSaving || isCompared ? 1 : this.pace.shrink;
+    return this.takers.length > 0 || isCompared ? 1 : this.pace.shrink;
   }
 
   /** Size of a picture in pixels, given the divisor of its sides. */
@@ -433,10 +466,10 @@ class Viewer {
     for (const { detail } of scenes) detail?.pictured();
     this.notes.place(pose, this.#lens(this.canvas.clientWidth, this.canvas.clientHeight));
     if (this.shrink > 1) this.#sharpen();
-    else if (this.isSaving) this.#download();
+    else for (const take of this.takers.splice(0)) this.canvas.toBlob(take);
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
     const state = !inOrder ? 'drawing' : this.#isThere ? 'ready' : 'loading';
-    document.body.dataset.state = state === 'ready' && this.#errors.length ? 'error' : state;
+    document.body.dataset.state = state === 'ready' && this.errors.length ? 'error' : state;
   }
 
   /** Draw in full when the camera rests. */
@@ -445,21 +478,21 @@ class Viewer {
     this.waiting = setTimeout(() => this.redraw(), REST);
   }
 
-  /** Save the picture, after drawing it in full. */
-  save() {
-    this.isSaving = true;
-    this.redraw();
+  /** The picture, drawn in full, as a PNG. */
+  picture() {
+    return new Promise((resolve) => {
+      this.takers.push(resolve);
+      this.redraw();
+    });
   }
 
-  #download() {
-    this.isSaving = false;
-    this.canvas.toBlob((blob) => {
-      const link = document.createElement('a');
-      link.href = URL.createObjectURL(blob);
-      link.download = `${document.title.replace(/[^\w.-]+/g, '_')}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    });
+  /** Save the picture. */
+  async save() {
+    const link = document.createElement('a');
+    link.href = URL.createObjectURL(await this.picture());
+    link.download = `${document.title.replace(/[^\w.-]+/g, '_')}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
   }
 }
 

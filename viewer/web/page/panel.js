@@ -142,6 +142,8 @@ export class Panel {
   tell(text, isError, mayRetry) {
     // Writing the same text would make screen readers repeat it.
     if ($('status').textContent !== text) $('status').textContent = text;
+    this.message = { text, isError };
+    this.viewer.dispatchEvent(new Event('told'));
     $('told').hidden = !text;
     $('told').classList.toggle('error', isError);
     $('retry').hidden = !mayRetry;

@@ -75,6 +75,11 @@ export class Pose {
     return plus(this.eye, this.turn[2], this.distance);
   }
 
+  /** The direction that is up in the picture. */
+  get top() {
+    return times(this.turn[1], -1);
+  }
+
   /** Orbit the target by angles: sideways about `up`, and upwards. */
   orbit(aside, upwards, up) {
     const { target } = this;

@@ -33,7 +33,7 @@ def found(display, folder) -> dict:
 def test_the_window_draws_both_scenes(found):
     assert found["drawn"] > 10
     assert "dB, SSIM" in found["quality"]
-    assert re.fullmatch(r"picture \d+\.\d\d s, at rest \d+\.\d\d s", found["speed"])
+    assert re.fullmatch(r"at rest after \d+\.\d\d s", found["speed"])
 
 
 def test_the_quality_is_of_the_frame_whatever_the_layout(found, folder):

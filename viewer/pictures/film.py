@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -92,10 +93,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     scenes = request.scenes()
     poses, fps, described = _find_path(request, film, scenes[0])
     shown = shown_of(request, scenes)
-
-    def draw(pose: Pose, views: dict[Opened, Drawer]) -> Image.Image:
-        return compose(pose, shown, request.mode, 0.5, request.size, views=views)
-
+    draw = partial(compose, shown=shown, mode=request.mode, wipe=0.5, size=request.size)
     write_frames(film.path, poses, fps, request.size, draw, progress)
     return len(poses), described
 
@@ -105,31 +103,15 @@ def write_frames(
     poses: Sequence[Pose],
     fps: int,
     size: tuple[int, int],
-    draw: Callable[[Pose, dict[Opened, Drawer]], Image.Image],
+    draw: Callable[..., Image.Image],
     progress: Progress | None,
 ) -> None:
-    """Write the pictures of poses as a film.
-
-    Parameters
-    ----------
-    path : Path
-    poses : sequence of Pose
-    fps : int
-    size : tuple of two int
-        Width and height, pixels.
-    draw : callable
-        Called with a pose and the drawers of scenes; returns a picture of that size.
-    progress : callable, optional
-
-    Raises
-    ------
-    gs_codec.GsCodecError
-    """
+    """Write the pictures that `draw` makes of poses as a film; raises like `open_reel`."""
     advance = step_counter(progress, "frames", len(poses))
     views: dict[Opened, Drawer] = {}
     with open_reel(path, size, fps) as add:
         for pose in poses:
-            add(draw(pose, views))
+            add(draw(pose, views=views))
             advance()
 
 

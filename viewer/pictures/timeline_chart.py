@@ -43,13 +43,9 @@ class TimelineChart:
 
     times: Sequence[float]
     fps: int
-    now: float = 0.0
-    chosen: int | None = None
-    span: float = 0.0
-
-    @property
-    def _span(self) -> float:
-        return self.span or span_of(self.times)
+    now: float
+    chosen: int | None
+    span: float
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """See `Chart`."""
@@ -57,7 +53,7 @@ class TimelineChart:
         left, top, right, bottom = box(width, height)
         middle = (top + bottom) // 2
         pen.line((left, middle, right, middle), GREY, 2)
-        for value in axis_ticks(0, self._span, _TICKS):
+        for value in axis_ticks(0, self.span, _TICKS):
             column = self.column(value, width)
             pen.line((column, bottom, column, bottom + 3), GREY)
             pen.text((column, bottom + 4), f"{value:g} s", WHITE, font(), "ma")
@@ -76,12 +72,12 @@ class TimelineChart:
     def column(self, time: float, width: int) -> int:
         """The column of a time."""
         left, _, right, _ = box(width, 1)
-        return round(left + time / self._span * (right - left))
+        return round(left + time / self.span * (right - left))
 
     def time_at(self, x: float, width: int) -> float:
         """The time at a column, at least 0."""
         left, _, right, _ = box(width, 1)
-        return min(max((x - left) / (right - left), 0.0), 1.0) * self._span
+        return min(max((x - left) / (right - left), 0.0), 1.0) * self.span
 
     def key_at(self, x: float, width: int) -> int | None:
         """The keyframe nearest to a column, if it is near."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -90,18 +90,16 @@ class CameraPath:
 
         return at
 
-    def with_key(self, index: int, pose: Pose, time: float) -> CameraPath:
-        """The path with one more pose, before that at an index."""
-        poses, times = list(self.poses), list(self.times)
-        poses.insert(index, pose)
-        times.insert(index, time)
-        return replace(self, poses=tuple(poses), times=tuple(times))
+    @property
+    def keys(self) -> dict[float, Pose]:
+        """The poses by their times."""
+        return dict(zip(self.times, self.poses, strict=True))
 
-    def without_key(self, index: int) -> CameraPath:
-        """The path without a pose; it begins at 0 again."""
-        times = self.times[:index] + self.times[index + 1 :]
-        shifted = tuple(time - times[0] for time in times)
-        return replace(self, poses=self.poses[:index] + self.poses[index + 1 :], times=shifted)
+    def with_keys(self, keys: Mapping[float, Pose]) -> CameraPath:
+        """The path with these poses at these times instead; it begins at 0."""
+        times = sorted(keys)
+        poses = tuple(keys[time] for time in times)
+        return replace(self, poses=poses, times=tuple(time - times[0] for time in times))
 
     def retimed(self, index: int, time: float) -> CameraPath:
         """The path with another time for a pose but the first, between its neighbours."""
@@ -111,7 +109,7 @@ class CameraPath:
 
     def lasting(self, seconds: float) -> CameraPath:
         """The path in another total time."""
-        factor = seconds / (self.seconds or 1.0)
+        factor = seconds / self.seconds
         return replace(self, times=tuple(factor * time for time in self.times))
 
 
@@ -159,25 +157,22 @@ def write_path(path: Path, flight: CameraPath) -> None:
     """
     if len(flight.poses) < 2:
         raise gs_codec.GsCodecError("a camera path needs two poses")
-    frames = [as_camera(pose.camera(*pose.frame)) for pose in flight.frames()]
-    cameras = [as_camera(pose.camera(*pose.frame)) for pose in flight.poses]
+    cameras, frames = (
+        [as_camera(pose.camera(*pose.frame)) for pose in poses]
+        for poses in (flight.poses, flight.frames())
+    )
     write_keyframes(path, Keyframes(cameras, flight.times, flight.fps), frames)
 
 
 def _distances(poses: Sequence[Pose]) -> NDArray[np.float64]:
     """How far the camera moves and turns from pose to pose, each relative to the mean."""
-    positions = np.array([pose.position for pose in poses])
-    moves = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    turns = np.array([_angle(a, b) for a, b in zip(poses, poses[1:], strict=False)])
-    steps = moves / (moves.mean() or 1.0) + turns / (turns.mean() or 1.0) if len(moves) else moves
+    places = np.array([pose.position for pose in poses])
+    axes = np.array([pose.rotation for pose in poses])
+    moves = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    cosines = (np.einsum("nij,nij->n", axes[1:], axes[:-1]) - 1) / 2
+    turns = np.arccos(np.clip(cosines, -1, 1 - 1e-12)) - np.arccos(1 - 1e-12)
+    steps = sum(each / (each.mean() or 1.0) for each in (moves, turns)) if len(moves) else moves
     return np.where(steps > 1e-6, steps, 0.0)
-
-
-def _angle(first: Pose, second: Pose) -> float:
-    """The angle between two rotations, radians."""
-    turn = first.rotation @ second.rotation.T
-    axis = turn[[2, 0, 1], [1, 2, 0]] - turn[[1, 2, 0], [2, 0, 1]]
-    return float(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))
 
 
 def _slopes(knots: NDArray, positions: NDArray) -> NDArray[np.float64]:

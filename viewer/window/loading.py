@@ -112,11 +112,10 @@ class Loading:
         called.
         """
         viewer, before = self._viewer, self._viewer.stage.scenes[pane]
-        size = viewer.request.max_bytes
 
         def read(stale: Stale) -> Opened:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
-            return open_scene(path, progress=progress, max_bytes=size)
+            return open_scene(path, progress=progress, max_bytes=viewer.request.max_bytes)
 
         def done(opened: Opened) -> None:
             stage = viewer.stage
@@ -130,11 +129,9 @@ class Loading:
             viewer.refresh()
             then()
 
-        def failed(error: Exception) -> None:
-            viewer.panel.say(f"not reloaded: {error}")
-
-        viewer.panel.say(f"loading {path.name} ...", progress=0)
-        viewer.worker.submit("load", read, done, failed)
+        say = viewer.panel.say
+        say(f"loading {path.name} ...", progress=0)
+        viewer.worker.submit("load", read, done, lambda error: say(f"not reloaded: {error}"))
 
     def reload_all(self) -> None:
         """Read changed files of the scenes again; asks first if unsaved edits would be lost."""

@@ -164,7 +164,7 @@ class Viewer(Controls):
         flown = self.timeline.tick()
         worked = self.modal.tick() | self.notice.tick() | self.measuring.tick()
         drawn = self.stage.tick()
-        self.panel.show_speed(*self.stage.painter.seconds)
+        self.panel.show_speed(self.stage.painter.seconds)
         self.visits.tick()
         self.watching.tick()
         return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)

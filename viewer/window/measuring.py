@@ -8,8 +8,6 @@ from open3d.visualization import gui
 
 from viewer.pictures.drawer import depth_at
 from viewer.pictures.marker import measure_lines
-from viewer.scenes.opened import Opened
-from viewer.scenes.pose import Pose
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
@@ -40,13 +38,12 @@ class Measuring:
         self._viewer = viewer
         self.on, self.unit = False, 1.0
         self.points: list[NDArray[np.float64]] = []
-        self._of: Opened | None = None
         self._placed: tuple[object, ...] = ()
         self._label = gui.Label("")
         self._label.background_color = gui.Color(0.0, 0.0, 0.0, 0.75)
         self._label.visible = False
         viewer.window.add_child(self._label)
-        viewer.stage.overlays["measure"] = self._lines
+        viewer.stage.overlays["measure"] = lambda *view: measure_lines(self.points, *view)
         viewer.modal.cancels.append(self._cancel)
 
     def toggle(self) -> None:
@@ -78,8 +75,7 @@ class Measuring:
         self._viewer.worker.submit("measure point", find, done, self._viewer.fail)
 
     def _put(self, points: list[NDArray[np.float64]]) -> None:
-        self.points, scenes = points, self._viewer.stage.scenes
-        self._of = (scenes[0].whole or scenes[0]) if scenes else None
+        self.points = points
         self._viewer.stage.arrange()
         self._viewer.panel.refresh()
 
@@ -122,12 +118,12 @@ class Measuring:
         if placed == self._placed:
             return False
         self._placed = placed
-        scenes = stage.scenes
-        if self.points and (not scenes or self._of is not (scenes[0].whole or scenes[0])):
-            self._put([])
-        lines = self._lines(stage.seen, *stage.picture_size) if stage.seen else []
-        self._label.visible = distance is not None and len(lines) == 3
-        if distance is not None and self._label.visible:
+        self._label.visible = False
+        if distance is None or stage.seen is None:
+            return True
+        lines = measure_lines(self.points, stage.seen, *stage.picture_size)
+        if len(lines) == 3:
+            self._label.visible = True
             self._label.text = f" {self.unit * distance:.4g} "
             em, frame = self._viewer.window.theme.font_size, stage.visible[0].widget.frame
             x, y = lines[0].mean(axis=0) + _BESIDE * em - (stage.columns[0][3], 0)
@@ -135,9 +131,6 @@ class Measuring:
             x, y = min(max(x, 0), frame.width - wide), min(max(y, 0), frame.height - 1.5 * em)
             self._label.frame = gui.Rect(frame.x + int(x), frame.y + int(y), wide, int(1.5 * em))
         return True
-
-    def _lines(self, pose: Pose, width: int, height: int) -> list[NDArray[np.float64]]:
-        return measure_lines(self.points, pose, width, height)
 
 
 class MeasureControls:

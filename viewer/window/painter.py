@@ -70,9 +70,8 @@ class Painter:
     ----------
     until : callable or None
         Drawing waits until it returns True.
-    seconds : tuple of two float
-        How long the last change took: from its begin to the first picture, and from the last move
-        to the full pictures on the screen.
+    seconds : float
+        Time from the last move to the full pictures on the screen.
     """
 
     def __init__(
@@ -83,9 +82,7 @@ class Painter:
         self._pace = Pace()
         self._measured: tuple[Pose | None, str] = (None, "")
         self._painted = False
-        self._begun = self._moved = self._first = 0.0
-        self._fresh: bool | None = None
-        self.seconds = (0.0, 0.0)
+        self._moved, self._fresh, self.seconds = 0.0, False, 0.0
         self.until: Callable[[], bool] | None = None
 
     def put(self, scenes: list[Opened]) -> None:
@@ -98,8 +95,6 @@ class Painter:
     def move(self) -> None:
         """Redraw; more motion may follow."""
         self._moved = time.monotonic()
-        if self._pace.resting and self._fresh is None:
-            self._begun, self._first = self._moved, 0.0
         self._pace.move(self._moved)
 
     def rest(self) -> None:
@@ -129,11 +124,8 @@ class Painter:
 
     def tick(self, pose: Pose) -> bool:
         """Start the next picture if it is due; return whether one was started."""
-        if self._fresh is not None:  # the pictures have been drawn since
-            now, full = time.monotonic(), self._fresh
-            self._first, self._fresh = self._first or now - self._begun, None
-            if full:
-                self.seconds = self._first, now - self._moved
+        if self._fresh:  # the full pictures have been drawn since
+            self.seconds, self._fresh = time.monotonic() - self._moved, False
         step = None if self.waits else self._pace.next(time.monotonic())
         if step is None:
             return False

@@ -124,9 +124,9 @@ class Panel:
         self.status.visible, self.speed.visible = bool(text), not text
         self._viewer.window.set_needs_layout()
 
-    def show_speed(self, first: float, rest: float) -> None:
-        """Show how long the last pictures took, while there is no status line."""
-        text = f"picture {first:.2f} s, at rest {rest:.2f} s" if rest else ""
+    def show_speed(self, seconds: float) -> None:
+        """Show how long the last pictures took, while there is no other status."""
+        text = f"at rest after {seconds:.2f} s" if seconds else ""
         if text != self.speed.text:
             self.speed.text = text
             self._viewer.window.set_needs_layout()

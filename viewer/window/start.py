@@ -12,11 +12,8 @@ from viewer.window.dialogs import shortened
 from viewer.window.loading import Loading
 from viewer.window.shared import Host
 
-#: Number of recent files offered.
-_RECENT = 5
-
-#: Characters of a button's text for each font size of width, and the font sizes around it.
-_CHARACTERS, _AROUND = 1.8, 2
+#: Number of recent files offered, and the maximum length of their names.
+_RECENT, _LONGEST = 5, 28
 
 
 class Start:
@@ -30,8 +27,11 @@ class Start:
 
     def __init__(self, viewer: Host, loading: Loading) -> None:
         self._viewer = viewer
-        self._recent = recent = [str(path) for path in recent_files()[:_RECENT]]
-        self.buttons = [gui.Button("Open a scene ..."), *(gui.Button("") for _ in recent)]
+        recent = [str(path) for path in recent_files()[:_RECENT]]
+        self.buttons = [
+            gui.Button("Open a scene ..."),
+            *(gui.Button(shortened(path, _LONGEST)) for path in recent),
+        ]
         actions: list[Callable[[], None]] = [loading.ask_open]
         actions += [partial(loading.open, path) for path in recent]
         for button, action in zip(self.buttons, actions, strict=True):
@@ -41,9 +41,6 @@ class Start:
     def lay_out(self, space: gui.Rect, context: gui.LayoutContext) -> None:
         """Place the buttons below the middle of the panes' space."""
         em, y = self._viewer.window.theme.font_size, space.y + space.height // 2 + 30
-        most = max(int(_CHARACTERS * (space.width / em - _AROUND)), 8)
-        for button, path in zip(self.buttons[1:], self._recent, strict=True):
-            button.text = shortened(path, most)
         for button in self.buttons:
             size = button.calc_preferred_size(context, gui.Widget.Constraints())
             fits = y + size.height <= space.get_bottom() and size.width <= space.width

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import time
-from bisect import bisect
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from open3d.visualization import gui
-from PIL import Image
 
 from gs_codec.runtime.wording import counted
-from viewer.pictures.drawer import Drawer
 from viewer.pictures.film import write_frames
 from viewer.pictures.reels import check_reel
 from viewer.pictures.screenshot import compose
 from viewer.pictures.timeline_chart import TimelineChart, span_of
 from viewer.scenes.flight import LEG, CameraPath, evenly, read_path, write_path
-from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.typed_paths import FILMS, POSES
 from viewer.window.shared import Host
@@ -66,29 +64,25 @@ class Timeline:
         pose, path = self._viewer.stage.pose, self.path
         if pose is None:
             return
-        near = [k for k, each in enumerate(path.times) if abs(each - self.now) < _SAME]
-        if self._between and near:
-            self.choose(near[0])
-            self.replace()
-        elif self._between:
-            self._put(path.with_key(index := bisect(path.times, self.now), pose, self.now), index)
-        else:
-            count = len(path.poses)
-            self._put(path.with_key(count, pose, path.seconds + LEG if count else 0.0), count)
+        at = next((each for each in path.times if abs(each - self.now) < _SAME), self.now)
+        if not self._between:
+            at = path.seconds + LEG if path.poses else 0.0
+        self._put(path.with_keys(path.keys | {at: pose}), bisect_left(path.times, at))
 
     def replace(self) -> None:
         """Replace the pose of the chosen keyframe by the view."""
-        pose, poses = self._viewer.stage.pose, list(self.path.poses)
+        pose, path = self._viewer.stage.pose, self.path
         if pose is not None and self.chosen is not None:
-            poses[self.chosen] = pose
-            self._put(replace(self.path, poses=tuple(poses)), self.chosen)
+            self._put(path.with_keys(path.keys | {path.times[self.chosen]: pose}), self.chosen)
 
     def drop(self) -> None:
         """Remove the chosen keyframe, or the last."""
-        count = len(self.path.poses)
-        if count:
-            index = count - 1 if self.chosen is None else self.chosen
-            self._put(self.path.without_key(index), min(index, count - 2) if count > 1 else None)
+        left = self.path.keys
+        if left:
+            del left[self.path.times[-1 if self.chosen is None else self.chosen]]
+            last = len(left) - 1
+            chosen = last if self.chosen is None else min(self.chosen, last)
+            self._put(self.path.with_keys(left), chosen if left else None)
 
     def even(self) -> None:
         """Let the camera move at an even speed, in the same time."""
@@ -127,7 +121,8 @@ class Timeline:
     def chart(self) -> TimelineChart:
         """The timeline as a chart."""
         path = self.path
-        return TimelineChart(path.times, path.fps, self.now, self.chosen, self._span)
+        span = self._span or span_of(path.times)
+        return TimelineChart(path.times, path.fps, self.now, self.chosen, span)
 
     def mouse(self, event: gui.MouseEvent, x: float, width: int) -> None:
         """Choose and drag keyframes; look along the path elsewhere."""
@@ -212,12 +207,10 @@ class Timeline:
     def film(self, path: str) -> None:
         """Write a film of the path, with all that the panes show, in the background."""
         viewer, stage, target = self._viewer, self._viewer.stage, Path(path)
-        shown, mode, wipe, front = stage.shown, *_layout(viewer)
         poses, fps = self.path.frames(), self.path.fps
-        size = stage.size[0] // 2 * 2, stage.size[1] // 2 * 2
-
-        def draw(pose: Pose, views: dict[Opened, Drawer]) -> Image.Image:
-            return compose(pose, shown, mode, wipe, size, front=front, views=views)
+        size, choice = (stage.size[0] // 2 * 2, stage.size[1] // 2 * 2), viewer.choice
+        look = {"shown": stage.shown, "mode": choice.mode, "wipe": choice.wipe}
+        draw = partial(compose, **look, size=size, front=choice.front)  # type: ignore[arg-type]
 
         def say(share: float) -> None:
             viewer.panel.say(f"writing {target.name}: {100 * share:.0f} % (Film stops)")
@@ -253,16 +246,13 @@ class Timeline:
 
     def open(self, path: str) -> None:
         """Replace the path by that of a file of a path or cameras."""
-        viewer = self._viewer
-
-        def read(stale: Stale) -> CameraPath:
-            return read_path(Path(path))
 
         def done(found: CameraPath) -> None:
             self.stop()
             self._put(found, None)
 
-        viewer.worker.submit("poses", read, done, viewer.fail)
+        submit = self._viewer.worker.submit
+        submit("poses", lambda stale: read_path(Path(path)), done, self._viewer.fail)
 
     def ask_write(self) -> None:
         """Ask where to write the path, and write it."""
@@ -271,9 +261,3 @@ class Timeline:
     def ask_open(self) -> None:
         """Ask for a file of a path or cameras, and open it."""
         self._viewer.files.ask_open("Open a path", POSES, self.open)
-
-
-def _layout(viewer: Host) -> tuple[str, float, int]:
-    """Mode, wipe and front scene."""
-    choice = viewer.choice
-    return choice.mode, choice.wipe, choice.front

@@ -12,8 +12,8 @@ from viewer.window.editor import Editor
 from viewer.window.loading import Loading
 from viewer.window.shared import Host
 
-#: Interval between looks at the files, seconds; a file that changed between two is still written.
-_EVERY = 0.5
+#: Interval between looks at the files, seconds, and looks after which a file has been written.
+_EVERY, _LOOKS = 0.5, 2
 
 #: A number in the name of a file or its folder, such as ``iteration_7000``.
 _NUMBER = re.compile(r"(?<=[_-])\d+(?=\.|$)")
@@ -38,13 +38,12 @@ class Watching:
         self._viewer, self._loading, self._editor = viewer, loading, editor
         self.on = viewer.request.watch
         self._looked = 0.0
-        self._seen: dict[Path, int | None] = {}
-        self._known: dict[Path, int | None] = {}
+        self._seen: dict[Path, tuple[int | None, int]] = {}  # its time, and how often
 
     def set_on(self, on: bool) -> None:
         """Reload without being asked, or only say what has changed."""
         self.on = on
-        self._known.clear()
+        self._seen.clear()
 
     def tick(self) -> None:
         """Look at the files, from time to time."""
@@ -53,12 +52,10 @@ class Watching:
         self._looked = time.monotonic()
         for number, scene in enumerate(self._viewer.stage.scenes):
             path = newest(scene.path) if self.on else scene.path
-            now = modified(path) if path.is_file() else None
-            settled = now == self._seen.get(path) and now != scene.modified
-            self._seen[path] = now
-            if now is None or not settled or self._known.get(path) == now:
+            now, (before, looks) = modified(path), self._seen.get(path, (None, 0))
+            self._seen[path] = now, looks + 1 if now == before else 1
+            if now in (None, scene.modified) or self._seen[path][1] != _LOOKS:
                 continue
-            self._known[path] = now
             if self.on and number not in self._editor.unsaved:
                 self._loading.reload(number, path)
             else:
@@ -72,15 +69,10 @@ def newest(path: Path) -> Path:
         if found is None or not part.parent.is_dir():
             continue
         before, after = part.name[: found.start()], part.name[found.end() :]
-        numbers = [
-            int(name[len(before) : len(name) - len(after)])
-            for name in os.listdir(part.parent)
-            if name.startswith(before) and name.endswith(after)
-            and name[len(before) : len(name) - len(after)].isdecimal()
-        ]  # fmt: skip
+        alike = re.compile(f"{re.escape(before)}(\\d+){re.escape(after)}")
+        numbers = [int(m[1]) for m in map(alike.fullmatch, os.listdir(part.parent)) if m]
         for number in sorted(numbers, reverse=True):
-            other = part.with_name(f"{before}{number}{after}")
-            other = other if part == path else other / path.name
+            other = part.with_name(f"{before}{number}{after}") / path.relative_to(part)
             if number > int(found[0]) and other.is_file():
                 return other
     return path

@@ -411,6 +411,56 @@ def test_on_a_phone_only_the_handle_moves_the_wipe_and_targets_are_large(pages):
     assert moved.values[2] == 75
 
 
+@in_browser
+def test_on_a_phone_a_joystick_flies(pages):
+    url = pages["one"].as_uri() + "#view=1"
+    stick = "document.getElementById('stick').checkVisibility()"
+    push = [[72, 590]] + [[72, 540 + k % 2] for k in range(60)]
+    job = Job(url, [("drawn",), ("value", stick), ("touch", [push])], (390, 700), mobile=True)
+    job.steps.append(("until", "location.hash.includes('camera')"))
+    job.steps += [("value", "location.hash"), ("click", "summary"), ("value", stick)]
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    assert (told.values[1], told.values[-1]) == (True, False)
+    camera = dict(parse_qsl(told.values[-3]))["camera"].split(",")
+    view = described(pages["one"])["views"][1]
+    moved = np.array(camera[:3], float) - view["position"]
+    forward = np.array(view["rotation"])[:, 2]
+    assert moved @ forward > 0.99 * np.linalg.norm(moved) > 0
+
+
+@in_browser
+def test_on_a_phone_sh_that_do_not_fit_are_left_out(files, pages):
+    """A Gaussian has 59 floats, 38 up to SH degree 2, 14 without SH-AC."""
+    told = ("value", "document.querySelector('#scenes small').textContent")
+    jobs = []
+    for floats in (59, 40, 13):
+        memory = 4 * files.a.count * floats / 2**26
+        jobs.append(Job(pages["one"].as_uri(), [("drawn",), told], mobile=True))
+        jobs[-1].before = f"Object.defineProperty(navigator, 'deviceMemory', {{ value: {memory} }})"
+    whole, reduced, refused = open_pages(*jobs)
+    assert "SH degree 3, " in whole.values[1]
+    assert "left out" not in whole.values[1]
+    assert ", SH degree 2, " in reduced.values[1]
+    assert "SH left out to save memory" in reduced.values[1]
+    assert (reduced.state, reduced.errors) == ("ready", [])
+    assert refused.state == "error"
+    assert "bytes of floats, at most 208000" in refused.status
+
+
+@in_browser
+def test_the_end_of_a_picture_is_noticed_at_rest(pages):
+    """Otherwise, idle time would count as time of drawing."""
+    job = Job(pages["one"].as_uri(), [("drawn",), ("until", "window.ended === window.begun")])
+    job.before = """window.begun = window.ended = 0;
+        const device = WebGL2RenderingContext.prototype;
+        const { fenceSync, deleteSync } = device;
+        device.fenceSync = function (...given) { begun++; return fenceSync.apply(this, given); };
+        device.deleteSync = function (given) { ended++; return deleteSync.call(this, given); };"""
+    [told] = open_pages(job)
+    assert told.errors == []
+
+
 @pytest.mark.thorough
 @in_browser
 def test_in_an_embedded_page_the_wheel_needs_a_click_first(pages, tmp_path):

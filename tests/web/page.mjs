@@ -17,7 +17,7 @@ const STEPS = {
     await STEPS.drawn(page);
     const cover = (visibility) =>
       page.evaluate((value) => {
-        for (const id of ['panel', 'told', 'wipe']) {
+        for (const id of ['panel', 'told', 'wipe', 'stick']) {
           document.getElementById(id).style.visibility = value;
         }
       }, visibility);

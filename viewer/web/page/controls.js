@@ -29,6 +29,7 @@ const HELD = {
  * @param {HTMLElement} element
  * @param {object} viewer has `pose`, `up`, `focal` (pixels of the page), `moved()`, and
  *   `rest()`, which stops what moves the camera by itself
+ * @returns {(right: number, forward: number) => void} flies at shares of the full speed
  */
 export function control(element, viewer) {
   const pointers = new Map();
@@ -81,19 +82,27 @@ export function control(element, viewer) {
   );
 
   const held = new Set();
+  let stick = [0, 0];
+  const isAtRest = () => held.size === 0 && !stick.some(Boolean);
   let last = 0;
   let isFast = false;
   const step = (now) => {
-    if (held.size === 0) return;
+    if (isAtRest()) return;
     const seconds = Math.min((now - last) / 1000, 0.1);
     last = now;
-    const sum = [0, 0, 0, 0, 0];
+    const sum = [0, 0, stick[0] * seconds, 0, stick[1] * seconds];
     for (const key of held) HELD[key].forEach((value, k) => (sum[k] += value * seconds));
     const { pose, up } = viewer;
     pose.orbit(-sum[0] * ANGLE * handed(pose, up), -sum[1] * ANGLE, up);
     const pace = PACE * pose.distance * (isFast ? FASTER : 1);
     pose.move(...sum.slice(2).map((value) => value * pace));
     viewer.moved();
+    requestAnimationFrame(step);
+  };
+  const begin = () => {
+    viewer.rest();
+    if (!isAtRest()) return;
+    last = performance.now();
     requestAnimationFrame(step);
   };
   document.addEventListener('keydown', (event) => {
@@ -104,11 +113,7 @@ export function control(element, viewer) {
     const isElsewhere = target !== element && target !== document.body;
     if (target.tagName === 'SELECT' || (isElsewhere && code.startsWith('Arrow'))) return;
     event.preventDefault();
-    viewer.rest();
-    if (held.size === 0) {
-      last = performance.now();
-      requestAnimationFrame(step);
-    }
+    begin();
     held.add(event.code);
   });
   document.addEventListener('keyup', ({ code, shiftKey }) => {
@@ -116,6 +121,10 @@ export function control(element, viewer) {
     held.delete(code);
   });
   addEventListener('blur', () => held.clear());
+  return (right, forward) => {
+    begin();
+    stick = [right, forward];
+  };
 }
 
 /** Sign that makes a drag to the right turn to the right, for an upright or inverted camera. */

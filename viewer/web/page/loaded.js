@@ -2,7 +2,7 @@
 import sorterText from 'text:./sorter.js';
 import workerText from 'text:../src/worker.js';
 
-import { SourceError, decode, open } from '../src/index.js';
+import { SourceError, TooLargeError, decode, open } from '../src/index.js';
 import { AGAIN, Detail } from './detail.js';
 import { axesOf } from './pose.js';
 import { Splats } from './renderer.js';
@@ -41,10 +41,10 @@ export class Loaded {
    * @param {{name: string, url?: string, data?: string}} entry description of the scene: its URL,
    *   or the element that contains it; `levels`, if it has levels of detail
    * @param {(scene: Loaded) => void} changed called when more can be drawn, or something is lost
+   * @param {number} [maxBytes] maximum bytes of its decoded floats, if it has no levels
    */
-  constructor(entry, changed) {
-    this.entry = entry;
-    this.changed = changed;
+  constructor(entry, changed, maxBytes) {
+    Object.assign(this, { entry, changed, maxBytes });
     this.isLoaded = false; // with levels: whether everything that all views need is loaded
     this.failures = []; // of the last attempt to load it
     this.trouble = null; // an error after which loading is retried
@@ -110,7 +110,14 @@ export class Loaded {
         this.failures.push(error);
       }
     }
-    await this.#decode(source, gl, signal);
+    for (let degree = 3; ; degree--) {
+      try {
+        return await this.#decode(source, gl, signal, degree);
+      } catch (error) {
+        if (!(error instanceof TooLargeError) || degree === 0) throw error;
+        this.isReduced = true;
+      }
+    }
   }
 
   /** Errors that make the scene incomplete, except those that are retried. */
@@ -161,10 +168,12 @@ export class Loaded {
     this.share = 1; // later progress depends on views
   }
 
-  async #decode(source, gl, signal) {
+  async #decode(source, gl, signal, shDegree) {
     let splats;
     const scene = await decode(source, {
       signal,
+      shDegree,
+      maxBytes: this.maxBytes,
       createWorker: () => worker(workerText),
       onDamage: (_, error) => this.failures.push(error),
       onProgress: (bytes, of) => {

@@ -4,6 +4,7 @@ import { addressOf, stateOf } from './address.js';
 import { Annotations } from './annotations.js';
 import { control } from './controls.js';
 import { answer } from './embedded.js';
+import { joystick } from './joystick.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
@@ -26,9 +27,17 @@ const BACKGROUNDS = { black: [0, 0, 0], grey: [0.5, 0.5, 0.5], white: [1, 1, 1] 
 /** Name of the up axis given by the cameras; views are then shown as captured. */
 const BY_CAMERAS = 'cameras';
 
+/** Whether the device is a phone or a tablet. */
+const isTouched = () => matchMedia('(pointer: coarse)').matches;
+
+/** Maximum bytes of decoded floats of scenes without levels on this device. */
+function memoryLimit() {
+  return isTouched() ? 2 ** 26 * Math.min(navigator.deviceMemory ?? 4, 4) : undefined;
+}
+
 /** Default maximum number of Gaussians of scenes with levels on this device. */
 function defaultBudget() {
-  if (matchMedia('(pointer: coarse)').matches) return 1e6;
+  if (isTouched()) return 1e6;
   return (navigator.deviceMemory ?? 4) >= 8 ? 3e6 : 1.5e6;
 }
 
@@ -51,14 +60,15 @@ class Viewer extends EventTarget {
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.budget = defaultBudget();
     this.panel = new Panel(this, scenes);
-    this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
+    const most = memoryLimit() && memoryLimit() / scenes.length;
+    this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived(), most));
     this.notes = new Annotations(this, annotations, () => this.#remember());
     this.choose(0);
     this.panel.upright(this.axis);
     this.#restore();
     addEventListener('hashchange', () => this.#restore());
     answer(this, embed);
-    control(this.canvas, this);
+    joystick(document.getElementById('stick'), control(this.canvas, this));
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>
       this.#fail(new Error(say('the graphics card was lost: reload the page'))),

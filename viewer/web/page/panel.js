@@ -181,7 +181,7 @@ export class Panel {
     const least = Math.min(...scenes.map(({ share }) => share));
     this.#title(say('Loading: {} %', Math.floor(100 * least)));
     $('stop').hidden = this.viewer.abort.signal.aborted;
-    scenes.forEach(({ share, scene, entry }, k) => {
+    scenes.forEach(({ share, scene, entry, isReduced }, k) => {
       const { told, bar } = this.rows[k];
       bar.value = share;
       bar.hidden = share === 1;
@@ -189,11 +189,12 @@ export class Panel {
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;
       const profile = say('profile {}', scene.profile);
+      const parts = [counted(scene.count, 'Gaussian'), say('SH degree {}', scene.degree), size];
+      if (isReduced) parts.push(say('SH left out to save memory'));
       const encoded = entry.encoded ? [say('encoded for this page')] : [];
       const lost = entry.psnr
         ? [say('views: {} dB against the original', number(entry.psnr, 1))]
         : [];
-      const parts = [counted(scene.count, 'Gaussian'), say('SH degree {}', scene.degree), size];
       told.textContent = [...parts, ...encoded, profile, ...lost].join(', ');
       this.#list(scenes);
     });

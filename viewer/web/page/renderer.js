@@ -290,6 +290,8 @@ export class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
+    const watch = () => this.isDone() || requestAnimationFrame(watch);
+    requestAnimationFrame(watch); // `took` ends when the picture is done, not when the next begins
   }
 
   /** Bind textures to samplers of a program. */

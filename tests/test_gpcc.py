@@ -269,7 +269,7 @@ FAILURES = {
     "decode:garbage": "not a readable PLY",
     "decode:empty": "not a readable PLY",
     "decode:nothing": "wrote nothing",
-    "decode:count": "gave 19 points, expected 20",
+    "decode:count": "wrote 19 points, expected 20",
     "decode:values": "decoded other points than were encoded",
 }
 

@@ -45,6 +45,8 @@ _PUBLIC = {
     "gs_codec.files.decode_file": ("decode_file", "DecodeReport"),
     "gs_codec.distributed.encoding": ("encode_distributed",),
     "gs_codec.distributed.decoding": ("decode_distributed",),
+    "gs_codec.sequences.frame_clouds": ("encode_sequence", "decode_sequence"),
+    "gs_codec.sequences.frame_encoding": ("SequenceReport",),
     "gs_codec.files.preparing": ("prepare_file",),
     "gs_codec.files.conversion": ("convert_file", "ConvertReport"),
     "gs_codec.report": (

@@ -62,5 +62,8 @@ from gs_codec.report import ChannelCost as ChannelCost
 from gs_codec.report import EncodeReport as EncodeReport
 from gs_codec.report import RateReport as RateReport
 from gs_codec.report import RenderedLoss as RenderedLoss
+from gs_codec.sequences.frame_clouds import decode_sequence as decode_sequence
+from gs_codec.sequences.frame_clouds import encode_sequence as encode_sequence
+from gs_codec.sequences.frame_encoding import SequenceReport as SequenceReport
 
 __version__: str

@@ -1,4 +1,4 @@
-"""Frames of sequences on disk: their order, names and errors, animations, and tracked Gaussians."""
+"""Frames of sequences on disk: their order, names and errors, and animations."""
 
 from __future__ import annotations
 
@@ -20,8 +20,6 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.splat import pack_splat
 from gs_codec.scene import Scene
 from gs_codec.sequences.frame_sources import Frames, open_frames
-from gs_codec.sequences.tracked import are_tracked
-from samples.generate import sequence
 
 NAMES = ["frame2", "frame3", "frame10"]
 
@@ -242,43 +240,3 @@ def test_differences_of_other_gaussians_are_refused(tmp_path, columns, message):
     with pytest.raises(InvalidInput, match=message) as refused:
         open_frames(path).read(0)
     assert_one_line(refused.value, path)
-
-
-# Tracked and untracked frames
-
-
-def written(folder: Path, scenes) -> Frames:
-    for number, scene in enumerate(scenes):
-        write_ply(folder / f"{number}.ply", scene)
-    return open_frames(folder)
-
-
-@pytest.mark.parametrize("motion", ["object", "walker", "light", "appearing"])
-@pytest.mark.parametrize("tracked", [True, False])
-def test_tracked_frames_are_recognised(tmp_path, motion, tracked):
-    frames = sequence(motion, 4, 1500, 0, seed=3, tracked=tracked, noise=1)
-    assert are_tracked(written(tmp_path, frames)) == tracked
-
-
-def test_frames_in_morton_order_are_not_tracked(tmp_path):
-    from gs_codec.coding.morton import spatial_order
-
-    scenes = [*sequence("walker", 2, 3000, 0, tracked=False)]
-    ordered = [scene.take(np.asarray(spatial_order(scene.positions))) for scene in scenes]
-    assert not are_tracked(written(tmp_path, ordered))
-
-
-@pytest.mark.parametrize("change", ["count", "degree", "none"])
-def test_tracked_frames_have_equal_numbers_and_degrees(tmp_path, change):
-    scene = random_scene(50, 1)
-    others = {"count": scene.between(0, 49), "degree": random_scene(50, 0), "none": scene}
-    frames = written(tmp_path, [scene] * 4 + [others[change]] * 4)
-    assert are_tracked(frames) == (change == "none")
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_tiny_and_single_frames_are_tracked(tmp_path, count):
-    frames = written(tmp_path, [random_scene(count)])
-    assert are_tracked(frames)
-    write_ply(tmp_path / "1.ply", random_scene(count))
-    assert are_tracked(open_frames(tmp_path))

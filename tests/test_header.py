@@ -78,13 +78,12 @@ def test_any_minor_version_is_read():
     ("features", "named"),
     [
         (
-            16,
-            "4 (sequences), this reader knows 0 (G-PCC), 1 (torchac), 2 (far Gaussians), "
-            "3 (local SH basis)",
+            32,
+            "5, this reader knows 0 (G-PCC), 1 (torchac), 2 (far Gaussians), 3 (local SH basis), ",
         ),
         (1 << 31, "31, this"),
-        (0b11101, "4 (sequences), this"),
-        ((1 << 32) - 1, "4 (sequences), 5, 6, 7"),
+        (0b101101, "5, this"),
+        ((1 << 32) - 1, "5, 6, 7, 8"),
     ],
 )
 def test_unknown_features_are_named(features, named):

@@ -195,8 +195,8 @@ def _options(name: str, *, hidden: bool) -> set[str]:
 def test_encode_shows_at_most_18_options_and_batch_the_same():
     assert len(_options("encode", hidden=False)) <= 18
     assert _options("encode", hidden=False) <= _options("batch", hidden=False)
-    # These are for a single scene, for stdin, or are shared by workers.
-    alone = {"--checkpoint", "--dask", "--input-format"}
+    # These are for a single scene or sequence, for stdin, or are shared by workers.
+    alone = {"--checkpoint", "--dask", "--input-format", "--fps", "--group"}
     assert _options("encode", hidden=True) - alone == _options("batch", hidden=True)
 
 

@@ -63,8 +63,29 @@ def command(
         float | None,
         typer.Option(metavar="PIXELS", help="With --view: maximum error, pixels (default: 1)."),
     ] = None,
+    frame: Annotated[
+        int | None, typer.Option(metavar="K", help="Of a sequence, decode only this frame, from 0.")
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(metavar="START-END", help="Of a sequence, decode only these seconds."),
+    ] = None,
 ) -> None:
-    """Decode an .egs file to a PLY that other 3DGS tools open."""
+    """Decode an .egs file to a PLY that other 3DGS tools open.
+
+    Of a sequence, OUT is a folder for a PLY of each frame (default: IN without its suffix).
+    """
+    if str(source) != "-":
+        from gs_codec.egs.frame_sections import is_sequence
+
+        if is_sequence(source):
+            from gs_codec.cli import sequence_commands
+
+            if target is None:
+                target = source.with_suffix("" if frame is None else ".ply")
+            sequence_commands.decode(source, source, target, typed, frame, time)
+            return
+    typed.refuse(["frame", "time"], f"has no effect on {source}, expected a sequence")
     if target is None:
         if str(source) == "-":
             raise InvalidInput("missing OUT: required with stdin, expected a .ply, or - for stdout")

@@ -43,8 +43,8 @@ ACTIONS = [name for name in KINDS if name != "gaussians"]
 
 
 @takes(
-    *CODING, "json", expert=EXPERT, hidden=["input_format", "dask"], actions=ACTIONS,
-    actions_hidden=True,
+    *CODING, "json", expert=EXPERT, hidden=["input_format", "dask", "fps", "group"],
+    actions=ACTIONS, actions_hidden=True,
 )  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
@@ -55,8 +55,19 @@ def command(
 ) -> None:
     """Encode a scene to .egs, or to a format that other programs read.
 
-    With --dask, the workers of a cluster divide one giant scene; IN may be a folder of its tiles.
+    IN may be the frames of a sequence: a folder, a pattern such as 'frames/*.ply' in quotes, a zip
+    of them, or an animation. With --dask, the workers of a cluster divide one giant scene; IN may
+    be a folder of its tiles.
     """
+    if typed["dask"] is None and str(source) != "-":
+        from gs_codec.sequences.frame_sources import has_frames
+
+        if has_frames(source):
+            from gs_codec.cli import sequence_commands
+
+            sequence_commands.encode(source, target, typed)
+            return
+    typed.refuse(["fps", "group"], f"has no effect on {source}, expected frames of a sequence")
     request = request_of(typed, target, typed["dask"])
     config = request.config
     if request.dask is not None:

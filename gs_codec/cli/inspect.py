@@ -71,6 +71,13 @@ def command(
             typed.refuse(["channels"], f"has no effect on {file}, expected an .egs")
             _show_other(file, path, typed, histogram, cameras if gpu else None)
             return
+        from gs_codec.egs.frame_sections import is_sequence
+
+        if is_sequence(path):
+            from gs_codec.cli import sequence_commands
+
+            sequence_commands.inspect(file, path, typed)
+            return
         if not (histogram or gpu):
             why = "has no effect on an .egs without --histogram or --gpu: only its header is read"
             typed.refuse(["max_bytes"], why)

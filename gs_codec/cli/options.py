@@ -47,6 +47,15 @@ OPTIONS = {
     "dask": Option(
         "Dask scheduler to use, or local to start workers on this machine.", metavar="ADDRESS",
     ),
+    "fps": Option(
+        "Frames per second of a sequence.", float, metavar="X", low=0.001, high=1e6,
+        shown="as stated, or 30",
+    ),
+    "group": Option(
+        "Of a sequence: maximum number of frames that a key frame begins. In smaller groups, "
+        "readers get at any frame sooner, but the file is larger.",
+        int, low=1, high=1 << 24, shown="30",
+    ),
     "input_format": Option(
         f"Format of stdin or a pipe, required for {listed(unmarked_names(), 'and')}.",
         metavar="NAME", values=READ_NAMES,

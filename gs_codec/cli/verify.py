@@ -34,6 +34,13 @@ def command(
             typed.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
             _verify_other(source, file, typed)
             return
+        from gs_codec.egs.frame_sections import is_sequence
+
+        if is_sequence(file):
+            from gs_codec.cli import sequence_commands
+
+            sequence_commands.verify(source, file, typed)
+            return
         report = verify_file(
             file, typed["threads"], typed["max_bytes"], progress, typed["tmc3"], typed["max_memory"]
         )

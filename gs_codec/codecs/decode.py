@@ -17,13 +17,12 @@ from gs_codec.codecs.memory_limit import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
 from gs_codec.egs.egs_file import (
-    DESCRIPTIONS,
     SCENE_SECTIONS,
     EgsFile,
     Readable,
     SectionId,
-    read_file,
 )
+from gs_codec.egs.frame_sections import read_described
 from gs_codec.egs.header import Feature
 from gs_codec.egs.index import index_of, levels_of, open_level, within
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
@@ -122,7 +121,7 @@ def choose_part(
     among: Container[int] | None = None,
 ) -> ChosenPart:
     """Read and check the sections for a part, within the blocks `among`; see `decode_part`."""
-    file = read_file(data, lambda section, _: section in DESCRIPTIONS)
+    file = read_described(data)
     header, limit = file.header, most_bytes(len(data), max_bytes)
     if header.float_bytes > limit:
         raise CorruptStream(

@@ -18,13 +18,12 @@ from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.egs.egs_file import (
-    DESCRIPTIONS,
     EgsFile,
     Readable,
     SectionId,
-    read_file,
     section_label,
 )
+from gs_codec.egs.frame_sections import read_described
 from gs_codec.egs.index import Box, bounds_of, errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
 from gs_codec.scene import SH_COEFFICIENTS
@@ -214,7 +213,7 @@ def inspect_bytes(data: bytes | Readable) -> Info:
 
     Raises CorruptStream, TruncatedStream or UnsupportedVersion.
     """
-    return describe(read_file(data, lambda section, _: section in DESCRIPTIONS))
+    return describe(read_described(data))
 
 
 def describe(file: EgsFile) -> Info:

@@ -113,6 +113,26 @@ def sort_axes(
     return order, scales, vectors
 
 
+def reordered(rot: NDArray[np.floating], order: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Unit quaternions wxyz ``(4, N)`` of Gaussians whose axes are put in an order ``(3, N)``.
+
+    ``rot (4, N)`` may have any norm; a norm of 0 counts as no rotation.
+    """
+    norm = np.sqrt(np.sum(np.square(rot, dtype=np.float64), axis=0))
+    w, x, y, z = rot / np.where(norm > 0, norm, 1.0)
+    w = np.where(norm > 0, w, 1.0)
+    a, b, c = order.astype(np.int64)
+    p, q, r, s = _TURNS[9 * a + 3 * b + c, 0].T
+    return np.stack(
+        [
+            w * p - x * q - y * r - z * s,
+            w * q + x * p + y * s - z * r,
+            w * r - x * s + y * p + z * q,
+            w * s + x * r - y * q + z * p,
+        ]
+    )
+
+
 def with_real_part(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit quaternions wxyz ``(4, N)`` with these vector parts ``(3, N)``, and real parts >= 0."""
     real = np.sqrt(np.maximum(1.0 - np.sum(vectors * vectors, axis=0), 0.0))

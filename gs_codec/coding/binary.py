@@ -90,6 +90,32 @@ def bit_length(value):
     return length
 
 
+@inlined
+def code_integer(state, data, contexts, base, magnitudes, value):
+    """Code a signed integer with a bit length below `magnitudes`; return it.
+
+    Its bit length (unary), its sign, then the bits below the leading one, under ``4 * magnitudes``
+    contexts from `base` on.
+    """
+    size = abs(value)
+    length = bit_length(size)
+    known = 0
+    while known < magnitudes - 1:
+        if not code_bit(state, data, contexts, base + known, length > known):
+            break
+        known += 1
+    if known == 0:
+        return 0
+    negative = code_bit(state, data, contexts, base + magnitudes, value < 0)
+    found = 1
+    for shift in range(known - 2, -1, -1):
+        rank = min(known - 2 - shift, 2)
+        context = base + (1 + rank) * magnitudes + known
+        bit = code_bit(state, data, contexts, context, (size >> shift) & 1)
+        found = 2 * found + (1 if bit else 0)
+    return -found if negative else found
+
+
 #: A fresh context: probability of a 1 in 1/65536, shifted by 8, and number of occurrences.
 FRESH = 32768 << 8
 

@@ -10,7 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.binary import bit_length, code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.coding.binary import (
+    bit_length,
+    code_integer,
+    decode_binary,
+    encode_binary,
+    new_contexts,
+)
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_nearest
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import inlined, kernel
@@ -21,28 +27,6 @@ _ACTIVITIES = 14
 _PREVIOUS = 4
 _PER_CLASS = 4 * _MAGNITUDES
 _CONTEXTS = 3 * _ACTIVITIES * _PREVIOUS * _PER_CLASS
-
-
-@inlined
-def _code_residual(state, data, contexts, base, residual):
-    """Code a signed residual: bit length (unary), sign, then the bits below the leading one."""
-    size = abs(residual)
-    length = bit_length(size)
-    known = 0
-    while known < _MAGNITUDES - 1:
-        if not code_bit(state, data, contexts, base + known, length > known):
-            break
-        known += 1
-    if known == 0:
-        return 0
-    negative = code_bit(state, data, contexts, base + _MAGNITUDES, residual < 0)
-    value = 1
-    for shift in range(known - 2, -1, -1):
-        rank = min(known - 2 - shift, 2)
-        context = base + (1 + rank) * _MAGNITUDES + known
-        bit = code_bit(state, data, contexts, context, (size >> shift) & 1)
-        value = 2 * value + (1 if bit else 0)
-    return -value if negative else value
 
 
 @inlined
@@ -99,7 +83,7 @@ def _walk(cells, values, coded, state, data, contexts, encoding):
             residual = 0
             if encoding:
                 residual = values[channel, i] - mean
-            residual = _code_residual(state, data, contexts, base, residual)
+            residual = code_integer(state, data, contexts, base, _MAGNITUDES, residual)
             values[channel, i] = mean + residual
             previous = abs(residual)
 

@@ -37,6 +37,9 @@ _START = "<8sHHI"
 _ENTRY = "<HHIQI"
 _OPTIONAL_FLAG = 1
 
+#: Maximum number of frames of a sequence.
+MOST_FRAMES = 1 << 24
+
 #: Bytes of the checksum that ends the header.
 _CHECKSUM = 4
 
@@ -70,6 +73,9 @@ class SectionId(IntEnum):
     ERRORS = 21
     FAR = 22
     BASIS = 23
+    TIMELINE = 24
+    KEY_FRAME = 25
+    MOTION = 26
 
     @property
     def label(self) -> str:
@@ -97,11 +103,21 @@ DESCRIPTIONS = (
     SectionId.LATTICE,
     SectionId.TOOL,
     SectionId.CODER,
+    SectionId.TIMELINE,
 )
+
+#: Sections of frames of a sequence: their block number is the frame's.
+FRAME_SECTIONS = (SectionId.KEY_FRAME, SectionId.MOTION)
 
 #: Sections of the whole scene; all others belong to a block.
 SCENE_SECTIONS = frozenset(
-    {*DESCRIPTIONS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.LEVEL},
+    {
+        *DESCRIPTIONS,
+        *FRAME_SECTIONS,
+        SectionId.COMMENTS,
+        SectionId.EXTRA,
+        SectionId.LEVEL,
+    },
 )
 
 #: Sections that files with a feature have, and no others.
@@ -110,6 +126,7 @@ _FEATURE_SECTIONS = {
     Feature.TORCHAC: SectionId.CODER,
     Feature.FAR: SectionId.FAR,
     Feature.LOCAL_BASIS: SectionId.BASIS,
+    Feature.SEQUENCE: SectionId.TIMELINE,
 }
 
 #: Sections of a block that follow all other sections of blocks, in this order.
@@ -120,6 +137,11 @@ Readable = memoryview | FileBytes
 
 #: ``wanted(id, block)`` returns whether to read a section.
 Wanted = Callable[[int, int], bool]
+
+
+def described(section: int, _block: int) -> bool:
+    """What to read of a file at first: its descriptions."""
+    return section in DESCRIPTIONS
 
 
 @dataclass(frozen=True)
@@ -382,6 +404,9 @@ def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> N
     """Check that the file has the sections of exactly these features."""
     found = {section for section, _ in table}
     for feature, section in _FEATURE_SECTIONS.items():
+        if Feature.SEQUENCE in features and feature != Feature.SEQUENCE:
+            # Its key frames have these sections.
+            continue
         if (feature in features) != (section in found):
             label = " and ".join(feature.labels)
             stated = "stated" if feature in features else "not stated"
@@ -409,6 +434,8 @@ def _locate(
         if section_id == SectionId.LEVEL:
             # Numbered from 1.
             blocks = len(header.level_counts) + 1 if block else 0
+        elif section_id in FRAME_SECTIONS:
+            blocks = MOST_FRAMES
         else:
             blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
         if (section_id, block) in entries or (section_id in known and block >= blocks):

@@ -41,6 +41,7 @@ class Feature(IntFlag):
     TORCHAC = 2
     FAR = 4
     LOCAL_BASIS = 8
+    SEQUENCE = 16
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -53,10 +54,8 @@ _FEATURE_LABELS = {
     Feature.TORCHAC: "torchac",
     Feature.FAR: "far Gaussians",
     Feature.LOCAL_BASIS: "local SH basis",
+    Feature.SEQUENCE: "sequence",
 }
-
-#: Names of reserved feature bits.
-_RESERVED_FEATURES = {4: "sequences"}
 
 #: Files with this or a later feature are version 2.
 _FIRST_OF_VERSION_2 = Feature.FAR
@@ -190,7 +189,7 @@ def unpack_header(
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
     needless = Feature.NONE if degree else Feature.LOCAL_BASIS
     if PROFILE_NAMES[profile] not in ADAPTIVE_PROFILES:
-        needless = Feature.FAR | Feature.LOCAL_BASIS
+        needless = Feature.FAR | Feature.LOCAL_BASIS | Feature.SEQUENCE
     if wrong := Feature(features) & needless:
         what = f"profile {PROFILE_NAMES[profile]} of SH degree {degree}"
         raise CorruptStream(f"header: {' and '.join(wrong.labels)} with {what}")
@@ -216,6 +215,5 @@ def unpack_header(
 def _named_bits(features: int) -> str:
     """Numbers of feature bits, with their names if known."""
     names = {feature.bit_length() - 1: label for feature, label in _FEATURE_LABELS.items()}
-    names |= _RESERVED_FEATURES
     bits = [bit for bit in range(32) if features >> bit & 1]
     return ", ".join(f"{bit} ({names[bit]})" if bit in names else str(bit) for bit in bits)

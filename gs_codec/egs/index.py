@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.extent import EXTENT, centre_box
-from gs_codec.egs.egs_file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
+from gs_codec.egs.egs_file import EgsFile, Section, SectionId, described, read_file
 from gs_codec.egs.header import FANOUT, Header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.wording import counted
@@ -110,7 +110,7 @@ def open_level(file: EgsFile, level: int) -> EgsFile:
     """
     with within(level):
         data = file.nested(SectionId.LEVEL, level)
-        found = read_file(data, lambda section, _: section in DESCRIPTIONS)
+        found = read_file(data, described)
         wanted = level_header(file.header, level)
         same = replace(found.header, features=wanted.features) == wanted
         if not same or found.header.features & ~wanted.features or levels_of(found):

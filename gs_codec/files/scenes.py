@@ -18,7 +18,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
 from gs_codec.edit.actions import Action
-from gs_codec.egs.egs_file import DESCRIPTIONS, read_file
+from gs_codec.egs.frame_sections import read_described
 from gs_codec.egs.index import errors_of, levels_of
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import (
@@ -102,7 +102,7 @@ def blocks_in(path: str | Path, scene: Scene) -> Blocks | None:
     with open_scene(path) as file, located(path):
         if file.format != "egs":
             return None
-        whole = read_file(file.data, lambda section, _: section in DESCRIPTIONS)
+        whole = read_described(file.data)
         found = [decode_part(file.data, Part(level=level)) for level in levels_of(whole)]
     header = whole.header
     if not found or header.count != scene.count:
@@ -140,19 +140,19 @@ def inspect_file(path: str | Path) -> Info:
 def gaussian_bits_of_file(path: str | Path) -> NDArray[np.float64]:
     """Like `gaussian_bits`, for a file."""
     with opened(path) as data, located(path):
-        return gaussian_bits(read_file(data))
+        return gaussian_bits(read_described(data, None))
 
 
 def gaussian_classes_of_file(path: str | Path) -> NDArray[np.uint8]:
     """Like `gaussian_classes`, for a file of profile `l`, `m` or `s`."""
     with opened(path) as data, located(path):
-        return gaussian_classes(read_file(data))
+        return gaussian_classes(read_described(data, None))
 
 
 def describe_gaussian_of_file(path: str | Path, index: int) -> CodedGaussian:
     """Like `describe_gaussian`, for a file."""
     with opened(path) as data, located(path):
-        return describe_gaussian(read_file(data, lambda s, _: s in DESCRIPTIONS), index)
+        return describe_gaussian(read_described(data), index)
 
 
 def compare_files(

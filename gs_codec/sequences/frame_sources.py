@@ -18,7 +18,7 @@ import numpy as np
 
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.format_table import EGS, FORMATS, PLY, USD
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply.animation import frame_names, read_frame
@@ -57,12 +57,15 @@ class Frames:
         Frames per second; None if unknown.
     open_frame : callable
         ``(number) -> Scene``, as it is stored; see `read`.
+    paths : sequence of Path
+        The files that hold them.
     """
 
     names: list[str]
     stored_bytes: int
     fps: float | None
     open_frame: Callable[[int], Scene]
+    paths: Sequence[Path] = ()
 
     def __len__(self) -> int:
         return len(self.names)
@@ -77,6 +80,20 @@ class Frames:
 
     def __iter__(self) -> Iterator[Scene]:
         return map(self.read, range(len(self)))
+
+
+def has_frames(source: str | Path) -> bool:
+    """Whether a source is a folder, a pattern, or a file with several frames."""
+    path = Path(source)
+    if path.is_dir() or not path.exists():
+        return path.is_dir() or glob.has_magic(str(source))
+    try:
+        if path.suffix.lower() == ZIP_SUFFIX:
+            with opened_zip(path) as archive:
+                return sum(map(_is_frame, archive.names)) > 1
+        return len(_of_animation(path, "drop", None)) > 1
+    except GsCodecError:
+        return False
 
 
 def open_frames(
@@ -132,7 +149,7 @@ def _of_files(source: Path, paths: Sequence[Path], extra: Extra, max_bytes: int 
         with open_scene(paths[number]) as file:
             return file.scene(extra, max_bytes)
 
-    return Frames(names, stored, None, read_file)
+    return Frames(names, stored, None, read_file, paths)
 
 
 def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
@@ -152,7 +169,7 @@ def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
             file.flush()
             return SceneFile(shown, FileBytes(shown, file.fileno())).scene(extra, max_bytes)
 
-    return Frames(names, stored, None, read_entry)
+    return Frames(names, stored, None, read_entry, [source])
 
 
 def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
@@ -180,7 +197,7 @@ def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
                 scene = read_frame(file.ply, number, extra, max_bytes)
             return with_finite_ends(scene, source)
 
-    return Frames(names, stored, fps, read_in_file)
+    return Frames(names, stored, fps, read_in_file, [source])
 
 
 def _is_frame(name: str) -> bool:

@@ -80,8 +80,16 @@ class Bases(NamedTuple):
 
     def components(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Components, in their own step sizes, of SH-AC ``(3, K, n)``, in step sizes."""
+        count = values.shape[2]
+        return self.components_of(values, np.arange(count), count)
+
+    def components_of(
+        self, values: NDArray[np.float32], some: NDArray[np.integer], count: int
+    ) -> NDArray[np.float32]:
+        """The same of values ``(3, K, m)`` of some Gaussians ``(m,)``, ascending, of `count`."""
         found = np.empty_like(values)
-        _turn(values, bounds(len(self.entries), values.shape[2]), self.backwards, found)
+        ends = np.searchsorted(some, bounds(len(self.entries), count))
+        _turn(np.ascontiguousarray(values), ends, self.backwards, found)
         return found
 
     def fill(

@@ -1,0 +1,207 @@
+"""Sequences: what `encode`, `decode`, `inspect` and `verify` do with them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gs_codec.cli.documents import print_document
+from gs_codec.cli.output import bars, print_table, print_text, progress_bar
+from gs_codec.cli.typed import Typed
+from gs_codec.config import EGS
+from gs_codec.errors import InvalidInput
+from gs_codec.pages.tables import Table
+from gs_codec.runtime.wording import counted, size_text
+
+if TYPE_CHECKING:
+    from gs_codec.sequences.frame_decoding import Sequence
+    from gs_codec.sequences.frame_encoding import SequenceReport
+
+#: Options of `encode` without effect on a sequence.
+_WHOLE_SCENES = (
+    "preset", "gt_images", "refine", "prune", "gaussians", "target_size", "target_ratio",
+    "max_psnr_drop", "max_memory", "extra", "input_format", "lod", "allow_prune",
+)  # fmt: skip
+
+#: Options of `decode` without effect on a sequence.
+_OF_SCENES = (
+    "bbox", "sh_degree", "level", "view", "budget", "tolerance", "dask", "tmc3", "max_memory",
+)  # fmt: skip
+
+#: Maximum number of columns of the plot of bytes.
+_COLUMNS = 60
+
+
+def encode(source: Path, target: Path, typed: Typed) -> None:
+    """Encode the frames of a folder, a pattern, a zip or an animation."""
+    from gs_codec.cli.typed_request import request_of
+    from gs_codec.sequences.frame_encoding import GROUP, encode_requested
+
+    typed.refuse(_WHOLE_SCENES, "has no effect on a sequence of frames")
+    if typed.actions:
+        raise InvalidInput(f"--{typed.actions[0].typed}: has no effect on a sequence of frames")
+    request = request_of(typed, target)
+    config = request.config
+    with progress_bar() as progress:
+        done = encode_requested(
+            source, target, request, typed["group"] or GROUP, typed["fps"], progress,
+            typed["overwrite"],
+        )  # fmt: skip
+    if typed["json"]:
+        shown = asdict(done)
+        print_document(
+            input=str(source), output=str(target), profile=config.profile, format=EGS,
+            output_bytes=shown.pop("file_bytes"), bits_per_second=done.bits_per_second,
+            stages=shown.pop("seconds"), **shown,
+        )  # fmt: skip
+        return
+    _tell_encoded(target, done)
+
+
+def _tell_encoded(target: Path, done: SequenceReport) -> None:
+    ratio = done.input_bytes / done.file_bytes
+    print_text(
+        f"{target}: {counted(done.frames, 'frame')} at {done.fps:g} a second, "
+        f"{counted(done.count, 'Gaussian')}, {size_text(done.input_bytes)} -> "
+        f"{size_text(done.file_bytes)} ({ratio:.1f}x), {done.bits_per_second / 1e6:.2f} Mbit/s, "
+        f"{sum(done.seconds.values()):.2f} s"
+    )
+    print_text(_keys_text(done.key_frames, done.frames, done.key_bytes / done.file_bytes))
+    if done.coarseness != 1:
+        print_text(f"step sizes {done.coarseness:.2f}x those of the profile (chosen automatically)")
+
+
+def _keys_text(keys: int, frames: int, share: float) -> str:
+    text = f"{counted(keys, 'key frame')}, {share:.0%} of the file"
+    if keys == frames > 1:
+        text += "; each frame is a scene of its own, because changes would not be smaller"
+    return text
+
+
+def decode(
+    source: Path, file: Path, target: Path, typed: Typed, frame: int | None, time: str | None
+) -> None:
+    """Decode frames of a sequence to a folder, or one to a PLY; `file` is what is read."""
+    from gs_codec.runtime.threads import using_threads
+    from gs_codec.sequences.frame_decoding import decode_to_files
+
+    typed.refuse(_OF_SCENES, f"has no effect on {source}, a sequence")
+    span = None if time is None else _seconds(time)
+    if frame is not None and span is not None:
+        raise InvalidInput("--frame and --time cannot be combined")
+    with progress_bar() as progress, using_threads(typed["threads"]):
+        done = decode_to_files(
+            file, target, frame, span, progress, typed["max_bytes"], typed["overwrite"]
+        )
+    if typed["json"]:
+        shown = asdict(done)
+        print_document(
+            input=str(source), output=str(target), format="ply",
+            input_bytes=shown.pop("file_bytes"), **shown,
+        )  # fmt: skip
+        return
+    print_text(
+        f"{target}: {counted(done.frames, 'frame')}, {counted(done.count, 'Gaussian')}, "
+        f"{size_text(done.output_bytes)}, {done.seconds:.2f} s"
+    )
+
+
+def _seconds(text: str) -> tuple[float, float]:
+    """The seconds of ``START-END``."""
+    found = re.fullmatch(r"(\d+\.?\d*)-(\d+\.?\d*)", text)
+    if not found:
+        raise InvalidInput(f"--time {text}: expected START-END in seconds, for example 1.5-3")
+    return float(found[1]), float(found[2])
+
+
+def inspect(source: Path, file: Path, typed: Typed) -> None:
+    """Show the frames of a sequence at `file`, called `source`."""
+    from gs_codec.codecs.inspection import describe
+    from gs_codec.egs.frame_sections import open_key_frame
+    from gs_codec.sequences.frame_decoding import opened_sequence
+
+    why = f"has no effect on {source}, a sequence"
+    typed.refuse(["channels", "histogram", "gpu", "max_bytes"], why)
+    with opened_sequence(file) as sequence:
+        first = describe(open_key_frame(sequence.file, 0))
+        shown = _described(sequence)
+    if typed["json"]:
+        print_document(input=str(source), format=EGS, profile=first.profile, **shown)
+        return
+    frames, size = shown["frames"], shown["input_bytes"]
+    seconds = frames / shown["fps"]
+    print_text(
+        f"{source}: sequence of {counted(frames, 'frame')} at {shown['fps']:g} a second, "
+        f"{seconds:.2f} s, {size_text(size)}, {8 * size / seconds / 1e6:.2f} Mbit/s",
+        f"profile {first.profile}, SH degree {first.sh_degree}, "
+        f"{counted(first.count, 'Gaussian')} in the first frame",
+        _keys_text(len(shown["groups"]), frames, _key_bytes(shown) / size),
+    )
+    sizes = shown["frame_bytes"]
+    step = -(-len(sizes) // _COLUMNS)
+    most = [max(sizes[k : k + step]) for k in range(0, len(sizes), step)]
+    print_text(f"bytes of frames: |{bars(most)}|")
+    rows = [
+        [
+            f"{each['first']}", each["name"], f"{each['first'] / shown['fps']:.2f}",
+            f"{each['frames']}", size_text(each["key_bytes"]), size_text(each["motion_bytes"]),
+        ]
+        for each in shown["groups"]
+    ]  # fmt: skip
+    columns = ["key frame", "name", "second", "frames", "key bytes", "motion bytes"]
+    print_table(Table(columns, rows, left=(1,)))
+
+
+def _key_bytes(shown: dict[str, Any]) -> int:
+    return sum(group["key_bytes"] for group in shown["groups"])
+
+
+def _described(sequence: Sequence) -> dict[str, Any]:
+    """Frames and groups of a sequence, for JSON."""
+    from gs_codec.egs.egs_file import FRAME_SECTIONS
+
+    timeline, file = sequence.timeline, sequence.file
+    sizes = [entry.size for (section, _), entry in file.table.items() if section in FRAME_SECTIONS]
+    ends = [*timeline.keys[1:], timeline.count]
+    groups = [
+        {
+            "first": key,
+            "name": timeline.name_of(key),
+            "frames": end - key,
+            "key_bytes": sizes[key],
+            "motion_bytes": sum(sizes[key + 1 : end]),
+        }
+        for key, end in zip(timeline.keys, ends, strict=True)
+    ]
+    return {
+        "frames": timeline.count,
+        "fps": timeline.fps,
+        "input_bytes": len(file.data),
+        "groups": groups,
+        "frame_bytes": sizes,
+    }
+
+
+def verify(source: Path, file: Path, typed: Typed) -> None:
+    """Decode all frames of a sequence at `file`, called `source`."""
+    import time
+
+    from gs_codec.runtime.threads import using_threads
+    from gs_codec.sequences.frame_decoding import opened_sequence
+
+    typed.refuse(["max_memory", "tmc3"], f"has no effect on {source}, a sequence")
+    began, count = time.perf_counter(), 0
+    with opened_sequence(file) as sequence, using_threads(typed["threads"]):
+        for scene in sequence.frames(max_bytes=typed["max_bytes"]):
+            count += scene.count
+        shown = _described(sequence)
+    seconds = time.perf_counter() - began
+    if typed["json"]:
+        print_document(input=str(source), format=EGS, seconds=seconds, **shown)
+        return
+    print_text(
+        f"{source}: sound, {size_text(shown['input_bytes'])}, {counted(shown['frames'], 'frame')}, "
+        f"{counted(count, 'Gaussian')} in all, {seconds:.2f} s"
+    )

@@ -1,0 +1,198 @@
+"""Which values of a block change in a frame, and by how many steps: the encoder of `motion`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST, to_fixed
+from gs_codec.codecs.adaptive.moving_block import (
+    AC,
+    CHANNELS,
+    DC,
+    PLACE,
+    PLACE_LIMIT,
+    SHAPE,
+    TURN,
+    Changes,
+    Frame,
+    MovingBlock,
+    rescaled,
+)
+from gs_codec.coding.axes import reordered, sort_axes
+from gs_codec.coding.binary import encode_binary
+from gs_codec.coding.ycocg import take_colours, to_ycocg
+from gs_codec.scene import GROUPS, Scene, take_columns
+
+#: Changes of a value below this share of its step size are not coded, so that a trainer's noise
+#: costs nothing.
+_STILL = 0.25
+
+#: A far Gaussian moves if its centre does by this share of its distance from the grid's origin.
+_FAR_STEP = 1e-3
+
+
+class BlockEncoder:
+    """Encodes the frames of a block after its key frame.
+
+    Parameters
+    ----------
+    block : MovingBlock
+    members : ndarray, shape (n,)
+        Index in the source of each Gaussian of the block.
+    source : Scene
+        The key frame's source.
+    """
+
+    def __init__(self, block: MovingBlock, members: NDArray[np.integer], source: Scene) -> None:
+        self.block, self.members = block, members
+        self._planes = self._taken(source)
+        # The axes stay in the order of the key frame.
+        self._axes, _, _ = sort_axes(self._planes["log_scale"], self._planes["rot"])
+        every = np.arange(len(members))
+        self._coded = self._values(every)
+        self._steps = [
+            block.steps(part, block.frame.shape, every).copy() for part in range(len(CHANNELS))
+        ]
+
+    def _taken(self, source: Scene) -> dict[str, NDArray[np.float32]]:
+        return {group: take_columns(getattr(source, group), self.members) for group in GROUPS}
+
+    def _values(self, some: NDArray[np.integer]) -> list[NDArray]:
+        """Source values of some Gaussians: one array ``(C, m)`` for each part, in its units."""
+        planes = {group: values[:, some] for group, values in self._planes.items()}
+        axes = self._axes[:, some]
+        grid = self.block.lattice.grid
+        shape = np.concatenate(
+            [planes["opacity"], np.take_along_axis(planes["log_scale"], axes, axis=0)]
+        )
+        places = planes["positions"].astype(np.float64) - np.array(grid.origin)[:, None]
+        coefficients = len(self.block.units)
+        ac: NDArray[np.float32] = np.zeros((3, coefficients, len(some)), np.float32)
+        if coefficients:
+            rest = np.ascontiguousarray(planes["f_rest"]).reshape(3, coefficients, -1)
+            every, none = np.arange(len(some)), np.zeros(len(some), np.int64)
+            taken, _ = take_colours(rest, every, self.block.units, none, LARGEST)
+            ac = taken.reshape(rest.shape)
+            if (bases := self.block.bases) is not None:
+                ac = bases.components_of(ac, some, self.block.count)
+        return [
+            to_fixed(shape.astype(np.float64), LARGEST)[0].astype(np.float64),
+            reordered(planes["rot"], axes),
+            np.clip(places / (0.5 * grid.step), -PLACE_LIMIT / 2, PLACE_LIMIT / 2),
+            to_fixed(to_ycocg(planes["f_dc"]), LARGEST)[0].astype(np.float64),
+            ac,
+        ]
+
+    def encode(self, source: Scene) -> tuple[bytes, Frame]:
+        """Encode the next frame; return its bytes, and the decoded frame."""
+        wanted = self._changes(source)
+        coded: list[Frame] = []
+
+        def model(state: NDArray, data: NDArray) -> None:
+            coded.append(self.block.walk(state, data, wanted))
+
+        data = encode_binary(model, int(np.count_nonzero(wanted.flags)) * 8)
+        return data, coded[-1]
+
+    def _changes(self, source: Scene) -> Changes:
+        """What changes by enough to be coded."""
+        block, last, count = self.block, self.block.frame, self.block.count
+        before, self._planes = self._planes, self._taken(source)
+        moved = np.zeros(count, np.bool_)
+        for group, values in self._planes.items():
+            moved |= (values != before[group]).any(axis=0)
+        some = np.flatnonzero(moved)
+        changes = Changes(np.zeros((5, count), np.uint8))
+        found = self._values(some)
+        shape = last.shape.copy()
+        for part, own in enumerate(found[:AC]):
+            steps = block.steps(part, last.shape if part == SHAPE else shape, some)
+            if part == TURN:
+                since = turns_between(self._coded[TURN][:, some], own) * (1 << FRACTION_BITS)
+                left = turns_between(last.rot[:, some], own) * (1 << FRACTION_BITS)
+            else:
+                since = own - self._coded[part][:, some]
+                left = own - self._decoded(last, part)[:, some]
+            # Finer steps than those it was coded with show errors that were allowed.
+            changed = (np.abs(since) > _STILL * steps) | (steps < self._steps[part][:, some])
+            if part == TURN:
+                # Turns this coarse show no rotation.
+                changed = changed.any(axis=0) & (steps <= 3 << (FRACTION_BITS - 2))
+            levels = np.where(changed, np.floor(left / steps + 0.5), 0).astype(np.int64)
+            wanted = (levels != 0).any(axis=0)
+            if part == PLACE:
+                self._set_far(changes, wanted, some)
+            members = some[wanted]
+            changes.flags[part, members] = 1
+            near = members < count - last.far.shape[1] if part == PLACE else slice(None)
+            changes.levels[part] = levels[:, wanted][:, near]
+            mask = changed.any(axis=0) if part == TURN else changed
+            self._coded[part][:, some] = np.where(mask, own, self._coded[part][:, some])
+            self._steps[part][:, members] = steps[:, wanted]
+            if part == SHAPE:
+                shape[:, members] += levels[:, wanted] * steps[:, wanted]
+        self._add_levels(changes, found[AC], shape, some)
+        return changes
+
+    def _decoded(self, last: Frame, part: int) -> NDArray[np.int64]:
+        return {SHAPE: last.shape, PLACE: last.places, DC: last.colours}[part]
+
+    def _set_far(
+        self, changes: Changes, wanted: NDArray[np.bool_], some: NDArray[np.integer]
+    ) -> None:
+        """Decide which far Gaussians move, in `wanted`, and note their centres."""
+        far = self.block.frame.far
+        first = self.block.count - far.shape[1]
+        at = np.flatnonzero(some >= first)
+        own, old = self._planes["positions"][:, some[at]], far[:, some[at] - first]
+        distance = np.abs(old - np.array(self.block.lattice.grid.origin)[:, None]).max(axis=0)
+        wanted[at] = np.abs(own - old).max(axis=0) > _FAR_STEP * distance
+        changes.far = np.ascontiguousarray(own[:, wanted[at]])
+
+    def _add_levels(
+        self,
+        changes: Changes,
+        values: NDArray[np.float32],
+        shape: NDArray[np.int64],
+        some: NDArray[np.integer],
+    ) -> None:
+        """Find the levels of SH-AC that change."""
+        block, last = self.block, self.block.frame
+        if not len(block.units):
+            return
+        shifts = block.colour_shifts(shape, some)
+        steps = np.ldexp(1.0, shifts.astype(np.int32))
+        old = rescaled(last.levels[:, :, some], shifts - last.shifts[some])
+        coded = self._coded[AC][:, :, some]
+        changed = np.abs(values - coded) > _STILL * steps
+        changed |= shifts < last.shifts[some]
+        levels = np.where(changed, np.floor(values / steps + 0.5), old).astype(np.int64)
+        wanted = (levels != old).any(axis=(0, 1))
+        members = some[wanted]
+        changes.flags[AC, members] = 1
+        changes.levels[AC] = levels[:, :, wanted]
+        self._coded[AC][:, :, members] = np.where(changed, values, coded)[:, :, wanted]
+
+
+def turns_between(before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sines of half the angles about their own axes ``(3, m)`` that turn Gaussians.
+
+    ``before (4, m)`` and ``after (4, m)`` are unit quaternions; of the half turns that leave a
+    Gaussian as it is, those that make the turn smallest are applied.
+    """
+    a, b, c, d = before
+    w, x, y, z = after
+    found = np.stack(
+        [
+            a * w + b * x + c * y + d * z,
+            a * x - b * w - c * z + d * y,
+            a * y + b * z - c * w - d * x,
+            a * z - b * y + c * x - d * w,
+        ]
+    )
+    w, x, y, z = found
+    ways = np.array([(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)])
+    best = np.argmax(np.abs(ways[:, 0]), axis=0)
+    w, x, y, z = np.take_along_axis(ways, best[None, None], axis=0)[0]
+    return np.where(w < 0.0, -1.0, 1.0) * np.stack([x, y, z])

@@ -1,0 +1,138 @@
+"""Frames of a sequence, coded after a key frame and decoded. FORMAT.md, section "Sequences"."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.decode import Blocks
+from gs_codec.codecs.adaptive.moving_block import Frame, MovingBlock
+from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder
+from gs_codec.codecs.decode import decode_part
+from gs_codec.codecs.part import Part
+from gs_codec.coding.binary import decode_binary
+from gs_codec.coding.clean import finite_ends, sound_gaussians
+from gs_codec.egs.egs_file import EgsFile, SectionId
+from gs_codec.egs.frame_sections import Timeline, open_key_frame, within_frame
+from gs_codec.errors import CorruptStream
+from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.runtime.wording import counted
+from gs_codec.scene import GROUPS, Scene
+
+
+def _moving_blocks(key: EgsFile) -> list[MovingBlock]:
+    """The blocks of a key frame, all of whose sections were read."""
+    blocks = Blocks(key, key.header.sh_degree)
+    return run_all(partial(MovingBlock, blocks), range(key.header.block_count))
+
+
+class FrameEncoder:
+    """Encodes frames after a key frame, one after another.
+
+    Parameters
+    ----------
+    key : EgsFile
+        The key frame.
+    order : ndarray, shape (N,)
+        Index in the source of each of its Gaussians.
+    source : Scene
+        The key frame's source.
+    """
+
+    def __init__(self, key: EgsFile, order: NDArray[np.integer], source: Scene) -> None:
+        def encoder(block: MovingBlock) -> BlockEncoder:
+            members = order[block.start : block.start + block.count]
+            return BlockEncoder(block, members, source)
+
+        source, _ = finite_ends(source)
+        self._count, self._degree, self._order = source.count, source.sh_degree, order
+        self._encoders = run_all(encoder, _moving_blocks(key))
+
+    def fits(self, source: Scene) -> bool:
+        """Whether a frame has the same number of Gaussians, and none of them is damaged."""
+        same = (source.count, source.sh_degree) == (self._count, self._degree)
+        return same and bool(sound_gaussians(source)[self._order].all())
+
+    def encode(self, source: Scene) -> bytes:
+        """The section `motion` of the next frame."""
+        source, _ = finite_ends(source)
+        coded = run_all(lambda encoder: encoder.encode(source), self._encoders)
+        for encoder, (_, frame) in zip(self._encoders, coded, strict=True):
+            encoder.block.frame = frame
+        sizes = struct.pack(f"<{len(coded)}I", *(len(data) for data, _ in coded))
+        return sizes + b"".join(data for data, _ in coded)
+
+
+def decode_frames(
+    file: EgsFile,
+    timeline: Timeline,
+    first: int = 0,
+    stop: int | None = None,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+) -> Iterator[Scene]:
+    """Decode frames `first` to `stop` of a sequence, whose descriptions were read.
+
+    Raises CorruptStream, TruncatedStream or UnsupportedVersion.
+    """
+    stop = timeline.count if stop is None else stop
+    number = timeline.key_of(first)
+    while number < stop:
+        after = timeline.keys[timeline.keys.index(number) + 1 :]
+        end = min(stop, after[0] if after else timeline.count)
+        with using_threads(threads):
+            yield from _decode_group(file, number, first, end, max_bytes)
+        number = end
+
+
+def _decode_group(
+    file: EgsFile, key: int, first: int, end: int, max_bytes: int | None
+) -> Iterator[Scene]:
+    """Decode frames of the group of a key frame, from `first` on."""
+    open_key_frame(file, key)
+    with within_frame(key):
+        data = file.nested(SectionId.KEY_FRAME, key)
+        scene, found = decode_part(data, Part(), max_bytes=max_bytes)
+    if key >= first:
+        yield scene
+    if key + 1 == end:
+        return
+    blocks = _moving_blocks(found)
+    planes = {group: getattr(scene, group).copy() for group in GROUPS}
+    for number in range(key + 1, end):
+        with within_frame(number):
+            wanted = SectionId.MOTION, number
+            read = file.read(lambda *key, wanted=wanted: key == wanted)
+            streams = _split(read.section(*wanted), len(blocks))
+            run_all(partial(_decode, planes), zip(blocks, streams, strict=True))
+        if number >= first:
+            yield replace(scene, **{group: own.copy() for group, own in planes.items()})
+
+
+def _split(data: memoryview, blocks: int) -> list[memoryview]:
+    """The streams of blocks in a section `motion`."""
+    where = "section 'motion'"
+    if len(data) < 4 * blocks:
+        raise CorruptStream(f"{where}: {counted(len(data), 'byte')} for {counted(blocks, 'block')}")
+    sizes = struct.unpack(f"<{blocks}I", data[: 4 * blocks])
+    ends = np.cumsum([4 * blocks, *sizes]).tolist()
+    if ends[-1] != len(data):
+        raise CorruptStream(f"{where}: {counted(len(data), 'byte')}, expected {ends[-1]:,}")
+    return [data[start:stop] for start, stop in zip(ends[:-1], ends[1:], strict=True)]
+
+
+def _decode(planes: dict[str, NDArray[np.float32]], item: tuple[MovingBlock, memoryview]) -> None:
+    """Decode the next frame of a block, and write what changes to the planes."""
+    block, stream = item
+    found: list[Frame] = []
+
+    def model(state: NDArray, data: NDArray) -> None:
+        found.append(block.walk(state, data, None))
+
+    decode_binary(model, stream, f"section 'motion' of {block.where}")
+    block.fill(found[0], planes)

@@ -1,0 +1,339 @@
+"""Encode the frames of a sequence to one file. FORMAT.md, section "Sequences"."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gs_codec.codecs.encode import encode_parts
+from gs_codec.codecs.moving import FrameEncoder
+from gs_codec.coding.clean import clean_scene
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.distributed.folder import Folder, identity_of, work_folder
+from gs_codec.egs.egs_file import (
+    EgsFile,
+    Listed,
+    Section,
+    SectionId,
+    file_head,
+    file_parts,
+    padded_parts,
+    read_file,
+)
+from gs_codec.egs.frame_sections import sequence_header, timeline_section
+from gs_codec.egs.sections import read_extra
+from gs_codec.encoding.order import encode_prepared
+from gs_codec.encoding.request import Request
+from gs_codec.errors import InvalidInput
+from gs_codec.files.suffixes import check_target
+from gs_codec.report import Progress, StageTimes, step_counter
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene
+from gs_codec.sequences.frame_sources import open_frames
+
+#: Frames of a group, by default; a reader decodes at most one group to show a frame.
+GROUP = 30
+
+#: Frames per second of sources that do not state them.
+FPS = 30.0
+
+#: Name of the property that remembers the order of a key frame's Gaussians while it is encoded.
+_ORDER = "order"
+
+#: Largest denominator of a number of frames per second: 30000/1001 is exact.
+_RATE_LIMIT = 1001
+
+
+class Source(Protocol):
+    """Frames that are read one at a time."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Name of each frame."""
+
+    @property
+    def fps(self) -> float | None:
+        """Frames per second, if known."""
+
+    @property
+    def stored_bytes(self) -> int:
+        """Size of all frames as they are stored."""
+
+    def __len__(self) -> int: ...
+
+    def read(self, number: int) -> Scene:
+        """The scene of a frame."""
+
+
+@dataclass(frozen=True)
+class SequenceReport:
+    """Result of encoding a sequence.
+
+    Attributes
+    ----------
+    frames, key_frames : int
+        Number of frames, and of those that are complete scenes.
+    count : int
+        Number of Gaussians of the first frame.
+    sh_degree : int
+        SH degree of all frames.
+    fps : float
+        Frames per second.
+    file_bytes, key_bytes, input_bytes : int
+        Size of the file, of its key frames, and of the source.
+    float_bytes : int
+        Size of the floats of all frames.
+    coarseness : float
+        Factor on the step sizes of the profile.
+    seconds : dict of str to float
+        Wall time of each stage.
+    """
+
+    frames: int
+    key_frames: int
+    count: int
+    sh_degree: int
+    fps: float
+    file_bytes: int
+    key_bytes: int
+    input_bytes: int
+    float_bytes: int
+    coarseness: float
+    seconds: dict[str, float]
+
+    @property
+    def bits_per_second(self) -> float:
+        """Bits of a second of the sequence."""
+        return 8 * self.file_bytes * self.fps / self.frames
+
+
+def encode_frames(
+    source: Source,
+    target: str | Path,
+    request: Request,
+    group: int = GROUP,
+    progress: Progress | None = None,
+    paths: Sequence[Path] = (),
+) -> SequenceReport:
+    """Encode a sequence; if it is interrupted, the next run with the same request goes on.
+
+    Raises InvalidInput as `encode` does, or if frames differ in what all must share.
+
+    Parameters
+    ----------
+    source : Source
+    target : path
+        The `.egs` to write.
+    request : Request
+        Of profile ``l``, ``m`` or ``s``, with cameras or without, but without other steps.
+    group : int
+        Maximum number of frames that a key frame begins.
+    progress : callable, optional
+    paths : sequence of path
+        Files of the source, by which an interrupted run is recognised.
+    """
+    times = StageTimes()
+    settings = {"group": group, "names": list(source.names), "request": repr(request)}
+    with (
+        using_threads(request.config.threads),
+        work_folder(Path(target), identity_of(paths, **settings)) as folder,
+    ):
+        if not folder.has("steps"):
+            with times.stage("calibrate"):
+                config = _calibrated(source, request, progress)
+            folder.save("steps", {"coarseness": np.float64(config.coarseness)})
+        coarseness = float(folder.load("steps")["coarseness"])
+        config = replace(request.config, coarseness=coarseness)
+        done = replace(request, config=config)
+        with times.stage("encode"):
+            _Groups(source, done, group, folder).encode(progress)
+        with times.stage("write"):
+            return _assemble(source, Path(target), folder, coarseness, times)
+
+
+def _calibrated(source: Source, request: Request, progress: Progress | None) -> Config:
+    """The configuration with the finest step sizes that the first, middle and last frame need.
+
+    All frames have the same, so that what does not move does not flicker.
+    """
+    config = request.config
+    if request.plan is not None or not config.has_steps:
+        return config
+    from gs_codec.guidance.calibrate import calibrated
+
+    last = len(source) - 1
+    found = [
+        calibrated(clean_scene(source.read(number), config)[0], config, progress).coarseness
+        for number in sorted({0, last // 2, last})
+    ]
+    return replace(config, coarseness=min(found))
+
+
+class _Groups:
+    """Encodes frames to files of a folder: key frames, and changes after them."""
+
+    def __init__(self, source: Source, request: Request, group: int, folder: Folder) -> None:
+        self._source, self._request, self._group = source, request, group
+        self._folder = folder
+        self._encoder: FrameEncoder | None = None
+        self._key = self._key_bytes = 0
+        #: Frames that stay key frames because changes of one before were larger.
+        self._wait = self._misses = 0
+
+    def encode(self, progress: Progress | None) -> None:
+        """Encode the frames that are not in the folder yet."""
+        total, first = len(self._source), self._first_missing()
+        advance = step_counter(progress, "frames", total)
+        for _ in range(first):
+            advance()
+        for number, scene in _read_ahead(self._source, first):
+            kind, data = self._encode(number, scene)
+            row = np.frombuffer(data, np.uint8)
+            floats = np.int64(scene.float_bytes)
+            self._folder.save(f"{number:08d}", {kind: row, "float_bytes": floats})
+            advance()
+
+    def _first_missing(self) -> int:
+        """The frame to go on with: the first missing, or the key frame that it needs."""
+        total, first = len(self._source), 0
+        while first < total and self._folder.has(f"{first:08d}"):
+            first += 1
+        if first in (0, total):
+            return first
+        while "key" not in self._folder.load(f"{first - 1:08d}"):
+            first -= 1
+        return first - 1
+
+    def _encode(self, number: int, scene: Scene) -> tuple[str, bytes]:
+        encoder = self._encoder
+        if encoder is not None and number - self._key < self._group and not self._wait:
+            data = encoder.encode(scene) if encoder.fits(scene) else b""
+            if not data:
+                return "key", self._encode_key(number, scene)
+            if len(data) < self._key_bytes:
+                self._misses = 0
+                return "motion", data
+            self._misses += 1
+            self._wait = 1 << self._misses
+        self._wait = max(self._wait - 1, 0)
+        return "key", self._encode_key(number, scene)
+
+    def _encode_key(self, number: int, scene: Scene) -> bytes:
+        order = {_ORDER: np.arange(scene.count, dtype=np.int32)}
+        ordered = replace(scene, extra=order)
+        if self._request.plan is None:
+            parts, _ = encode_parts(ordered, self._request.config)
+        else:
+            parts, _ = encode_prepared(ordered, self._request)
+        file = read_file(b"".join(parts))
+        found = np.zeros(0, np.int32)
+        if file.header.count:
+            extra = file.section(SectionId.EXTRA)
+            found = read_extra(extra, file.header.count)[_ORDER]
+        key = _without_extra(file)
+        self._encoder = FrameEncoder(read_file(key), found, scene)
+        self._key, self._key_bytes = number, len(key)
+        return key
+
+
+def _without_extra(file: EgsFile) -> bytes:
+    """A file without its section `extra`."""
+    sections = [
+        Section(SectionId(section), block, file.section(SectionId(section), block))
+        for section, block in file.table
+        if section != SectionId.EXTRA
+    ]
+    return b"".join(file_parts(file.header, sections))
+
+
+def _read_ahead(source: Source, first: int) -> Iterator[tuple[int, Scene]]:
+    """Frames from `first` on, each read while the one before is encoded."""
+    with ThreadPoolExecutor(1) as pool:
+        following = pool.submit(source.read, first) if first < len(source) else None
+        for number in range(first, len(source)):
+            assert following is not None
+            scene = following.result()
+            if number + 1 < len(source):
+                following = pool.submit(source.read, number + 1)
+            yield number, scene
+
+
+def _assemble(
+    source: Source, target: Path, folder: Folder, coarseness: float, times: StageTimes
+) -> SequenceReport:
+    """Write the file of all frames in a folder."""
+    count = len(source)
+    fps = FPS if source.fps is None else source.fps
+    rate = Fraction(fps).limit_denominator(_RATE_LIMIT)
+    if not 0 < rate < _RATE_LIMIT * _RATE_LIMIT:
+        raise InvalidInput(f"{fps:g} frames per second, expected 0.001 to a million")
+    timeline = timeline_section((rate.numerator, rate.denominator), source.names, count)
+    listed, keys, key_bytes, floats = [Listed.of(timeline)], [], 0, 0
+    for number in range(count):
+        section = _section(folder, number)
+        listed.append(Listed.of(section))
+        floats += int(folder.load(f"{number:08d}", "float_bytes")["float_bytes"])
+        if section.id == SectionId.KEY_FRAME:
+            keys.append(read_file(section.data, lambda *_: False).header)
+            key_bytes += len(section.data)
+    header = sequence_header(keys)
+    with atomic_writer(target) as file:
+        file.write(file_head(header, listed))
+        file.writelines(padded_parts(timeline))
+        for number in range(count):
+            file.writelines(padded_parts(_section(folder, number)))
+        size = file.tell()
+    return SequenceReport(
+        frames=count,
+        key_frames=len(keys),
+        count=header.count,
+        sh_degree=header.sh_degree,
+        fps=float(rate),
+        file_bytes=size,
+        key_bytes=key_bytes,
+        input_bytes=source.stored_bytes,
+        float_bytes=floats,
+        coarseness=coarseness,
+        seconds=times.seconds,
+    )
+
+
+def _section(folder: Folder, number: int) -> Section:
+    """The section of a frame in a folder."""
+    found = folder.load(f"{number:08d}")
+    kind = SectionId.KEY_FRAME if "key" in found else SectionId.MOTION
+    return Section(kind, number, found["key" if "key" in found else "motion"].tobytes())
+
+
+def encode_requested(
+    source: str | Path | Source,
+    target: str | Path,
+    request: Request,
+    group: int = GROUP,
+    fps: float | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> SequenceReport:
+    """Encode frames as requested; see `encode_sequence` for the arguments."""
+    if group < 1:
+        raise InvalidInput(f"group: {group}, expected at least 1")
+    config = request.config
+    if config.format != EGS or config.profile not in ADAPTIVE_PROFILES or config.lod:
+        raise InvalidInput(
+            f"{target}: frames are encoded to an .egs by profile {', '.join(ADAPTIVE_PROFILES)}, "
+            "without levels of detail"
+        )
+    check_target([], target, (".egs",), overwrite)
+    if not isinstance(source, str | Path):
+        return encode_frames(source, target, request, group, progress)
+    frames = open_frames(source, fps, "drop", request.max_bytes)
+    with located(source):
+        return encode_frames(frames, target, request, group, progress, frames.paths)

@@ -1,0 +1,237 @@
+"""Sequences: what frames cost, what they decode to, and what commands do with them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from command_line import Folder
+from moving_scenes import Given, coded, moving
+from scenes import SmallBlocks, assert_same_floats, random_scene
+
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.adaptive.moving_block import MovingBlock
+from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder, turns_between
+from gs_codec.coding.axes import reordered, rotation_matrix, sort_axes
+from gs_codec.egs.frame_sections import is_sequence
+from gs_codec.encoding.request import Request
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.ply.writer import write_ply
+from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene
+from gs_codec.sequences.frame_decoding import opened_sequence
+from gs_codec.sequences.frame_encoding import encode_frames
+
+SMALL = SmallBlocks("m", block_size=64, threads=1)
+
+
+def decoded(path, *span) -> list[Scene]:
+    with opened_sequence(path) as sequence:
+        return list(sequence.frames(*span))
+
+
+def test_what_does_not_move_costs_nothing(tmp_path):
+    scene = random_scene(300)
+    report = coded(tmp_path / "a.egs", 4 * [scene])
+    assert (report.frames, report.key_frames, report.fps) == (4, 1, 25.0)
+    # A size and a few decisions for each of 5 blocks.
+    assert report.file_bytes - report.key_bytes < 400 + 3 * 40
+    alone = decode_scene(encode_scene(scene, SmallBlocks("m", block_size=64))[0])
+    for frame in decoded(tmp_path / "a.egs"):
+        assert_same_floats(frame, alone)
+
+
+def worst(scene: Scene, other: Scene, group: str) -> float:
+    return float(np.abs(getattr(scene, group) - getattr(other, group)).max())
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_frames_are_as_close_as_scenes_of_their_own(tmp_path, degree):
+    scenes = moving(sh_degree=degree, frames=6)
+    report = coded(tmp_path / "a.egs", scenes)
+    assert report.key_frames == 1
+    for scene, frame in zip(scenes, decoded(tmp_path / "a.egs"), strict=True):
+        data, _ = encode_scene(scene, SmallBlocks("m", block_size=64))
+        alone = decode_scene(data)
+        assert frame.count == scene.count
+        for group in ("positions", "opacity", "f_dc", "f_rest"):
+            errors = [
+                np.sort(getattr(found, group), axis=1) - np.sort(getattr(scene, group), axis=1)
+                for found in (frame, alone)
+            ]
+            if errors[0].size:
+                assert np.sqrt(np.mean(errors[0] ** 2)) < 1.5 * np.sqrt(np.mean(errors[1] ** 2))
+
+
+def test_encoder_knows_what_is_decoded(tmp_path, monkeypatch):
+    scenes, coded_frames, filled = moving(), [], []
+    encode = BlockEncoder.encode
+
+    def encoding(self, source):
+        data, frame = encode(self, source)
+        coded_frames.append(frame)
+        return data, frame
+
+    monkeypatch.setattr(BlockEncoder, "encode", encoding)
+    encode_frames(Given(scenes), tmp_path / "a.egs", Request(SMALL))
+    monkeypatch.setattr(
+        MovingBlock,
+        "fill",
+        lambda self, frame, planes: (filled.append(frame), setattr(self, "frame", frame)),
+    )
+    with opened_sequence(tmp_path / "a.egs") as sequence, using_threads(1):
+        list(sequence.frames())
+    assert len(filled) == len(coded_frames) == 4 * 5
+    for one, other in zip(coded_frames, filled, strict=True):
+        for name, values in vars(one).items():
+            for own, theirs in zip(values, vars(other)[name], strict=True):
+                np.testing.assert_array_equal(own, theirs, name)
+
+
+def test_any_frame_is_decoded_alone(tmp_path):
+    coded(tmp_path / "a.egs", moving(frames=7), group=3)
+    frames = decoded(tmp_path / "a.egs")
+    with opened_sequence(tmp_path / "a.egs") as sequence:
+        assert sequence.timeline.keys == (0, 3, 6)
+        for number, frame in enumerate(frames):
+            [alone] = sequence.frames(number, number + 1)
+            assert_same_floats(alone, frame)
+        assert sequence.at(0.09, 0.2) == range(2, 5)
+        assert sequence.at(0.0, 0.0) == range(1)
+        with pytest.raises(InvalidInput, match="expected some of 0 to 6"):
+            sequence.frames(7)
+        with pytest.raises(InvalidInput, match=r"0 to 0\.28 seconds"):
+            sequence.at(0.3, 0.4)
+
+
+def test_other_gaussians_begin_a_group(tmp_path):
+    scenes = [*moving(frames=2), *moving(290, frames=2, seed=1)]
+    coded(tmp_path / "a.egs", scenes)
+    with opened_sequence(tmp_path / "a.egs") as sequence:
+        assert sequence.timeline.keys == (0, 2)
+        assert [frame.count for frame in sequence.frames()] == [300, 300, 290, 290]
+
+
+def test_unrelated_frames_cost_no_more_than_scenes(tmp_path):
+    scenes = [random_scene(2000, seed=seed) for seed in range(4)]
+    report = coded(tmp_path / "a.egs", scenes, block=1000)
+    alone = sum(len(encode_scene(s, SmallBlocks("m", block_size=1000))[0]) for s in scenes)
+    assert report.key_frames == 4
+    assert report.file_bytes < 1.01 * alone
+
+
+def test_frames_must_be_alike(tmp_path):
+    scenes = [random_scene(20, 3), random_scene(20, 2)]
+    with pytest.raises(InvalidInput, match="frames differ in SH degree"):
+        coded(tmp_path / "a.egs", scenes)
+    assert not (tmp_path / "a.egs").exists()
+
+
+def test_bytes_do_not_depend_on_threads(tmp_path):
+    scenes = moving()
+    for threads in (1, 3):
+        config = SmallBlocks("m", block_size=64, threads=threads)
+        encode_frames(Given(scenes), tmp_path / f"{threads}.egs", Request(config))
+    assert (tmp_path / "1.egs").read_bytes() == (tmp_path / "3.egs").read_bytes()
+
+
+def test_an_interrupted_run_goes_on(tmp_path):
+    scenes = moving(frames=6)
+    coded(tmp_path / "whole.egs", scenes, group=4)
+    read: list[int] = []
+
+    class Failing(Given):
+        def read(self, number: int) -> Scene:
+            read.append(number)
+            if number == 5 and read.count(5) == 2:
+                raise KeyboardInterrupt
+            return super().read(number)
+
+    request = Request(SmallBlocks("m", block_size=64))
+    with pytest.raises(KeyboardInterrupt):
+        encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4)
+    assert not (tmp_path / "a.egs").exists()
+    read.append(-1)
+    encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4)
+    assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "whole.egs").read_bytes()
+    assert read[read.index(-1) + 1 :] == [4, 5]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.egs", "whole.egs"]
+
+
+def test_turns_between_rotations():
+    rng = np.random.default_rng(3)
+    log_scale = rng.normal(size=(3, 50)).astype(np.float32)
+    rot = rng.normal(size=(4, 50)).astype(np.float32)
+    order, _, _ = sort_axes(log_scale, rot)
+    unit = reordered(rot, order)
+    # The same ellipsoid: columns of the rotation change places, up to their signs.
+    columns = rotation_matrix(unit), rotation_matrix(rot / np.linalg.norm(rot, axis=0))
+    expected = np.take_along_axis(columns[1], order[None].astype(np.int64), axis=1)
+    np.testing.assert_allclose(np.abs(columns[0]), np.abs(expected), atol=1e-6)
+    assert np.abs(turns_between(unit, unit)).max() < 1e-12
+    flipped = np.stack([-unit[1], unit[0], unit[3], -unit[2]])
+    assert np.abs(turns_between(unit, flipped)).max() < 1e-12
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frames").mkdir()
+    for number, scene in enumerate(moving(frames=4), 9):
+        write_ply(tmp_path / "frames" / f"f{number}.ply", scene)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+def test_commands(folder, caplog):
+    result = folder.run("encode", "frames/*.ply", "a.egs", "--fps", "24", "--group", "2")
+    assert result.status == 0
+    assert result.out.startswith("a.egs: 4 frames at 24 a second, 300 Gaussians, ")
+    assert "\n2 key frames, " in result.out
+    shown = json.loads(folder.run("inspect", "a.egs", "--json").out)
+    assert (shown["frames"], shown["fps"]) == (4, 24)
+    assert [group["name"] for group in shown["groups"]] == ["f9", "f11"]
+    assert "key frame  name" in folder.run("inspect", "a.egs").out
+    assert "sound" in folder.run("verify", "a.egs").out
+    assert folder.run("decode", "a.egs").status == 0
+    names = sorted(path.name for path in (folder.path / "a").iterdir())
+    assert names == ["f10.ply", "f11.ply", "f12.ply", "f9.ply"]
+    assert folder.run("decode", "a.egs", "one.ply", "--frame", "2").status == 0
+    assert (folder.path / "one.ply").read_bytes() == (folder.path / "a/f11.ply").read_bytes()
+    assert folder.run("decode", "a.egs", "b", "--time", "0.05-0.1").status == 0
+    assert [path.name for path in (folder.path / "b").iterdir()] == ["f10.ply"]
+    assert folder.run("convert", "a.egs", "first.ply").status == 0
+    assert "the first of 4 frames is read" in caplog.text
+    assert is_sequence("a.egs")
+    assert not is_sequence("first.ply")
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("encode frames a.egs --target-size 1MB", "--target-size has no effect on a sequence"),
+        ("encode frames a.egs --prune 10", "--prune has no effect on a sequence"),
+        ("encode frames a.spz", "a.spz: frames are encoded to an .egs"),
+        ("encode frames a.egs -p lossless", "a.egs: frames are encoded to an .egs by profile"),
+        ("encode frames a.egs --group 0", "--group 0: expected"),
+        ("encode frames/f9.ply a.egs --fps 3", "--fps has no effect on frames/f9.ply"),
+        ("encode 'x*.ply' a.egs", "no frames"),
+        ("decode frames/f9.ply --frame 3", "--frame has no effect on frames/f9.ply"),
+    ],
+)
+def test_refused(folder, typed, said):
+    line = folder.refuse(*typed.replace("'", "").split())
+    assert said in line
+
+
+def test_refused_of_sequences(folder):
+    folder.run("encode", "frames", "a.egs")
+    for typed, said in (
+        (["--level", "1"], "--level has no effect on a.egs, a sequence"),
+        (["x.ply", "--frame", "4"], "frames 4 to 4: expected some of 0 to 3"),
+        (["--time", "soon"], "--time soon: expected START-END in seconds"),
+        (["--time", "9-10"], "time 9-10: expected some of 0 to 0.133333 seconds"),
+        (["x.ply", "--frame", "1", "--time", "0-1"], "--frame and --time cannot be combined"),
+    ):
+        assert said in folder.refuse("decode", "a.egs", *typed)
+    assert "--gpu has no effect on a.egs" in folder.refuse("inspect", "a.egs", "--gpu")

@@ -17,6 +17,7 @@ from open3d.visualization import O3DVisualizer, gui
 
 import gs_codec
 import viewer
+from samples.visualizer import make_visualizer
 from viewer.pictures.layers import error_legend, reason_colour
 
 #: Possible geometries.
@@ -56,9 +57,7 @@ def changes(before: np.ndarray, after: np.ndarray) -> int:
 def run(folder: Path) -> dict:
     app = gui.Application.instance
     app.initialize()
-    visualizer = O3DVisualizer("plugin", 600, 400)
-    app.add_window(visualizer)
-    actions = viewer.attach(visualizer)
+    visualizer, actions = make_visualizer("plugin", 600, 400)
 
     pictures: list[np.ndarray] = []
 
@@ -98,7 +97,8 @@ def run(folder: Path) -> dict:
         show()
         named.append([name for name in NAMES if visualizer.scene.has_geometry(name)])
         notes.append(noted(actions, visualizer, pictures[-1]))
-        alike.append([coloured(actions, visualizer, pictures[-1], each) for each in LEGENDS])
+        legends = *LEGENDS, actions.scene.colours if actions.scene else LEGENDS[0]
+        alike.append([coloured(actions, visualizer, pictures[-1], each) for each in legends])
     here = visualizer.scene.camera.get_model_matrix()
     look_from(folder, visualizer, 1)
     app.run_one_tick()

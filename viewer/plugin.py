@@ -42,6 +42,8 @@ _GROUP = "gs_codec"
 def draw(
     *scenes: PointCloud | str | Path,
     cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, object]] | None = None,
+    images: str | Path | None = None,
+    view: int | None = None,
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
     colour: str = "colour",
@@ -50,6 +52,7 @@ def draw(
     octree_colour: str = OctreeChoice.colouring,
     mode: str = "side",
     up: str | None = None,
+    watch: bool = False,
     width: int = 1280,
     height: int = 800,
 ) -> None:
@@ -61,6 +64,10 @@ def draw(
         One or two clouds with the attributes from `gs_codec.read`, or paths of files to read.
     cameras : path, "auto", or sequence, optional
         Cameras to look from, as in `gs_codec.render`.
+    images : path, optional
+        Folder of the cameras' photographs, shown next to the scenes.
+    view : int, optional
+        Index of the first camera to look from.
     pruned : path, optional
         Folder of a report of ``gs-codec prepare`` for the first scene.
     layers : sequence of str, optional
@@ -82,6 +89,8 @@ def draw(
         Two scenes side by side, or in one view: divided by a line, or switched by a key.
     up : {"-y", "y", "-z", "z", "-x", "x"}, optional
         Up axis; default: from the cameras, given or estimated.
+    watch : bool
+        Whether to reload files that change.
     width, height : int
         Size of the window, 64-16384 pixels.
 
@@ -104,8 +113,8 @@ def draw(
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)
     octree, size = OctreeChoice(int(octree_depth), octree_colour), (int(width), int(height))
     request = Request(
-        a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree,
-        up=up, scale=colour_scale,
+        a, b, cameras, Path(images) if images is not None else None, folder, shown, colour, mode,
+        view, size, octree=octree, up=up, scale=colour_scale, watch=watch,
     )  # fmt: skip
     request.check()
     check_installed("open3d", "draw")

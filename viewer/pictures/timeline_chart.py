@@ -26,20 +26,7 @@ _HINT = "Drag keyframes to change their times, click to look from the path."
 
 @dataclass(frozen=True)
 class TimelineChart:
-    """A timeline.
-
-    Attributes
-    ----------
-    times : sequence of float
-        Times of keyframes, seconds.
-    fps : int
-    now : float
-        The time shown.
-    chosen : int or None
-        Index of the chosen keyframe.
-    span : float
-        Seconds from the left edge to the right.
-    """
+    """Keyframes by their `times`, the time shown (`now`), and a `span` of seconds, edge to edge."""
 
     times: Sequence[float]
     fps: int

@@ -21,10 +21,6 @@ _BESIDE = 0.5
 class Measuring:
     """Two points on what the panes show; a third click begins again.
 
-    Parameters
-    ----------
-    viewer : Host
-
     Attributes
     ----------
     on : bool

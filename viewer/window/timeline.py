@@ -29,10 +29,6 @@ _SAME = 0.02
 class Timeline:
     """Keyframes, and the time of the path that the window shows.
 
-    Parameters
-    ----------
-    viewer : Host
-
     Attributes
     ----------
     path : CameraPath

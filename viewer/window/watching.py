@@ -22,12 +22,6 @@ _NUMBER = re.compile(r"(?<=[_-])\d+(?=\.|$)")
 class Watching:
     """Reloads files that change, or says that they have changed.
 
-    Parameters
-    ----------
-    viewer : Host
-    loading : Loading
-    editor : Editor
-
     Attributes
     ----------
     on : bool

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gs_codec.formats.ply.writer import write_ply
 from samples.generate import generate
 from viewer.pictures.drawer import depth_at
 from viewer.scenes.edits import Edits
+from viewer.scenes.opened import Opened
 
 
 def press(driver: Driver, name: str) -> None:
@@ -196,6 +198,14 @@ def watch(driver: Driver, found: dict) -> None:
     write(later, 5)
     driver.wait(lambda: "changed" in viewer.panel.status.text)
     found["edited"] = stage.scenes[0].count
+    viewer.editor.do(lambda edits: edits.mark_saved(edits.scene))
+    viewer.loading.show([Opened("cloud", stage.scenes[0].cloud)], viewer.visits.views, None)
+    driver.rest()
+    viewer.panel.say("")
+    end = time.monotonic() + 1.5
+    while time.monotonic() < end:
+        driver.tick()
+    found["cloud"] = viewer.panel.status.text
 
 
 def run(folder: Path) -> dict:

@@ -9,6 +9,7 @@ import pytest
 from windows import drive, make_folder, needs_display
 
 import gs_codec
+from viewer.window.watching import newest
 
 pytestmark = [needs_display, pytest.mark.slow]
 
@@ -83,3 +84,17 @@ def test_changed_files_are_reported_or_reloaded_from_the_same_pose(found):
     assert " ".join(said.split()) == "cloud.ply has changed on disk: ctrl + R reloads it"
     assert found["reloaded"] == [[1002, 1003, 1004], True, "model/iteration_30/cloud.ply"]
     assert found["edited"] == 1000  # unsaved edits are kept
+    assert found["cloud"] == ""  # it has no file
+
+
+def test_the_newest_file_has_the_largest_number(tmp_path):
+    names = ("iteration_7/cloud.ply", "iteration_30/cloud.ply", "iteration_99/other.ply",
+             "iteration_x/cloud.ply", "out/export_500.ply", "out/export_1000.ply",
+             "out/export_2000.txt", "out/2.ply")  # fmt: skip
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert newest(tmp_path / names[0]) == tmp_path / names[1]
+    assert newest(tmp_path / names[4]) == tmp_path / names[5]
+    for name in (names[1], names[2], names[5], names[7], "gone_1/cloud.ply"):
+        assert newest(tmp_path / name) == tmp_path / name

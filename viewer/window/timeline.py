@@ -103,6 +103,7 @@ class Timeline:
     def _put(self, path: CameraPath, chosen: int | None) -> None:
         self.path, self.chosen, self._between = path, chosen, False
         self.now = 0.0 if chosen is None else path.times[chosen]
+        self._begun = self._begun if len(path.poses) > 1 else None
         self._viewer.refresh_panel()
 
     @property

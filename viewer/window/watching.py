@@ -45,6 +45,8 @@ class Watching:
             return
         self._looked = time.monotonic()
         for number, scene in enumerate(self._viewer.stage.scenes):
+            if scene.file_bytes is None:  # a cloud
+                continue
             path = newest(scene.path) if self.on else scene.path
             now, (before, looks) = modified(path), self._seen.get(path, (None, 0))
             self._seen[path] = now, looks + 1 if now == before else 1

@@ -7,6 +7,9 @@ import { readFileSync } from 'node:fs';
 
 import { chromium } from 'playwright-core';
 
+/** Maximum milliseconds of a step. */
+const PATIENCE = 60_000;
+
 const END = ['ready', 'error'];
 
 const STEPS = {
@@ -65,7 +68,21 @@ const STEPS = {
     const orLoading = (error) => {
       if (!error.message.includes('navigation')) throw error;
     };
-    while (!(await page.evaluate(script).catch(orLoading))) await page.waitForTimeout(20);
+    const end = performance.now() + PATIENCE;
+    while (!(await page.evaluate(script).catch(orLoading))) {
+      if (performance.now() > end) throw new Error(`never true: ${script}`);
+      await page.waitForTimeout(20);
+    }
+  },
+  /** What axe-core objects to, and where. */
+  async axe(page) {
+    const script = new URL('node_modules/axe-core/axe.min.js', import.meta.url);
+    await page.evaluate(readFileSync(script, 'utf8'));
+    return page.evaluate(async () => {
+      const rules = { 'target-size': { enabled: true } };
+      const { violations } = await globalThis.axe.run({ rules });
+      return violations.flatMap(({ id, nodes }) => nodes.map(({ target }) => `${id}: ${target}`));
+    });
   },
   /** The value of a script. */
   value: (page, script) => page.evaluate(script),
@@ -86,7 +103,7 @@ for (const { url, size, steps, before, panel, mobile, locale } of JSON.parse(rea
   const screen = { viewport: { width, height }, hasTouch: true, isMobile: mobile };
   const context = await browser.newContext({ ...screen, locale });
   const page = await context.newPage();
-  page.setDefaultTimeout(60_000);
+  page.setDefaultTimeout(PATIENCE);
   const told = { values: [], requests: [], errors: [] };
   page.on('request', (request) => told.requests.push(request.url()));
   page.on('pageerror', (error) => told.errors.push(error.message));

@@ -23,6 +23,17 @@ const HELD = {
   KeyS: [0, 0, 0, 0, -1],
 };
 
+/** The same with shift, which is faster. */
+const SHIFTED = {
+  ArrowLeft: [0, 0, -1 / FASTER, 0, 0],
+  ArrowRight: [0, 0, 1 / FASTER, 0, 0],
+  ArrowUp: [0, 0, 0, -1 / FASTER, 0],
+  ArrowDown: [0, 0, 0, 1 / FASTER, 0],
+};
+
+/** Keys that bring the camera nearer to its target, by what they type. */
+const NEARER = { '+': 1, '=': 1, '-': -1 };
+
 /**
  * Control a viewer by mouse, touch and keys on its canvas.
  *
@@ -81,7 +92,7 @@ export function control(element, viewer) {
     { passive: false },
   );
 
-  const held = new Set();
+  const held = new Map(); // movements by the code of their key
   let stick = [0, 0];
   const isAtRest = () => held.size === 0 && !stick.some(Boolean);
   let last = 0;
@@ -90,12 +101,15 @@ export function control(element, viewer) {
     if (isAtRest()) return;
     const seconds = Math.min((now - last) / 1000, 0.1);
     last = now;
-    const sum = [0, 0, stick[0] * seconds, 0, stick[1] * seconds];
-    for (const key of held) HELD[key].forEach((value, k) => (sum[k] += value * seconds));
+    const sum = [0, 0, stick[0] * seconds, 0, stick[1] * seconds, 0];
+    for (const movement of held.values()) {
+      movement.forEach((value, k) => (sum[k] += value * seconds));
+    }
     const { pose, up } = viewer;
     pose.orbit(-sum[0] * ANGLE * handed(pose, up), -sum[1] * ANGLE, up);
     const pace = PACE * pose.distance * (isFast ? FASTER : 1);
-    pose.move(...sum.slice(2).map((value) => value * pace));
+    pose.move(...sum.slice(2, 5).map((value) => value * pace));
+    pose.zoom(Math.exp(-sum[5] * ANGLE));
     viewer.moved();
     requestAnimationFrame(step);
   };
@@ -106,15 +120,18 @@ export function control(element, viewer) {
     requestAnimationFrame(step);
   };
   document.addEventListener('keydown', (event) => {
-    const { code, target } = event;
+    const { code, key, target } = event;
     isFast = event.shiftKey;
-    if (!HELD[code] || event.ctrlKey || event.altKey || event.metaKey) return;
+    const nearer = NEARER[key] && [0, 0, 0, 0, 0, NEARER[key]];
+    const movement = (isFast && SHIFTED[code]) || nearer || HELD[code];
+    if (!movement || event.ctrlKey || event.altKey || event.metaKey) return;
     // Arrow keys belong to the focused element, letters to lists.
     const isElsewhere = target !== element && target !== document.body;
-    if (target.tagName === 'SELECT' || (isElsewhere && code.startsWith('Arrow'))) return;
+    if (target.tagName === 'SELECT' || target.type === 'number') return;
+    if (isElsewhere && code.startsWith('Arrow')) return;
     event.preventDefault();
     begin();
-    held.add(event.code);
+    held.set(code, movement);
   });
   document.addEventListener('keyup', ({ code, shiftKey }) => {
     isFast = shiftKey;

@@ -1,5 +1,6 @@
 // The page: one scene, or two to compare.
 import { SourceError } from '../src/index.js';
+import { accompany } from './access.js';
 import { addressOf, stateOf } from './address.js';
 import { Annotations } from './annotations.js';
 import { control } from './controls.js';
@@ -68,6 +69,7 @@ class Viewer extends EventTarget {
     this.#restore();
     addEventListener('hashchange', () => this.#restore());
     answer(this, embed);
+    accompany(this);
     joystick(document.getElementById('stick'), control(this.canvas, this));
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     this.canvas.addEventListener('webglcontextlost', () =>

@@ -236,7 +236,10 @@ export class Panel {
     head.replaceChildren();
     body.replaceChildren();
     const title = element('tr', '', head);
-    if (this.two) for (const name of ['', 'A', 'B']) element('th', name, title).scope = 'col';
+    if (this.two) {
+      element('td', '', title);
+      for (const name of 'AB') element('th', name, title).scope = 'col';
+    }
     const columns = scenes.map(({ scene }) => bitsOf(scene));
     for (const name of [...Object.keys(ATTRIBUTES), 'other', 'file']) {
       if (name === 'levels' && !columns.some((bits) => bits?.levels)) continue;

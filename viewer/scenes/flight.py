@@ -107,11 +107,6 @@ class CameraPath:
         time = float(np.clip(time, ends[index] + LEAST, ends[index + 2] - LEAST))
         return replace(self, times=(*self.times[:index], time, *self.times[index + 1 :]))
 
-    def lasting(self, seconds: float) -> CameraPath:
-        """The path in another total time."""
-        factor = seconds / self.seconds
-        return replace(self, times=tuple(factor * time for time in self.times))
-
 
 def evenly(poses: Sequence[Pose], seconds: float | None = None, fps: int = FPS) -> CameraPath:
     """A path at an even speed, in turns and moves; by default `LEG` seconds for each pose.

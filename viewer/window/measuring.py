@@ -130,13 +130,7 @@ class Measuring:
 
 
 class MeasureControls:
-    """A switch for measuring, the distance, and a field for a known length.
-
-    Attributes
-    ----------
-    on : gui.Checkbox
-    length : gui.NumberEdit
-    """
+    """A switch for measuring, the distance, and a field for a known length."""
 
     def __init__(self, measuring: Measuring, widgets: Widgets, parent: gui.Widget) -> None:
         self._measuring = measuring

@@ -12,14 +12,7 @@ _DOCK = "camera path"
 
 
 class PathTab:
-    """Buttons for keyframes, flight, films and files, and the path's duration.
-
-    Attributes
-    ----------
-    widget : gui.Widget
-    buttons : dict of str to gui.Button
-    seconds, fps : gui.NumberEdit
-    """
+    """Buttons for keyframes, flight, films and files, and the path's duration."""
 
     def __init__(self, viewer: Controls, widgets: Widgets) -> None:
         self._viewer = viewer

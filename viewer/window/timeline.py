@@ -88,7 +88,9 @@ class Timeline:
     def set_seconds(self, seconds: float) -> None:
         """Set the duration of the path."""
         if seconds > 0 and len(self.path.poses) > 1:
-            self._put(self.path.lasting(seconds), self.chosen)
+            factor, keys = seconds / self.path.seconds, self.path.keys.items()
+            path = self.path.with_keys({factor * time: pose for time, pose in keys})
+            self._put(path, self.chosen)
 
     def set_fps(self, fps: float) -> None:
         """Set the frames per second of films."""

@@ -5,6 +5,7 @@ import { addressOf, stateOf } from './address.js';
 import { Annotations } from './annotations.js';
 import { control } from './controls.js';
 import { answer } from './embedded.js';
+import { Headset } from './headset.js';
 import { joystick } from './joystick.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
@@ -412,7 +413,7 @@ class Viewer extends EventTarget {
 
   /** Draw soon. */
   redraw() {
-    if (!this.renderer) return;
+    if (!this.renderer || this.session) return;
     document.body.dataset.state = 'drawing';
     this.asked ??= requestAnimationFrame(() => this.#drawIfDone());
   }
@@ -465,23 +466,45 @@ class Viewer extends EventTarget {
   }
 
   #draw() {
-    const { renderer, scenes, pose, look } = this;
+    const { renderer, scenes, pose } = this;
     if (this.shrink === 1) this.pace.took(renderer.took);
     this.shrink = this.#shrink;
     this.#resize();
-    renderer.draw(scenes, pose, this.#lens(this.canvas.width, this.canvas.height), {
-      degree: look.degree,
-      background: BACKGROUNDS[look.background],
-      split: { a: 1, b: 0, wipe: look.split, error: 1 }[look.show],
-      errors: look.show === 'error',
-    });
-    for (const { detail } of scenes) detail?.pictured();
+    this.paint(pose, this.#lens(this.canvas.width, this.canvas.height));
     this.notes.place(pose, this.#lens(this.canvas.clientWidth, this.canvas.clientHeight));
     if (this.shrink > 1) this.#sharpen();
     else for (const take of this.takers.splice(0)) this.canvas.toBlob(take);
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
     const state = !inOrder ? 'drawing' : this.#isThere ? 'ready' : 'loading';
     document.body.dataset.state = state === 'ready' && this.errors.length ? 'error' : state;
+  }
+
+  /** Draw a picture on the canvas or, without a wipe, into another target. */
+  paint(pose, lens, target) {
+    const { renderer, scenes, look } = this;
+    const shown = {
+      degree: look.degree,
+      background: BACKGROUNDS[look.background],
+      split: { a: 1, b: 0, wipe: target ? 1 : look.split, error: 1 }[look.show],
+      errors: look.show === 'error',
+    };
+    renderer.draw(scenes, pose, lens, shown, target);
+    for (const { detail } of scenes) detail?.pictured();
+  }
+
+  /** Show the scene in a headset, or stop. */
+  async immerse() {
+    if (this.session) return this.session.end();
+    this.rest();
+    try {
+      this.session = await Headset.enter(this, (pose) => {
+        this.session = undefined;
+        this.pose = pose;
+        this.moved();
+      });
+    } catch (error) {
+      this.panel.tell(error.message, false, false);
+    }
   }
 
   /** Draw in full when the camera rests. */

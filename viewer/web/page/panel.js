@@ -1,4 +1,5 @@
 // The panel next to the picture, and the keys.
+import { hasHeadset } from './headset.js';
 import { LANGUAGE, LANGUAGES, counted, number, say, translate } from './strings.js';
 
 const $ = (id) => document.getElementById(id);
@@ -70,6 +71,8 @@ export class Panel {
     $('turn').addEventListener('change', ({ target }) => viewer.turn(target.checked));
     $('tour').parentElement.hidden = !viewer.path && viewer.views.length === 1;
     $('tour').addEventListener('change', ({ target }) => viewer.tour(target.checked));
+    hasHeadset().then((isThere) => ($('headset').hidden = !isThere));
+    $('headset').addEventListener('click', () => viewer.immerse());
     $('full').hidden = !document.fullscreenEnabled;
     $('full').addEventListener('click', () => document.documentElement.requestFullscreen());
     $('shows').addEventListener('change', ({ target }) => viewer.set({ show: target.value }));

@@ -232,9 +232,8 @@ export class Renderer {
     return performance.now() - this.done;
   }
 
-  #resize() {
-    const { gl, canvas } = this;
-    const size = [canvas.width, canvas.height];
+  #resize(size) {
+    const { gl } = this;
     if (size.every((side, k) => side === this.size[k])) return;
     for (const { target, image } of this.pictures) {
       gl.deleteFramebuffer(target);
@@ -256,11 +255,17 @@ export class Renderer {
    * @param {object} lens `focal` and `centre`, pixels of the canvas
    * @param {object} look `degree`, `background` (RGB, 0-1), `split` (0-1: the first scene's share
    *   of the width), `errors`
+   * @param {object} [target] `framebuffer`, `corner` and `size` in it; by default the canvas
    */
-  draw(scenes, pose, lens, look) {
-    const { gl, screen } = this;
-    this.begun = performance.now();
-    this.#resize();
+  draw(scenes, pose, lens, look, target) {
+    const { gl, screen, canvas } = this;
+    if (!target) this.begun = performance.now();
+    const { framebuffer, corner, size } = target ?? {
+      framebuffer: null,
+      corner: [0, 0],
+      size: [canvas.width, canvas.height],
+    };
+    this.#resize(size);
     const [width] = this.size;
     const line = Math.round(look.split * width);
     const spans = look.errors
@@ -278,16 +283,18 @@ export class Renderer {
       if (splats?.drawn) this.#project(splats, pose.within(axes), lens, spans[k], look.degree);
       this.#drawScene(this.pictures[k].target, splats, spans[k]);
     });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.viewport(0, 0, ...this.size);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(...corner, ...size);
     gl.disable(gl.BLEND);
     gl.useProgram(screen.program);
     const [first, second] = this.pictures.map(({ image }) => image);
     this.#sample(screen.uniforms, { first, second });
     gl.uniform3fv(screen.uniforms.background, look.background);
     gl.uniform1f(screen.uniforms.split, line);
+    gl.uniform2fv(screen.uniforms.corner, corner);
     gl.uniform1i(screen.uniforms.errors, look.errors);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+    if (target) return;
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
     const watch = () => this.isDone() || requestAnimationFrame(watch);

@@ -193,6 +193,7 @@ uniform sampler2D second;
 uniform vec3 background;
 uniform float split; // pixels left of it are of the first picture
 uniform bool errors;
+uniform vec2 corner; // of the picture in its target
 out vec4 colour;
 const vec3 VIRIDIS[9] = vec3[](
   vec3(68, 1, 84), vec3(71, 44, 122), vec3(59, 81, 139), vec3(44, 113, 142), vec3(33, 144, 141),
@@ -201,10 +202,10 @@ vec3 picture(vec4 drawn) {
   return clamp(drawn.rgb + (1.0 - drawn.a) * background, 0.0, 1.0);
 }
 void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
+  ivec2 at = ivec2(gl_FragCoord.xy - corner);
   vec3 a = picture(texelFetch(first, at, 0));
   vec3 b = picture(texelFetch(second, at, 0));
-  vec3 shown = gl_FragCoord.x < split ? a : b;
+  vec3 shown = gl_FragCoord.x - corner.x < split ? a : b;
   if (errors) {
     // From a quarter of a level of 255 to 64 levels, in eight doublings.
     float error = sqrt(dot(a - b, a - b) / 3.0);

@@ -29,6 +29,7 @@ export const WORDS = {
   'Maximum Gaussians, millions': ['Gaussians höchstens, Millionen', 'Gaussiennes au plus, millions', '高斯数量上限（百万）', 'ガウシアンの上限（百万）'],
   'Turn slowly': ['Langsam drehen', 'Tourner lentement', '缓慢旋转', 'ゆっくり回転'],
   Language: ['Sprache', 'Langue', '语言', '言語'],
+  'Virtual reality': ['Virtuelle Realität', 'Réalité virtuelle', '虚拟现实', 'VR で見る'],
   'Full screen': ['Vollbild', 'Plein écran', '全屏', '全画面'],
   'Save picture': ['Bild speichern', 'Enregistrer l’image', '保存图片', '画像を保存'],
   'Copy link': ['Link kopieren', 'Copier le lien', '复制链接', 'リンクをコピー'],

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scenes import thorough
 from web_pages import Job, decibels, in_browser, open_pages, seen
 
 from gs_codec.cameras.camera_files import write_cameras
@@ -51,19 +52,16 @@ def page(tmp_path_factory) -> str:
     return Path(folder / "page.html").as_uri()
 
 
-def test_axe_objects_to_nothing(page):
+@pytest.mark.parametrize("place", ["computer", thorough("phone"), thorough("frame")])
+def test_axe_objects_to_nothing(page, place):
     """With the panel open, a wipe, an error view, an annotation, and a message."""
     noted = page.replace("page.html", "noted.html")
-    jobs = []
-    for name, size in SIZES.items():
-        job = Job(noted, [("drawn",), ("axe",), ("value", OPEN), ("key", "m")], size)
-        job.steps += [("drawn",), ("key", "4"), ("axe",)]
-        job.mobile = name == "phone"
-        job.steps += [("value", WHITE), ("axe",)]
-        jobs.append(job)
-    failed = Job(page, [("drawn",), ("axe",), ("value", WHITE), ("axe",)], SIZES["computer"])
+    job = Job(noted, [("drawn",), ("axe",), ("value", OPEN), ("key", "m")], SIZES[place])
+    job.steps += [("drawn",), ("key", "4"), ("axe",), ("value", WHITE), ("axe",)]
+    job.mobile = place == "phone"
+    failed = Job(page, [("drawn",), ("axe",), ("value", WHITE), ("axe",)], SIZES[place])
     failed.before = "HTMLCanvasElement.prototype.getContext = () => null"
-    for told in open_pages(*jobs, failed):
+    for told in open_pages(job, failed):
         found = [value for value in told.values if isinstance(value, list)]
         assert len(found) >= 2
         assert found == [[]] * len(found)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.decode import Blocks
-from gs_codec.codecs.adaptive.moving_block import Frame, MovingBlock
+from gs_codec.codecs.adaptive.moving_block import Frame, MovingBlock, contexts_of
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder
 from gs_codec.codecs.decode import decode_part
 from gs_codec.codecs.part import Part
@@ -19,10 +19,15 @@ from gs_codec.coding.binary import decode_binary
 from gs_codec.coding.clean import finite_ends, sound_gaussians
 from gs_codec.egs.egs_file import EgsFile, SectionId
 from gs_codec.egs.frame_sections import Timeline, open_key_frame, within_frame
+from gs_codec.egs.header import Header
 from gs_codec.errors import CorruptStream
+from gs_codec.formats.limits import most_bytes
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+
+#: Bytes of contexts that any limit on a scene permits.
+_CONTEXT_BYTES = 1 << 24
 
 
 def _moving_blocks(key: EgsFile) -> list[MovingBlock]:
@@ -102,16 +107,25 @@ def _decode_group(
         yield scene
     if key + 1 == end:
         return
+    _check_blocks(found.header, most_bytes(len(data), max_bytes))
     blocks = _moving_blocks(found)
     planes = {group: getattr(scene, group).copy() for group in GROUPS}
     for number in range(key + 1, end):
         with within_frame(number):
-            wanted = SectionId.MOTION, number
-            read = file.read(lambda *key, wanted=wanted: key == wanted)
-            streams = _split(read.section(*wanted), len(blocks))
+            streams = _split(file.only(SectionId.MOTION, number), len(blocks))
             run_all(partial(_decode, planes), zip(blocks, streams, strict=True))
         if number >= first:
             yield replace(scene, **{group: own.copy() for group, own in planes.items()})
+
+
+def _check_blocks(header: Header, limit: int) -> None:
+    """Refuse blocks so small that contexts take more memory than a scene may."""
+    size = 4 * contexts_of(SH_COEFFICIENTS[header.sh_degree]) * header.block_count
+    if size > max(limit, _CONTEXT_BYTES):
+        raise CorruptStream(
+            f"header: {counted(header.block_count, 'block')}, with {size:,} bytes of contexts; "
+            f"at most {limit:,} are read (max-bytes)"
+        )
 
 
 def _split(data: memoryview, blocks: int) -> list[memoryview]:

@@ -186,7 +186,7 @@ class Sections(Mapping[tuple[int, int], memoryview]):
     def __getitem__(self, key: tuple[int, int]) -> memoryview:
         position, size, _ = self._checked[key]
         if isinstance(self._data, FileBytes):
-            return self._read(key)
+            return self.only(key)
         return self._data[position : position + size]
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
@@ -205,11 +205,12 @@ class Sections(Mapping[tuple[int, int], memoryview]):
         known = set(SectionId)
         new = [key for key in self._table if key not in self and (wanted is None or wanted(*key))]
         for key in new:
-            self._read(key)
+            self.only(key)
         new = [key for key in new if key[0] in known]
         return Sections(self._data, self._table, [*self, *new])
 
-    def _read(self, key: tuple[int, int]) -> memoryview:
+    def only(self, key: tuple[int, int]) -> memoryview:
+        """A section of the table, checked."""
         position, size, checksum = self._table[key]
         data = self._data[position : position + _padded(size)]
         content, wrong = data[:size], None
@@ -258,6 +259,10 @@ class EgsFile:
             return self.sections[section_id, block]
         except KeyError:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
+
+    def only(self, section_id: SectionId, block: int) -> memoryview:
+        """Bytes of a section that is in the table, checked; only this section is read."""
+        return self.sections.only((section_id, block))
 
     def read(self, wanted: Wanted | None = None) -> EgsFile:
         """Check further sections; see `read_file`."""

@@ -136,7 +136,8 @@ def timeline_of(file: EgsFile) -> Timeline:
             label = SectionId(section).label
             raise CorruptStream(f"section '{label}' of block {number}: in a sequence")
     if listed != list(range(count)):
-        raise CorruptStream(f"header: frames {listed[:5]}, ..., expected 0 to {count - 1}")
+        shown = f"frames {', '.join(map(str, listed[:9]))}"
+        raise CorruptStream(f"header: {shown}, expected 0 to {count - 1}, ascending")
     keys = tuple(number for section, number in file.table if section == SectionId.KEY_FRAME)
     if keys[:1] != (0,):
         raise CorruptStream("header: the first frame is not a key frame")

@@ -70,9 +70,9 @@ for _channels in CHANNELS:
     _FIRST.append(_FIRST[-1] + _MODE_CONTEXTS + _channels * _ACTIVITIES * _PER_CLASS)
 
 
-def _contexts(coefficients: int) -> NDArray[np.int32]:
-    """Fresh contexts for a block."""
-    return new_contexts(_FIRST[AC] + 6 * coefficients * _PER_CLASS)
+def contexts_of(coefficients: int) -> int:
+    """Number of contexts of a block."""
+    return _FIRST[AC] + 6 * coefficients * _PER_CLASS
 
 
 @kernel
@@ -246,7 +246,7 @@ class MovingBlock:
             found.far,
             np.zeros((5, count), np.uint8),
             [np.zeros((channels, count), np.int64) for channels in CHANNELS],
-            _contexts(found.levels.shape[1]),
+            new_contexts(contexts_of(found.levels.shape[1])),
         )
 
     @property

@@ -14,8 +14,17 @@ from scenes import SmallBlocks, random_scene, seen_from, with_far
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.moving import decode_frames
 from gs_codec.config import LOSSLESS, PROFILE_CHOICES
-from gs_codec.egs.egs_file import Section, SectionId, in_file_order, read_file, write_file
+from gs_codec.egs.egs_file import (
+    Section,
+    SectionId,
+    described,
+    in_file_order,
+    read_file,
+    write_file,
+)
+from gs_codec.egs.frame_sections import timeline_of
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import GROUPS
@@ -32,6 +41,9 @@ REFUSALS = (CorruptStream, TruncatedStream, UnsupportedVersion)
 #: Maximum memory of decoding, from FORMAT.md, "Limits": factors on the size limit and on the file,
 #: and bytes per thread.
 TIMES_LIMIT, TIMES_FILE, A_THREAD = 3, 64, 32 << 20
+
+#: The factor on the size limit for frames of a sequence.
+TIMES_OF_FRAMES = 12
 
 
 #: Argument of `sample` for a file of profile `m` with far Gaussians.
@@ -109,7 +121,10 @@ def changed(data: bytes, rng: np.random.Generator) -> bytearray:
 
 
 def with_checksums(data: bytes | bytearray) -> bytes:
-    """The stream with all checksums corrected, as a hostile writer would do."""
+    """The stream with all checksums corrected, as a hostile writer would do; also in its levels.
+
+    So are those of the key frames of a sequence.
+    """
     data = bytearray(data)
     sections = struct.unpack_from("<I", data, SECTIONS)[0]
     size = HEADER + ENTRY * sections
@@ -117,10 +132,15 @@ def with_checksums(data: bytes | bytearray) -> bytes:
     if position > len(data):
         return bytes(data)
     for entry in range(HEADER, size, ENTRY):
-        length = struct.unpack_from("<Q", data, entry + 8)[0]
+        (section,) = struct.unpack_from("<H", data, entry)
+        (length,) = struct.unpack_from("<Q", data, entry + 8)
         if length > len(data):
             return bytes(data)
-        struct.pack_into("<I", data, entry + 16, crc32c(bytes(data[position : position + length])))
+        content = bytes(data[position : position + length])
+        if section in (SectionId.LEVEL, SectionId.KEY_FRAME) and len(content) > HEADER:
+            content = with_checksums(content)
+            data[position : position + length] = content
+        struct.pack_into("<I", data, entry + 16, crc32c(content))
         position += -(-length // 4) * 4
     struct.pack_into("<I", data, size, crc32c(bytes(data[:size])))
     return bytes(data)
@@ -150,6 +170,20 @@ def survive(data: bytes, max_bytes: int | None = 1 << 20, threads: int = 1) -> b
     return True
 
 
+def survive_sequence(data: bytes, max_bytes: int | None = 1 << 20, threads: int = 1) -> bool:
+    """Decode all frames of an untrusted sequence; return whether it was accepted."""
+    try:
+        file = read_file(data, described)
+        for scene in decode_frames(file, timeline_of(file), 0, None, threads, max_bytes):
+            for group in GROUPS:
+                assert np.isfinite(getattr(scene, group)).all()
+    except GsCodecError as error:
+        assert isinstance(error, REFUSALS)  # noqa: PT017
+        assert "\n" not in str(error)  # noqa: PT017
+        return False
+    return True
+
+
 def peak_of(work: Callable[[], object]) -> int:
     """Maximum bytes allocated at once during `work`."""
     tracemalloc.start()
@@ -160,7 +194,9 @@ def peak_of(work: Callable[[], object]) -> int:
         tracemalloc.stop()
 
 
-def most_memory(size: int, max_bytes: int | None = None, threads: int = 1) -> int:
+def most_memory(
+    size: int, max_bytes: int | None = None, threads: int = 1, times: int = TIMES_LIMIT
+) -> int:
     """Maximum memory for decoding a file of `size` bytes, according to FORMAT.md."""
     limit = max(1 << 30, 1000 * size) if max_bytes is None else max_bytes
-    return TIMES_LIMIT * limit + TIMES_FILE * size + A_THREAD * threads
+    return times * limit + TIMES_FILE * size + A_THREAD * threads

@@ -10,6 +10,29 @@ from scenes import random_scene, with_far
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import DEPTH_GROUPS, Config
+from gs_codec.scene import Scene
+
+#: Names of the properties of each attribute.
+ROWS = {
+    "positions": ("x", "y", "z"),
+    "f_dc": ("f_dc_0", "f_dc_1", "f_dc_2"),
+    "f_rest": tuple(f"f_rest_{i}" for i in range(45)),
+    "opacity": ("opacity",),
+    "log_scale": ("scale_0", "scale_1", "scale_2"),
+    "rot": ("rot_0", "rot_1", "rot_2", "rot_3"),
+}
+
+
+def assert_same_values(scene: Scene, values: dict[str, np.ndarray], where: str = "") -> None:
+    """The floats of a scene are those of the reference decoder, bit for bit."""
+    rows = [
+        (name, row)
+        for group, names in ROWS.items()
+        for name, row in zip(names, getattr(scene, group), strict=False)
+    ]
+    assert {name for name, _ in rows} == set(values)
+    for name, row in rows:
+        np.testing.assert_array_equal(row.view("u4"), values[name].view("u4"), f"{name}{where}")
 
 
 def config(profile="paper-m", extra="error", models="best", **depths):

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scenes import SmallBlocks, random_scene
 
+from gs_codec.egs.egs_file import Section, SectionId, described, read_file, write_file
+from gs_codec.egs.frame_sections import timeline_of
 from gs_codec.encoding.request import Request
-from gs_codec.scene import Scene
+from gs_codec.scene import GROUPS, Scene
+from gs_codec.sequences.frame_decoding import Sequence as OpenSequence
 from gs_codec.sequences.frame_encoding import SequenceReport, encode_frames
 
 
@@ -58,3 +62,75 @@ def coded(
     """Encode frames in small blocks."""
     request = Request(SmallBlocks(profile, block_size=block))
     return encode_frames(Given(scenes), path, request, group)
+
+
+#: What changes in `varied` from one frame to the next: a standard deviation.
+MOTION = {
+    "positions": 0.02,
+    "f_dc": 0.1,
+    "f_rest": 0.05,
+    "opacity": 0.5,
+    "log_scale": 0.3,
+    "rot": 0.2,
+}
+
+#: Centres stay finite.
+LARGEST = float(np.finfo(np.float32).max)
+
+
+def varied(
+    first: Scene, frames: int, groups: Sequence[str] = GROUPS, share: float = 0.3
+) -> list[Scene]:
+    """Frames of a scene in which a share of the Gaussians changes, others in each group.
+
+    Each has a velocity of its own, and is a little irregular.
+    """
+    rng = np.random.default_rng(0)
+    changes = {}
+    for group in groups:
+        values = getattr(first, group)
+        changed = rng.random(first.count) < share
+        changes[group] = changed * rng.normal(scale=MOTION[group], size=values.shape)
+    found = [first]
+    for _ in range(frames - 1):
+        planes = {}
+        for group, change in changes.items():
+            before = getattr(found[-1], group)
+            step = change * rng.normal(1, 0.3, change.shape)
+            away = np.maximum(1, 0.01 * np.abs(before)) if group == "positions" else 1
+            moved = np.clip(before + step * away, -LARGEST, LARGEST)
+            planes[group] = moved.astype(np.float32)
+        found.append(replace(found[-1], **planes))
+    return found
+
+
+def encoded(
+    frames: Sequence[Scene], block: int = 100, profile: str = "m", group: int = 30
+) -> bytes:
+    """The file of these frames."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "sequence.egs"
+        coded(path, frames, profile, group, block)
+        return path.read_bytes()
+
+
+def opened(data: bytes) -> OpenSequence:
+    """A sequence in memory."""
+    file = read_file(data, described)
+    return OpenSequence(file, timeline_of(file))
+
+
+def decode(data: bytes) -> list[Scene]:
+    """All frames of a sequence in memory."""
+    return list(opened(data).frames())
+
+
+def sections_of(data: bytes) -> list[Section]:
+    """The sections of a file, in its order."""
+    file = read_file(data)
+    return [Section(SectionId(i), b, bytes(file.section(SectionId(i), b))) for i, b in file.table]
+
+
+def rewritten(data: bytes, sections: Sequence[Section]) -> bytes:
+    """The file with other sections."""
+    return write_file(read_file(data).header, sections)

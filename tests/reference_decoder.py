@@ -17,11 +17,11 @@ from reference_tools import Reader, check, crc32c, finite
 
 MAGIC = bytes.fromhex("894547530D0A1A0A")
 CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, GPCC, TOOL, CODER = 1, 11, 12, 13, 16, 17, 18, 19
-LEVEL, ERRORS, FAR_CENTRES, BASIS = 20, 21, 22, 23
-SCENE = {CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, TOOL, CODER, ERRORS}
-KNOWN = range(1, 24)
-FIRST = (INDEX, ERRORS, CHANNELS, LATTICE, TOOL, CODER)
-G_PCC, TORCHAC, FAR, LOCAL_BASIS = 1, 2, 4, 8
+LEVEL, ERRORS, FAR_CENTRES, BASIS, TIMELINE, KEY_FRAME, MOTION = range(20, 27)
+SCENE = {CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, TOOL, CODER, ERRORS, TIMELINE}
+KNOWN = range(1, 27)
+FIRST = (INDEX, ERRORS, CHANNELS, LATTICE, TOOL, CODER, TIMELINE)
+G_PCC, TORCHAC, FAR, LOCAL_BASIS, SEQUENCE = 1, 2, 4, 8, 16
 LOSSLESS = 6
 TYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 LAYOUT = re.compile(r"[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]", re.ASCII)
@@ -96,14 +96,13 @@ def read_header(data):
     table = tuple(Entry(*reader.numbers("HHIQI")) for _ in range(sections))
     check(crc32c(data[: reader.at]) == reader.u32(), "header: checksum")
     check(count < 1 << 53, "header: count")
-    check(features < 16, f"header: features {features:#x} are not known")
+    check(features < 32, f"header: features {features:#x} are not known")
     check(version == (2 if features >= 4 else 1), f"header: version {version}")
     check(flags < 8, f"header: flags {flags:#x}")
     check(not flags & 2 or profile == LOSSLESS, "header: order of the input, but not lossless")
     check(profile <= 6, f"header: profile {profile}")
-    of_profile = (
-        G_PCC | TORCHAC if profile <= 2 else 0 if profile == LOSSLESS else FAR | LOCAL_BASIS
-    )
+    of_lattices = FAR | LOCAL_BASIS | SEQUENCE
+    of_profile = G_PCC | TORCHAC if profile <= 2 else 0 if profile == LOSSLESS else of_lattices
     check(not features & ~of_profile, f"header: features with profile {profile}")
     check(degree <= 3, f"header: SH degree {degree}")
     check(degree or not features & LOCAL_BASIS, "header: a local basis of SH degree 0")
@@ -152,6 +151,8 @@ def check_table(header):
         if entry.id == LEVEL:
             check(1 <= entry.block <= len(level_counts(header)), f"{name}: there is no such level")
             blocks = entry.block + 1
+        if entry.id in (KEY_FRAME, MOTION):
+            blocks = 1 << 24
         check(entry.block < blocks, f"{name}: there is no such block")
         seen.add((entry.id, entry.block))
     ids = [entry.id for entry in header.sections]
@@ -289,6 +290,7 @@ def decode_file(data, level=False):
     if level:
         check(not {(COMMENTS, 0), (EXTRA, 0)} & set(sections), "level: comments or extra")
     check(not header.features & G_PCC, "G-PCC: this decoder does not read it")
+    check(not header.features & SEQUENCE, "a sequence, expected a scene")
     check_size(header, len(data), 0)
     extra = {}
     if (EXTRA, 0) in sections:
@@ -433,29 +435,37 @@ def decode_scene(header, sections):
     """Symbols and values of all Gaussians, by name."""
     if header.profile <= 2:
         return decode_channels(header, sections)
-    if header.profile == LOSSLESS:
-        check_presence(
-            header, sections, set(), reference_lossless.expected_sections(header.sh_degree)
-        )
-        decode_block = reference_lossless.decode_block
-    else:
-        expected = reference_lattice.expected_sections(header.sh_degree)
-        own = {ERRORS} if (ERRORS, 0) in sections else set()
-        check_presence(header, sections, {LATTICE} | own, expected)
-        lattice = reference_lattice.read_lattice(sections[LATTICE, 0], header.sh_degree)
-        far = header.features & FAR
-        check(not far or sum(lattice.bits) <= 62, "lattice: too many bits with far Gaussians")
-        in_basis = header.features & LOCAL_BASIS
-        check(not in_basis or len(set(lattice.units[4:])) == 1, "lattice: units with a local basis")
-
-        def decode_block(*block):
-            return reference_lattice.decode_block(lattice, *block)
-
+    if header.profile != LOSSLESS:
+        lattice, found = lattice_blocks(header, sections)
+        floats = [reference_lattice.floats_of(lattice, block) for block in found]
+        return {}, joined(floats, header.sh_degree)
+    expected = reference_lossless.expected_sections(header.sh_degree)
+    check_presence(header, sections, set(), expected)
     blocks = [
-        decode_block(sections_of(sections, b), header.block_count(b), header.sh_degree)
+        reference_lossless.decode_block(
+            sections_of(sections, b), header.block_count(b), header.sh_degree
+        )
         for b in range(header.blocks)
     ]
     return {}, joined(blocks, header.sh_degree)
+
+
+def lattice_blocks(header, sections):
+    """Lattice and blocks of a file of profiles 3-5."""
+    expected = reference_lattice.expected_sections(header.sh_degree)
+    own = {ERRORS} if (ERRORS, 0) in sections else set()
+    check_presence(header, sections, {LATTICE} | own, expected)
+    lattice = reference_lattice.read_lattice(sections[LATTICE, 0], header.sh_degree)
+    far = header.features & FAR
+    check(not far or sum(lattice.bits) <= 62, "lattice: too many bits with far Gaussians")
+    in_basis = header.features & LOCAL_BASIS
+    check(not in_basis or len(set(lattice.units[4:])) == 1, "lattice: units with a local basis")
+    return lattice, [
+        reference_lattice.decode_block(
+            lattice, sections_of(sections, b), header.block_count(b), header.sh_degree
+        )
+        for b in range(header.blocks)
+    ]
 
 
 def sections_of(sections, block):

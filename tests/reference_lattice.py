@@ -81,6 +81,24 @@ class Gaussian:
     shift: int = 0
 
 
+@dataclass
+class Block:
+    """A decoded block; the last Gaussians are the far ones, with their `centres`.
+
+    `missing` has the missing bits of each Gaussian's leaf, `colours` the planes of f_dc, `levels`
+    those of SH-AC by colour, `basis` the section of the local basis, if there is one.
+    """
+
+    gaussians: list
+    quaternions: list
+    places: list
+    missing: list
+    centres: list
+    colours: list
+    levels: list
+    basis: bytes | None
+
+
 # Section "The `lattice` section"
 
 
@@ -293,24 +311,32 @@ def quaternion(gaussian):
 
 
 def decode_places(lattice, sections, gaussians):
-    """Positions on the axes (section "Positions")."""
+    """Positions on the axes, and missing bits of each Gaussian's leaf (section "Positions")."""
     axes = axes_of(lattice.bits)
     raw = RawBits(sections[LOW_BITS], "low-bits")
-    places = []
+    places, missing = [], []
     far = len(far_centres(sections, len(gaussians)))
     for leaf in read_tree(sections[GEOMETRY], len(gaussians) - far, len(axes)):
-        dropped = 0
-        if leaf.count == 1:
-            gaussian = gaussians[len(places)]
-            shift = lattice.rules["positions"].shift(gaussian, gaussian.shape)
-            dropped = min(shift, leaf.missing)
+        dropped = dropped_bits(lattice, gaussians[len(places)], leaf.missing)
         sent = raw.take(leaf.missing - dropped)
         cells = cells_of(((leaf.prefix << (leaf.missing - dropped)) + sent) << dropped, axes)
-        lowest = axes[len(axes) - dropped :]
-        place = tuple(2 * cells[axis] + (1 << lowest.count(axis)) for axis in range(3))
+        halves = half_cells(axes, dropped)
+        place = tuple(2 * cell + half for cell, half in zip(cells, halves, strict=True))
         places += [place] * leaf.count
+        missing += [leaf.missing] * leaf.count
     raw.finish()
-    return places + [tuple(2 ** (b + 1) - 1 for b in lattice.bits)] * far
+    return places + [tuple(2 ** (b + 1) - 1 for b in lattice.bits)] * far, missing + [0] * far
+
+
+def dropped_bits(lattice, gaussian, missing):
+    """Number of the lowest bits of a code that are not sent."""
+    return min(lattice.rules["positions"].shift(gaussian, gaussian.shape), missing)
+
+
+def half_cells(axes, dropped):
+    """Half the size, on each axis, of the cell of a code without its lowest bits."""
+    lowest = axes[len(axes) - dropped :]
+    return [1 << lowest.count(axis) for axis in range(3)]
 
 
 def far_centres(sections, count):
@@ -353,7 +379,7 @@ def bucket(n):
 
 
 def decode_ac(lattice, states, sections, gaussians, near, sh_degree):
-    """Y, Co, Cg of each coefficient of f_rest, in fixed point: planes by colour."""
+    """Levels of Y, Co, Cg of each coefficient or component of f_rest: planes by colour."""
     lists = iter(lattice.tables[10:])
     left = None
     colours = [[], [], []]
@@ -370,8 +396,13 @@ def decode_ac(lattice, states, sections, gaussians, near, sh_degree):
         stream.finish()
         for colour, planes in enumerate(levels):
             colours[colour] += planes
-    if BASIS in sections:
-        return [turned(lattice, sections[BASIS], planes, gaussians) for planes in colours]
+    return colours
+
+
+def values_of(lattice, basis, colours, gaussians):
+    """Y, Co, Cg of each coefficient of f_rest, in fixed point: planes by colour."""
+    if basis is not None:
+        return [turned(lattice, basis, planes, gaussians) for planes in colours]
     return [
         [
             [
@@ -495,33 +526,48 @@ def expected_sections(sh_degree):
 
 
 def decode_block(lattice, sections, count, sh_degree):
-    """Floats of a block, by name."""
+    """The block of these sections."""
     states = first_states(Reader(sections[STATES], "states"), LANES)
     gaussians = decode_shapes(lattice, states, sections, count)
-    places = decode_places(lattice, sections, gaussians)
+    places, missing = decode_places(lattice, sections, gaussians)
     near = [neighbours_of(places, i) for i in range(count)]
-    found = shape_floats(lattice, gaussians, places)
-    for k, centre in enumerate(reversed(far_centres(sections, count)), 1):
+    colours = decode_dc(lattice, states, sections[SH_DC], gaussians, near)
+    levels = decode_ac(lattice, states, sections, gaussians, near, sh_degree)
+    check_last_states(states)
+    return Block(
+        gaussians=gaussians,
+        quaternions=[tuple(rounded(quaternion(one)).tolist()) for one in gaussians],
+        places=places,
+        missing=missing,
+        centres=far_centres(sections, count),
+        colours=colours,
+        levels=levels,
+        basis=sections.get(BASIS),
+    )
+
+
+def floats_of(lattice, block):
+    """Floats of a block, by name."""
+    found = shape_floats(lattice, block)
+    for k, centre in enumerate(reversed(block.centres), 1):
         for name, number in zip("xyz", centre, strict=True):
             found[name][-k] = number
-    planes = decode_dc(lattice, states, sections[SH_DC], gaussians, near)
-    found.update((f"f_dc_{c}", plane) for c, plane in enumerate(colours_of(planes)))
-    colours = decode_ac(lattice, states, sections, gaussians, near, sh_degree)
-    check_last_states(states)
-    for i, planes in enumerate(zip(*colours, strict=False)):
+    found.update((f"f_dc_{c}", plane) for c, plane in enumerate(colours_of(block.colours)))
+    rest = values_of(lattice, block.basis, block.levels, block.gaussians)
+    for i, planes in enumerate(zip(*rest, strict=False)):
         for c, plane in enumerate(colours_of(planes)):
-            found[f"f_rest_{c * len(colours[0]) + i}"] = plane
+            found[f"f_rest_{c * len(rest[0]) + i}"] = plane
     return found
 
 
-def shape_floats(lattice, gaussians, places):
+def shape_floats(lattice, block):
     found = {}
     half = lattice.step / 2
     for axis, name in enumerate("xyz"):
-        found[name] = rounded([lattice.origin[axis] + place[axis] * half for place in places])
-    found["opacity"] = rounded([gaussian.opacity / ONE for gaussian in gaussians])
+        found[name] = rounded([lattice.origin[axis] + place[axis] * half for place in block.places])
+    found["opacity"] = rounded([gaussian.opacity / ONE for gaussian in block.gaussians])
     for k in range(3):
-        found[f"scale_{k}"] = rounded([gaussian.scales[k] / ONE for gaussian in gaussians])
-    for k, column in enumerate(zip(*map(quaternion, gaussians), strict=False)):
+        found[f"scale_{k}"] = rounded([one.scales[k] / ONE for one in block.gaussians])
+    for k, column in enumerate(zip(*block.quaternions, strict=False)):
         found[f"rot_{k}"] = rounded(column)
     return found

@@ -8,6 +8,8 @@ import pytest
 from format_cases import (
     CASES,
     LATTICE_CASES,
+    ROWS,
+    assert_same_values,
     config,
     encoded,
     lattice_config,
@@ -30,14 +32,6 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import other_comments
 
 TINY = Path(__file__).parents[2] / "shared" / "scenes" / "tiny_sh3.ply"
-ROWS = {
-    "positions": ("x", "y", "z"),
-    "f_dc": ("f_dc_0", "f_dc_1", "f_dc_2"),
-    "f_rest": tuple(f"f_rest_{i}" for i in range(45)),
-    "opacity": ("opacity",),
-    "log_scale": ("scale_0", "scale_1", "scale_2"),
-    "rot": ("rot_0", "rot_1", "rot_2", "rot_3"),
-}
 
 
 def assert_same(data):
@@ -51,16 +45,7 @@ def assert_same(data):
     for name, column in ours.extra.items():
         assert column.dtype == reference["extra"][name].dtype
         assert column.tobytes() == reference["extra"][name].tobytes(), name
-    rows = [
-        (name, row)
-        for group, names in ROWS.items()
-        for name, row in zip(names, getattr(ours, group), strict=False)
-    ]
-    assert {name for name, _ in rows} == set(reference["values"])
-    for name, row in rows:
-        np.testing.assert_array_equal(
-            row.view(np.uint32), reference["values"][name].view(np.uint32), err_msg=name
-        )
+    assert_same_values(ours, reference["values"])
     return reference
 
 

@@ -28,7 +28,7 @@ def test_seeds_are_read(name):
 
 
 #: Slow targets, whose readers other tests also give damaged files.
-MANY = ("decode", "browser", "usd")
+MANY = ("decode", "sequence", "browser", "usd")
 
 
 @pytest.mark.parametrize("name", [thorough(name) if name in MANY else name for name in TARGETS])

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from golden.make import GUIDES, golden_levels, golden_scenes
+from golden.make import GUIDES, golden_levels, golden_scenes, golden_sequences
 from golden.make_other import COUNT, HOME, written
+from moving_scenes import decode
 from other_programs import check, stored_numbers
 from reference_decoder import decode as reference_decode
+from reference_sequence import decode_sequence
 from scenes import encode_by
 
 from gs_codec.codecs import decode_part, decode_scene
@@ -18,7 +20,8 @@ from gs_codec.codecs.part import Part
 from gs_codec.scene import GROUPS, Scene
 
 FOLDER = Path(__file__).parent / "golden"
-FILES = sorted(FOLDER.glob("*.egs"))
+SEQUENCES = [FOLDER / f"{name}.egs" for name in golden_sequences()]
+FILES = [path for path in sorted(FOLDER.glob("*.egs")) if path not in SEQUENCES]
 
 
 def test_there_are_golden_files_of_all_versions():
@@ -53,6 +56,18 @@ def test_levels_of_a_golden_file_decode_to_the_same_floats(name):
                 np.testing.assert_array_equal(after.view(np.uint32), before.view(np.uint32))
 
 
+@pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
+def test_frames_of_a_golden_file_decode_to_the_same_floats(path):
+    frames = decode(path.read_bytes())
+    values = [frame["values"] for frame in decode_sequence(path.read_bytes())["frames"]]
+    with np.load(path.with_suffix(".npz")) as expected:
+        for number, (scene, row) in enumerate(zip(frames, values, strict=True)):
+            np.testing.assert_array_equal(scene.positions[2].view("u4"), row["z"].view("u4"))
+            for group in GROUPS:
+                before, after = expected[f"frame {number} {group}"], getattr(scene, group)
+                np.testing.assert_array_equal(after.view(np.uint32), before.view(np.uint32))
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_reference_decoder_agrees_on_golden_files(path):
     values = reference_decode(path.read_bytes())["values"]
@@ -68,6 +83,11 @@ def test_encoders_write_no_more_bytes_than_then(name):
     scene, config = golden_scenes()[name]
     size = (FOLDER / f"{name}.egs").stat().st_size
     assert len(encode_by(scene, config, GUIDES.get(name))) <= size
+
+
+@pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
+def test_frames_take_no_more_bytes_than_then(path):
+    assert len(golden_sequences()[path.stem]()) <= path.stat().st_size
 
 
 @pytest.mark.parametrize("form", HOME)

@@ -20,6 +20,7 @@ import browser
 import foreign
 import numpy as np
 from damage import ENTRY, HEADER, SECTIONS, with_checksums
+from moving_scenes import encoded, varied
 from scenes import SmallBlocks, encode_by, made_up_guide, random_scene, seen_from, with_far
 
 from gs_codec.batch.ledger import Record, open_ledger
@@ -29,8 +30,11 @@ from gs_codec.cameras.image_files import read_image
 from gs_codec.codecs import decode_part, encode_parts, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.columns import read_integers, write_integers
+from gs_codec.codecs.moving import decode_frames
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
+from gs_codec.egs.egs_file import described, read_file
+from gs_codec.egs.frame_sections import timeline_of
 from gs_codec.errors import GsCodecError
 from gs_codec.format_table import STREAMED, TILESET, UNBUNDLED
 from gs_codec.formats import checkpoint as of_trainers
@@ -163,6 +167,29 @@ def _streams() -> list[bytes]:
     return found + [bytes([first]) + _levels() for first in (9, 25, 41)]
 
 
+def _decode_frames(data: bytes) -> None:
+    """Decode the frames of a sequence; the first byte is as in `_decode`."""
+    if not data:
+        return
+    stream = bytearray(data[1:])
+    if data[0] & 8:
+        _fit_last(stream)
+    if data[0] & 1 and len(stream) > HEADER:
+        stream = with_checksums(stream)
+    file = read_file(bytes(stream), described)
+    for scene in decode_frames(file, timeline_of(file), threads=1, max_bytes=_MOST):
+        scene.f_rest.sum(dtype=np.float64)
+
+
+def _sequences() -> list[bytes]:
+    scenes = (
+        random_scene(20, 0),
+        with_far(random_scene(20, 1), 3),
+        seen_from(random_scene(20, 2), 1, scale=100.0),
+    )
+    return [b"\x09" + encoded(varied(scene, 4, share=0.7), 16, group=3) for scene in scenes]
+
+
 def _levels() -> bytes:
     """A stream with a coarser level, in blocks smaller than options allow."""
     config = SmallBlocks("m", lod=True)
@@ -183,7 +210,7 @@ def _browser_streams() -> list[bytes]:
     return [bytes([first]) + stream for stream in streams for first in (0, 1)] + [
         b"\1" + path.read_bytes()
         for path in sorted((Path(__file__).parents[1] / "golden").glob("*.egs"))
-        if "lossless" not in path.name and path.stat().st_size < 7_000
+        if not {"lossless", "sequence"} & {*path.stem.split("-")} and path.stat().st_size < 7_000
     ]
 
 
@@ -531,6 +558,7 @@ def _in_folder(read: Callable[[Path, bytes], object], data: bytes) -> object:
 
 TARGETS = {
     "decode": Target(_decode, _streams),
+    "sequence": Target(_decode_frames, _sequences),
     **({"browser": Target(browser.compare, _browser_streams)} if browser.NODE else {}),
     "ply": Target(_scene_file(".ply"), _plys),
     "packed-ply": Target(_scene_file(".ply"), _packed_plys),

@@ -18,6 +18,7 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
+from moving_scenes import decode, encoded, varied  # noqa: E402
 from scenes import (  # noqa: E402
     SmallBlocks,
     encode_by,
@@ -132,8 +133,24 @@ def golden_levels() -> dict[str, Callable[[], bytes]]:
     }
 
 
+def golden_sequences() -> dict[str, Callable[[], bytes]]:
+    """Files of five frames in two groups, in which far Gaussians and bases change too."""
+    first = with_far(seen_from(random_scene(64, 2, seed=114), 2, scale=10.0), 8)
+    return {"v2-sequence": lambda: encoded(varied(first, 5), 40, "s", 3)}
+
+
 def main() -> None:
     """Encode, decode, and store both."""
+    for name, encode in golden_sequences().items():
+        stem = HERE / name
+        if stem.with_suffix(".egs").exists():
+            continue
+        data = encode()
+        stem.with_suffix(".egs").write_bytes(data)
+        frames = enumerate(decode(data))
+        planes = {f"frame {k} {g}": getattr(scene, g) for k, scene in frames for g in GROUPS}
+        np.savez_compressed(stem.with_suffix(".npz"), **planes)
+        print(f"{stem.name}: {len(data)} bytes")
     for name, encode in golden_levels().items():
         stem = HERE / name
         if stem.with_suffix(".egs").exists():

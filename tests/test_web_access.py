@@ -87,13 +87,13 @@ def test_everything_is_reached_by_keys(page):
     """The scene itself, the line of the wipe, and all controls, in the order on the page."""
     focused = "document.activeElement.id || document.activeElement.localName"
     job = Job(page, [("drawn",), ("value", OPEN)], SIZES["computer"])
-    for _ in range(15):
+    for _ in range(16):
         job.steps += [("key", "Tab"), ("value", focused)]
     [told] = open_pages(job)
     names = [value for value in told.values[2:] if value]
     assert names == [
         "view", "wipe", "summary", "input", "views", "ups", "degree", "background", "turn", "tour",
-        "language", "full", "save", "link", "summary",
+        "theme", "language", "full", "save", "link", "summary",
     ]  # fmt: skip
 
 

@@ -104,3 +104,25 @@ def test_a_page_speaks_the_language_of_its_reader(tmp_path):
     assert opened[0].values[5][:3] == ["fr", "Enregistrer l’image", "Show.ply"]
     assert opened[0].values[6] == "#view=0&lang=fr"
     assert opened[1].values[1][:2] == ["zh", "保存图片"]
+
+
+#: The panel's colours: background and text.
+COLOURS = """(() => {
+    const { backgroundColor, color } = getComputedStyle(document.getElementById('panel'));
+    return [backgroundColor, color].map((each) => /\\d+/.exec(each)[0]);
+})()"""
+
+
+@in_browser
+def test_the_panel_is_dark_or_light_as_the_system_asks_or_as_chosen(tmp_path):
+    """Here, the system asks for light."""
+    url = small_page(tmp_path)
+    light = Job(url, [("drawn",), ("value", COLOURS), ("choose", "#theme", "dark")], panel=True)
+    light.steps += [("value", COLOURS), ("until", "location.hash.endsWith('&theme=dark')")]
+    dark = Job(url + "#theme=dark", [("drawn",), ("value", COLOURS)])
+    other = Job(url + "#theme=red", [("drawn",), ("value", COLOURS)])
+    light, dark, other = open_pages(light, dark, other)
+    assert light.errors == []
+    assert (light.values[1], light.values[3]) == (["255", "17"], ["24", "238"])
+    assert dark.values[1] == ["24", "238"]
+    assert other.values[1] == ["255", "17"]

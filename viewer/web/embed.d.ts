@@ -25,6 +25,8 @@ export interface ViewerState {
   note: number;
   /** Whether only the picture is shown. */
   bare: boolean;
+  /** Dark or light; an empty text for what the system asks for. */
+  theme: 'dark' | 'light' | '';
 }
 
 type Vector = [x: number, y: number, z: number];

@@ -20,10 +20,12 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {boolean} state.tour whether a tour goes on
  * @param {boolean} state.bare whether only the picture is shown
  * @param {number} [state.note] number of the open annotation
+ * @param {string} [state.theme] if chosen
  * @param {string} [state.lang] language, if chosen
  */
 export function addressOf(state) {
-  const { view, camera, show, wipe, degree, up, background, turn, tour, bare, note, lang } = state;
+  const { view, camera, show, wipe, degree, up, background } = state;
+  const { turn, tour, bare, note, theme, lang } = state;
   const parts = { view };
   if (camera) parts.camera = text(camera);
   if (show) parts.show = show;
@@ -35,6 +37,7 @@ export function addressOf(state) {
   if (tour) parts.tour = 1;
   if (bare) parts.bare = 1;
   if (note) parts.note = note;
+  if (theme) parts.theme = theme;
   if (lang) parts.lang = lang;
   // Commas and minus signs need no escapes.
   return new URLSearchParams(parts).toString().replaceAll('%2C', ',');
@@ -77,6 +80,7 @@ export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages
     tour: isOn('tour'),
     bare: isOn('bare'),
     note: whole('note', notes + 1),
+    theme: one('theme', ['dark', 'light', '']),
     lang: one('lang', languages),
   };
 }

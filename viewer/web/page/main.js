@@ -286,6 +286,13 @@ class Viewer extends EventTarget {
     this.set({ degree });
   }
 
+  /** Show the page dark, light, or as the system asks (an empty text). */
+  dress(theme) {
+    this.theme = theme;
+    this.panel.dressed(theme);
+    this.#remember();
+  }
+
   /** Show the page in another language, by loading it again. */
   speak(language) {
     this.language = language;
@@ -307,6 +314,7 @@ class Viewer extends EventTarget {
       tour: this.motion === 'tour',
       bare: Boolean(isBare),
       note: notes.shown,
+      theme: this.theme,
       lang: language,
     };
   }
@@ -339,8 +347,8 @@ class Viewer extends EventTarget {
     const asked = stateOf(location.hash, this.possible);
     this.language = asked.lang;
     if (asked.lang && asked.lang !== LANGUAGE) return location.reload();
-    const { turn = false, bare = false, note = 0 } = asked;
-    this.show({ ...asked, turn, bare, note });
+    const { turn = false, bare = false, note = 0, theme = '' } = asked;
+    this.show({ ...asked, turn, bare, note, theme });
     clearTimeout(this.settling);
     this.remembered = this.#address;
   }
@@ -360,7 +368,8 @@ class Viewer extends EventTarget {
     const { show, background, wipe: split } = asked;
     const look = Object.entries({ show, background, split });
     this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
-    const { bare, note, turn, tour } = asked;
+    const { bare, note, turn, tour, theme } = asked;
+    if (theme !== undefined) this.dress(theme);
     if (bare !== undefined) this.bare(bare);
     if (note !== undefined) this.notes.open(note, true);
     const isStill = matchMedia('(prefers-reduced-motion)').matches;

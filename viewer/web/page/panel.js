@@ -72,6 +72,7 @@ export class Panel {
     $('tour').parentElement.hidden = !viewer.path && viewer.views.length === 1;
     $('tour').addEventListener('change', ({ target }) => viewer.tour(target.checked));
     hasHeadset().then((isThere) => ($('headset').hidden = !isThere));
+    $('theme').addEventListener('change', ({ target }) => viewer.dress(target.value));
     $('headset').addEventListener('click', () => viewer.immerse());
     $('full').hidden = !document.fullscreenEnabled;
     $('full').addEventListener('click', () => document.documentElement.requestFullscreen());
@@ -156,6 +157,12 @@ export class Panel {
   playing(motion) {
     $('turn').checked = motion === 'turn';
     $('tour').checked = motion === 'tour';
+  }
+
+  /** Show the theme: dark, light, or an empty text for that of the system. */
+  dressed(theme) {
+    $('theme').value = theme;
+    document.documentElement.style.colorScheme = theme;
   }
 
   /** Show which view is selected. */

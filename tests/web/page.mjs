@@ -20,8 +20,8 @@ const STEPS = {
     await STEPS.drawn(page);
     const cover = (visibility) =>
       page.evaluate((value) => {
-        for (const id of ['panel', 'told', 'wipe', 'stick']) {
-          document.getElementById(id).style.visibility = value;
+        for (const cover of document.querySelectorAll('#panel, #told, #wipe, #stick')) {
+          cover.style.visibility = value;
         }
       }, visibility);
     await cover('hidden');

@@ -4,7 +4,7 @@
 export const REST = 250;
 
 /** Maximum milliseconds for a picture during motion; slower devices draw drafts. */
-const BUDGET = 50;
+const BUDGET = 33;
 
 /** Maximum divisor of a draft's sides. */
 const COARSEST = 4;

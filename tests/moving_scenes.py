@@ -37,7 +37,7 @@ class Given:
         return self.scenes[number]
 
 
-def moving(count: int = 300, frames: int = 5, sh_degree: int = 3, seed: int = 0) -> list[Scene]:
+def moving(count: int = 1200, frames: int = 5, sh_degree: int = 3, seed: int = 0) -> list[Scene]:
     """Frames in which a third of the Gaussians move, turn, and change in every attribute."""
     rng = np.random.default_rng(seed)
     first = random_scene(count, sh_degree, seed)
@@ -57,7 +57,7 @@ def moving(count: int = 300, frames: int = 5, sh_degree: int = 3, seed: int = 0)
 
 
 def coded(
-    path: Path, scenes: Sequence[Scene], profile: str = "m", group: int = 30, block: int = 64
+    path: Path, scenes: Sequence[Scene], profile: str = "m", group: int = 30, block: int = 600
 ) -> SequenceReport:
     """Encode frames in small blocks."""
     request = Request(SmallBlocks(profile, block_size=block))

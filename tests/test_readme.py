@@ -42,6 +42,9 @@ def folder(tmp_path, monkeypatch, few_cameras):
     """A folder with the files that the documents assume."""
     scene = generate(1100, 1, 80)
     write_ply(tmp_path / "scene.ply", scene)
+    (tmp_path / "frames").mkdir()
+    for number in range(3):
+        write_ply(tmp_path / "frames" / f"{number}.ply", scene)
     (tmp_path / "notes.json").write_text('[{"position": [0, 0, 0], "title": "middle"}]')
     write_cameras(tmp_path / "path.json", auto_cameras(scene, 2))
     monkeypatch.chdir(tmp_path)

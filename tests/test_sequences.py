@@ -23,7 +23,7 @@ from gs_codec.scene import Scene
 from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.sequences.frame_encoding import encode_frames
 
-SMALL = SmallBlocks("m", block_size=64, threads=1)
+SMALL = SmallBlocks("m", block_size=600, threads=1)
 
 
 def decoded(path, *span) -> list[Scene]:
@@ -32,12 +32,12 @@ def decoded(path, *span) -> list[Scene]:
 
 
 def test_what_does_not_move_costs_nothing(tmp_path):
-    scene = random_scene(300)
+    scene = random_scene(1200)
     report = coded(tmp_path / "a.egs", 4 * [scene])
     assert (report.frames, report.key_frames, report.fps) == (4, 1, 25.0)
-    # A size and a few decisions for each of 5 blocks.
+    # A size and a few decisions for each of 2 blocks.
     assert report.file_bytes - report.key_bytes < 400 + 3 * 40
-    alone = decode_scene(encode_scene(scene, SmallBlocks("m", block_size=64))[0])
+    alone = decode_scene(encode_scene(scene, SmallBlocks("m", block_size=600))[0])
     for frame in decoded(tmp_path / "a.egs"):
         assert_same_floats(frame, alone)
 
@@ -52,7 +52,7 @@ def test_frames_are_as_close_as_scenes_of_their_own(tmp_path, degree):
     report = coded(tmp_path / "a.egs", scenes)
     assert report.key_frames == 1
     for scene, frame in zip(scenes, decoded(tmp_path / "a.egs"), strict=True):
-        data, _ = encode_scene(scene, SmallBlocks("m", block_size=64))
+        data, _ = encode_scene(scene, SmallBlocks("m", block_size=600))
         alone = decode_scene(data)
         assert frame.count == scene.count
         for group in ("positions", "opacity", "f_dc", "f_rest"):
@@ -82,7 +82,7 @@ def test_encoder_knows_what_is_decoded(tmp_path, monkeypatch):
     )
     with opened_sequence(tmp_path / "a.egs") as sequence, using_threads(1):
         list(sequence.frames())
-    assert len(filled) == len(coded_frames) == 4 * 5
+    assert len(filled) == len(coded_frames) == 4 * 2
     for one, other in zip(coded_frames, filled, strict=True):
         for name, values in vars(one).items():
             for own, theirs in zip(values, vars(other)[name], strict=True):
@@ -110,7 +110,7 @@ def test_other_gaussians_begin_a_group(tmp_path):
     coded(tmp_path / "a.egs", scenes)
     with opened_sequence(tmp_path / "a.egs") as sequence:
         assert sequence.timeline.keys == (0, 2)
-        assert [frame.count for frame in sequence.frames()] == [300, 300, 290, 290]
+        assert [frame.count for frame in sequence.frames()] == [1200, 1200, 290, 290]
 
 
 def test_unrelated_frames_cost_no_more_than_scenes(tmp_path):
@@ -131,7 +131,7 @@ def test_frames_must_be_alike(tmp_path):
 def test_bytes_do_not_depend_on_threads(tmp_path):
     scenes = moving()
     for threads in (1, 3):
-        config = SmallBlocks("m", block_size=64, threads=threads)
+        config = SmallBlocks("m", block_size=600, threads=threads)
         encode_frames(Given(scenes), tmp_path / f"{threads}.egs", Request(config))
     assert (tmp_path / "1.egs").read_bytes() == (tmp_path / "3.egs").read_bytes()
 
@@ -148,7 +148,7 @@ def test_an_interrupted_run_goes_on(tmp_path):
                 raise KeyboardInterrupt
             return super().read(number)
 
-    request = Request(SmallBlocks("m", block_size=64))
+    request = Request(SmallBlocks("m", block_size=600))
     with pytest.raises(KeyboardInterrupt):
         encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4)
     assert not (tmp_path / "a.egs").exists()
@@ -186,7 +186,7 @@ def folder(tmp_path, monkeypatch, capsys):
 def test_commands(folder, caplog):
     result = folder.run("encode", "frames/*.ply", "a.egs", "--fps", "24", "--group", "2")
     assert result.status == 0
-    assert result.out.startswith("a.egs: 4 frames at 24 a second, 300 Gaussians, ")
+    assert result.out.startswith("a.egs: 4 frames at 24 a second, 1,200 Gaussians, ")
     assert "\n2 key frames, " in result.out
     shown = json.loads(folder.run("inspect", "a.egs", "--json").out)
     assert (shown["frames"], shown["fps"]) == (4, 24)

@@ -224,6 +224,21 @@ def test_refused(folder, typed, said):
     assert said in line
 
 
+def test_compare_frames(folder):
+    folder.run("encode", "frames", "a.egs")
+    (folder.path / "frames" / "f12.ply").rename(folder.path / "f12.ply")
+    said = folder.refuse("compare", "frames", "a.egs", "--cameras", "auto")
+    assert "a.egs: 4 frames, expected 3, as in frames" in said
+    (folder.path / "f12.ply").rename(folder.path / "frames" / "f12.ply")
+    result = folder.run("compare", "frames", "a.egs", "--width", "40", "--json")
+    shown = json.loads(result.out)
+    assert [frame["name"] for frame in shown["frames"]] == ["f9", "f10", "f11", "f12"]
+    assert all(30 < frame["psnr"] < 80 for frame in shown["frames"])
+    result = folder.run("compare", "frames/*.ply", "a.egs", "--width", "40")
+    assert result.out.splitlines()[-1].startswith("4 frames: ")
+    assert "--lpips has no effect" in folder.refuse("compare", "frames", "a.egs", "--lpips", "x")
+
+
 def test_refused_of_sequences(folder):
     folder.run("encode", "frames", "a.egs")
     for typed, said in (

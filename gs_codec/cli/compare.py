@@ -59,7 +59,19 @@ def command(
         ),
     ] = None,
 ) -> None:
-    """Compare two versions of a scene: by attribute, or in rendered views."""
+    """Compare two versions of a scene: by attribute, or in rendered views.
+
+    Of a sequence, each may be an .egs, a folder, a pattern or a zip; views of frames are compared.
+    """
+    from gs_codec.egs.frame_sections import is_sequence
+    from gs_codec.sequences.frame_sources import has_frames
+
+    if any(is_sequence(each) or has_frames(each) for each in (first, second)):
+        from gs_codec.cli import sequence_commands
+
+        drawn = {name: typed[name] for name in _OF_VIEWS}
+        sequence_commands.compare(first, second, typed, cameras, drawn)
+        return
     if cameras is None:
         typed.refuse((*_OF_VIEWS, "gt_images", "images", "lpips", "overwrite"), "needs --cameras")
     elif images is None:

@@ -184,6 +184,37 @@ def _described(sequence: Sequence) -> dict[str, Any]:
     }
 
 
+def compare(
+    first: Path, second: Path, typed: Typed, cameras: str | None, drawn: dict[str, Any]
+) -> None:
+    """Compare two versions of a sequence in rendered views."""
+    from gs_codec.sequences.frame_comparison import compare_frames
+
+    typed.refuse(["gt_images", "images", "lpips", "overwrite"], "has no effect on sequences")
+    with progress_bar() as progress:
+        found = [
+            (name, comparison.mean.between.psnr, comparison.worst.between.psnr)
+            for name, comparison in compare_frames(
+                [first, second], cameras or "auto", progress=progress,
+                max_bytes=typed["max_bytes"], **drawn,
+            )
+        ]  # fmt: skip
+    mean, lowest = (
+        sum(psnr for _, psnr, _ in found) / len(found),
+        min(found, key=lambda row: row[1]),
+    )
+    if typed["json"]:
+        frames = [{"name": name, "psnr": psnr, "worst": worst} for name, psnr, worst in found]
+        print_document(input=[str(first), str(second)], frames=frames, psnr=mean)
+        return
+    rows = [[name, f"{psnr:.3f}", f"{worst:.3f}"] for name, psnr, worst in found]
+    print_table(Table(["frame", "PSNR (dB)", "worst view"], rows))
+    print_text(
+        f"{counted(len(found), 'frame')}: {mean:.3f} dB on average; lowest {lowest[1]:.3f}, in "
+        f"{lowest[0]}"
+    )
+
+
 def verify(source: Path, file: Path, typed: Typed) -> None:
     """Decode all frames of a sequence at `file`, called `source`."""
     import time

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.decode import Blocks
-from gs_codec.codecs.adaptive.moving_block import Frame, MovingBlock, contexts_of
+from gs_codec.codecs.adaptive.moving_block import AC, GROUP_PARTS, Frame, MovingBlock, contexts_of
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder
 from gs_codec.codecs.decode import decode_part
 from gs_codec.codecs.part import Part
@@ -22,7 +22,7 @@ from gs_codec.egs.frame_sections import Timeline, open_key_frame, within_frame
 from gs_codec.egs.header import Header
 from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
-from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
@@ -78,7 +78,6 @@ def decode_frames(
     timeline: Timeline,
     first: int = 0,
     stop: int | None = None,
-    threads: int | None = None,
     max_bytes: int | None = None,
 ) -> Iterator[Scene]:
     """Decode frames `first` to `stop` of a sequence, whose descriptions were read.
@@ -90,8 +89,7 @@ def decode_frames(
     while number < stop:
         after = timeline.keys[timeline.keys.index(number) + 1 :]
         end = min(stop, after[0] if after else timeline.count)
-        with using_threads(threads):
-            yield from _decode_group(file, number, first, end, max_bytes)
+        yield from _decode_group(file, number, first, end, max_bytes)
         number = end
 
 
@@ -110,12 +108,18 @@ def _decode_group(
     _check_blocks(found.header, most_bytes(len(data), max_bytes))
     blocks = _moving_blocks(found)
     planes = {group: getattr(scene, group).copy() for group in GROUPS}
+    changed = np.zeros(AC + 1, np.bool_)
     for number in range(key + 1, end):
         with within_frame(number):
             streams = _split(file.only(SectionId.MOTION, number), len(blocks))
             run_all(partial(_decode, planes), zip(blocks, streams, strict=True))
+        for block in blocks:
+            changed |= block.frame.flags.any(axis=1)
         if number >= first:
-            yield replace(scene, **{group: own.copy() for group, own in planes.items()})
+            some = [group for group, part in GROUP_PARTS.items() if changed[part]]
+            changed[:] = False
+            scene = replace(scene, **{group: planes[group].copy() for group in some})
+            yield scene
 
 
 def _check_blocks(header: Header, limit: int) -> None:

@@ -37,6 +37,16 @@ from gs_codec.scene import sh_bands
 #: centre, SH-DC, SH-AC.
 SHAPE, TURN, PLACE, DC, AC = range(5)
 
+#: The part that each attribute group of a scene belongs to.
+GROUP_PARTS = {
+    "opacity": SHAPE,
+    "log_scale": SHAPE,
+    "rot": TURN,
+    "positions": PLACE,
+    "f_dc": DC,
+    "f_rest": AC,
+}
+
 #: Number of values of each part but SH-AC.
 CHANNELS = (4, 3, 3, 3)
 

@@ -14,6 +14,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.adaptive.moving_block import MovingBlock
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder, turns_between
 from gs_codec.coding.axes import reordered, rotation_matrix, sort_axes
+from gs_codec.config import RateTarget
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
@@ -21,7 +22,7 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 from gs_codec.sequences.frame_decoding import opened_sequence
-from gs_codec.sequences.frame_encoding import encode_frames
+from gs_codec.sequences.frame_encoding import encode_frames, encode_requested
 
 SMALL = SmallBlocks("m", block_size=600, threads=1)
 
@@ -136,6 +137,18 @@ def test_bytes_do_not_depend_on_threads(tmp_path):
     assert (tmp_path / "1.egs").read_bytes() == (tmp_path / "3.egs").read_bytes()
 
 
+def test_a_size_is_met(tmp_path):
+    scenes = moving(frames=3)
+    large = coded(tmp_path / "a.egs", scenes).file_bytes
+    limit = int(0.7 * large)
+    request = Request(SMALL, rate=RateTarget(limit))
+    report = encode_requested(Given(scenes), tmp_path / "b.egs", request)
+    assert 0.9 * limit < report.file_bytes <= limit
+    assert (tmp_path / "b.egs").stat().st_size == report.file_bytes
+    assert len(decoded(tmp_path / "b.egs")) == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.egs", "b.egs"]
+
+
 def test_an_interrupted_run_goes_on(tmp_path):
     scenes = moving(frames=6)
     coded(tmp_path / "whole.egs", scenes, group=4)
@@ -209,7 +222,8 @@ def test_commands(folder, caplog):
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("encode frames a.egs --target-size 1MB", "--target-size has no effect on a sequence"),
+        ("encode frames a.egs --max-psnr-drop 1", "--max-psnr-drop has no effect on a sequence"),
+        ("encode frames a.egs --target-ratio 1000", "bytes at the coarsest step sizes"),
         ("encode frames a.egs --prune 10", "--prune has no effect on a sequence"),
         ("encode frames a.spz", "a.spz: frames are encoded to an .egs"),
         ("encode frames a.egs -p lossless", "a.egs: frames are encoded to an .egs by profile"),

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 #: Options of `encode` without effect on a sequence.
 _WHOLE_SCENES = (
-    "preset", "gt_images", "refine", "prune", "gaussians", "target_size", "target_ratio",
-    "max_psnr_drop", "max_memory", "extra", "input_format", "lod", "allow_prune",
+    "preset", "gt_images", "refine", "prune", "gaussians", "target_bpg", "max_psnr_drop",
+    "max_memory", "extra", "input_format", "lod", "allow_prune",
 )  # fmt: skip
 
 #: Options of `decode` without effect on a sequence.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.config import Config, as_config
+from gs_codec.config import Config, RateTarget, as_config, as_rate_target
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import config_for
@@ -50,6 +50,7 @@ def encode_sequence(
     target: str | Path,
     config: Config | str | None = None,
     plan: Plan | None = None,
+    rate: RateTarget | Mapping[str, float] | None = None,
     *,
     group: int = GROUP,
     fps: float | None = None,
@@ -73,6 +74,8 @@ def encode_sequence(
         With profile ``l``, ``m`` or ``s``.
     plan : Plan, optional
         Cameras that guide step sizes; without other steps.
+    rate : RateTarget or mapping, optional
+        A size or ratio to meet; the sequence is then encoded up to six times.
     group : int
         Maximum number of frames that a key frame begins; default 30. To show a frame, a reader
         decodes its group.
@@ -108,7 +111,8 @@ def encode_sequence(
     if not isinstance(source, str | Path) and not len(source):
         raise InvalidInput("no frames, expected at least one")
     frames = source if isinstance(source, str | Path) else _Clouds(source, fps)
-    request = Request(config_for(target, as_config(config)), plan, max_bytes=max_bytes)
+    config = config_for(target, as_config(config))
+    request = Request(config, plan, as_rate_target(rate), max_bytes=max_bytes)
     if request.prepares:
         raise InvalidInput("steps that prepare a scene have no effect on a sequence")
     return encode_requested(frames, target, request, group, fps, progress, overwrite)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -36,11 +39,21 @@ from gs_codec.report import Progress, StageTimes, step_counter
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 from gs_codec.sequences.frame_sources import open_frames
 
 #: Frames of a group, by default; a reader decodes at most one group to show a frame.
 GROUP = 30
+
+#: Maximum number of times that a sequence is encoded to meet a size.
+_TRIALS = 6
+
+#: Share of a target size that is aimed for, and the least that ends the search.
+_AIMED, _LEAST_FILLED = 0.99, 0.97
+
+#: Typical exponent of the size as a function of the step sizes.
+_SLOPE = -0.6
 
 #: Frames per second of sources that do not state them.
 FPS = 30.0
@@ -332,8 +345,62 @@ def encode_requested(
             "without levels of detail"
         )
     check_target([], target, (".egs",), overwrite)
+    encode = encode_frames if request.rate is None else _encode_to_size
     if not isinstance(source, str | Path):
-        return encode_frames(source, target, request, group, progress)
+        return encode(source, target, request, group, progress)
     frames = open_frames(source, fps, "drop", request.max_bytes)
     with located(source):
-        return encode_frames(frames, target, request, group, progress, frames.paths)
+        return encode(frames, target, request, group, progress, frames.paths)
+
+
+def _encode_to_size(
+    source: Source,
+    target: str | Path,
+    request: Request,
+    group: int,
+    progress: Progress | None = None,
+    paths: Sequence[Path] = (),
+) -> SequenceReport:
+    """Encode a sequence at the finest step sizes that meet a size, by trials.
+
+    Raises InvalidInput if the target is not a size or a ratio, or is out of reach.
+    """
+    assert request.rate is not None
+    if request.rate.size is None and request.rate.ratio is None:
+        raise InvalidInput("target: expected a size or a ratio for a sequence")
+    limit = request.rate.limit(0, source.stored_bytes)
+    assert limit is not None
+    factor, tried, times = 1.0, dict[float, SequenceReport](), dict[str, float]()
+    with tempfile.TemporaryDirectory(dir=Path(target).parent, prefix=".") as folder:
+        for number in range(_TRIALS):
+            coarseness = min(max(request.config.coarseness * factor, 1 / 64), 64.0)
+            config = replace(request.config, coarseness=coarseness)
+            own = replace(request, config=config, rate=None)
+            report = encode_frames(source, Path(folder, f"{number}.egs"), own, group, progress)
+            times = {name: times.get(name, 0) + took for name, took in report.seconds.items()}
+            tried[factor] = report
+            if _LEAST_FILLED * limit <= report.file_bytes <= limit:
+                break
+            factor = _next_factor({f: each.file_bytes for f, each in tried.items()}, limit)
+        fitting = [n for n, each in enumerate(tried.values()) if each.file_bytes <= limit]
+        reports = list(tried.values())
+        if not fitting:
+            least = min(each.file_bytes for each in reports)
+            raise InvalidInput(
+                f"target: {counted(least, 'byte')} at the coarsest step sizes that were tried"
+            )
+        best = max(fitting, key=lambda n: reports[n].file_bytes)
+        os.replace(Path(folder, f"{best}.egs"), target)
+    return replace(reports[best], seconds=times)
+
+
+def _next_factor(sizes: Mapping[float, int], limit: int) -> float:
+    """The factor on step sizes to try next, from the sizes with other factors."""
+    points = sorted((abs(math.log(size / limit)), f, size) for f, size in sizes.items())
+    slope = _SLOPE
+    if len(points) > 1:
+        (_, f, size), (_, other, other_size) = points[:2]
+        slope = min(math.log(size / other_size) / math.log(f / other), _SLOPE / 4)
+    _, f, size = points[0]
+    step = math.log(_AIMED * limit / size) / slope
+    return f * math.exp(min(max(step, -2.0), 2.0))

@@ -26,7 +26,7 @@ from gs_codec.scene import GROUPS, Scene, take_columns
 
 #: Changes of a value below this share of its step size are not coded, so that a trainer's noise
 #: costs nothing.
-_STILL = 0.25
+_STILL = 0.125
 
 #: A far Gaussian moves if its centre does by this share of its distance from the grid's origin.
 _FAR_STEP = 1e-3

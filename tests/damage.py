@@ -27,6 +27,7 @@ from gs_codec.egs.egs_file import (
 from gs_codec.egs.frame_sections import timeline_of
 from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
+from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS
 
 HEADER = 44
@@ -174,9 +175,10 @@ def survive_sequence(data: bytes, max_bytes: int | None = 1 << 20, threads: int 
     """Decode all frames of an untrusted sequence; return whether it was accepted."""
     try:
         file = read_file(data, described)
-        for scene in decode_frames(file, timeline_of(file), 0, None, threads, max_bytes):
-            for group in GROUPS:
-                assert np.isfinite(getattr(scene, group)).all()
+        with using_threads(threads):
+            for scene in decode_frames(file, timeline_of(file), max_bytes=max_bytes):
+                for group in GROUPS:
+                    assert np.isfinite(getattr(scene, group)).all()
     except GsCodecError as error:
         assert isinstance(error, REFUSALS)  # noqa: PT017
         assert "\n" not in str(error)  # noqa: PT017

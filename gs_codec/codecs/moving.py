@@ -127,8 +127,8 @@ def _check_blocks(header: Header, limit: int) -> None:
     size = 4 * contexts_of(SH_COEFFICIENTS[header.sh_degree]) * header.block_count
     if size > max(limit, _CONTEXT_BYTES):
         raise CorruptStream(
-            f"header: {counted(header.block_count, 'block')}, with {size:,} bytes of contexts; "
-            f"at most {limit:,} are read (max-bytes)"
+            f"header: contexts of {counted(header.block_count, 'block')} take "
+            f"{counted(size, 'byte')}, the limit is {limit:,}"
         )
 
 

@@ -48,7 +48,7 @@ def compare_frames(
         others, second = _frames(sources[1], stack, max_bytes)
         if len(names) != len(others):
             raise InvalidInput(
-                f"{sources[1]}: {len(others):,} frames, expected {len(names):,}, as in {sources[0]}"
+                f"{sources[1]}: {counted(len(others), 'frame')}, expected {len(names):,}, as in {sources[0]}"
             )
         advance = step_counter(progress, "frames", len(names))
         views = None

@@ -59,6 +59,7 @@ from gs_codec.preparation.adam import (
 from gs_codec.report import SCHEMA
 from gs_codec.runtime.atomic import write_files
 from gs_codec.runtime.optional import is_available
+from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, Scene
 from viewer.scenes.opened import read_pruned
 
@@ -177,8 +178,9 @@ def _decode_frames(data: bytes) -> None:
     if data[0] & 1 and len(stream) > HEADER:
         stream = with_checksums(stream)
     file = read_file(bytes(stream), described)
-    for scene in decode_frames(file, timeline_of(file), threads=1, max_bytes=_MOST):
-        scene.f_rest.sum(dtype=np.float64)
+    with using_threads(1):
+        for scene in decode_frames(file, timeline_of(file), max_bytes=_MOST):
+            scene.f_rest.sum(dtype=np.float64)
 
 
 def _sequences() -> list[bytes]:

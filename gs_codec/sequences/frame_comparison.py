@@ -13,6 +13,7 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.views import compare_views
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.sequences.frame_sources import open_frames
@@ -48,7 +49,8 @@ def compare_frames(
         others, second = _frames(sources[1], stack, max_bytes)
         if len(names) != len(others):
             raise InvalidInput(
-                f"{sources[1]}: {counted(len(others), 'frame')}, expected {len(names):,}, as in {sources[0]}"
+                f"{sources[1]}: {counted(len(others), 'frame')}, expected {len(names):,}, "
+                f"as in {sources[0]}"
             )
         advance = step_counter(progress, "frames", len(names))
         views = None

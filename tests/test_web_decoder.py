@@ -15,6 +15,7 @@ import reference_tools
 from damage import BASIS, FAR, changed, flipped, sample, with_checksums, with_section
 from format_cases import CASES, LATTICE_CASES, encoded, lattice_config
 from javascript import BLOCK, COUNT, GOLDEN, NODE, blocks, digest, run, upto
+from moving_scenes import coded, moving
 from scenes import (
     edge_scenes,
     encode_by,
@@ -113,11 +114,13 @@ def test_the_example_of_the_readme(tmp_path):
     code = "\n".join(lines).replace("./src", (folder / "src").as_uri())
     scene, script = tmp_path / "scene.egs", tmp_path / "example.mjs"
     scene.write_bytes(blocks())
-    code = code.replace("'scene.egs'", f"fs.readFileSync('{scene}')")
+    coded(tmp_path / "clip.egs", moving(9, 3))
+    for path in (scene, tmp_path / "clip.egs"):
+        code = code.replace(f"'{path.name}'", f"fs.readFileSync('{path}')")
     first = "import * as fs from 'node:fs';\nlet shown = 0;\nconst show = () => shown++;\n"
     script.write_text(f"{first}{code}\nconsole.log(shown, scene.count);\n")
     result = subprocess.run([str(NODE), script], capture_output=True, text=True, check=True)
-    assert result.stdout.split() == ["20", str(COUNT)]
+    assert result.stdout.split() == [str(20 + 3), str(COUNT)]
 
 
 def test_blocks_are_reported_as_they_complete():
@@ -167,14 +170,14 @@ def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
 def test_impossible_requests_are_reported():
     data = blocks()
     future, features = bytearray(data), bytearray(data)
-    future[8], features[24] = 3, 16
+    future[8], features[24] = 3, 32
     paper = encode_scene(random_scene(40, 1), Config("paper-m"))[0]
     jobs = [
         ({"bytes": future}, "UnsupportedError", "header: version 3"),
         (
             {"bytes": with_checksums(features)},
             "UnsupportedError",
-            "header: features sequences",
+            "header: features 5",
         ),
         ({"bytes": b"ply\n" * 9}, "CorruptError", "not an .egs file"),
         ({"bytes": b""}, "CorruptError", "cut off before byte 16"),

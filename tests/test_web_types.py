@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from moving_scenes import coded, moving
 
 HERE = Path(__file__).parent
 SOURCE = HERE.parent / "viewer" / "web" / "src"
@@ -23,9 +24,12 @@ const file = await names.open(data);
 const ofClass = (thing) => Object.getOwnPropertyNames(Object.getPrototypeOf(thing));
 const all = (thing) => [...Object.keys(thing), ...ofClass(thing)];
 const scene = await names.decode(data);
+const sequence = await names.openSequence((await import('node:fs')).readFileSync('MOVING'));
+const group = await sequence.group(0);
 console.log(JSON.stringify({
     names: Object.keys(names),
     Scene: all(scene), EgsFile: all(file), Level: Object.keys(file.levels[1]),
+    Sequence: all(sequence), Group: all(group), Changes: Object.keys(await group.next()),
 }));
 """
 
@@ -43,17 +47,20 @@ def test_examples_are_checked():
     assert (done.returncode, done.stdout) == (0, "")
 
 
-def test_types_name_existing_exports():
+def test_types_name_existing_exports(tmp_path):
     text = (SOURCE / "index.d.ts").read_text()
     script = FOUND.replace("SOURCE", (SOURCE / "index.js").as_uri())
     script = script.replace("FILE", str(HERE / "golden" / "v1-levels.egs"))
+    coded(tmp_path / "a.egs", moving(9, 2))
+    script = script.replace("MOVING", str(tmp_path / "a.egs"))
     command = [str(NODE), "--input-type=module", "-e", script]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)
     names = re.findall(r"^export (?:class|function) (\w+)", text, re.MULTILINE)
     assert sorted(names) == sorted(found["names"])
     facts = members(text, "Facts")
-    for name, more in (("Scene", set()), ("EgsFile", facts), ("Level", set())):
+    for name in ("Scene", "EgsFile", "Level", "Sequence", "Group", "Changes"):
+        more = facts if name in ("EgsFile", "Sequence") else set()
         assert members(text, name) | more <= set(found[name]), name
 
 

@@ -9,7 +9,7 @@ import json
 import logging
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -22,6 +22,8 @@ from gs_codec.cameras.up import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
 from gs_codec.cameras.widest import widest_view
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import EGS, LOSSLESS, Config
+from gs_codec.egs.egs_file import SectionId, described, read_file
+from gs_codec.egs.frame_sections import timeline_of
 from gs_codec.egs.header import Feature
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
@@ -31,7 +33,7 @@ from gs_codec.files.link_preview import PICTURE, picture_of, tags_of
 from gs_codec.files.scenes import scene_in
 from gs_codec.files.tours import read_tour
 from gs_codec.formats.coordinates import CONVENTION
-from gs_codec.formats.registry import open_scene
+from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.report import Progress, RenderedLoss
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
 from gs_codec.runtime.mapped import located
@@ -101,6 +103,8 @@ class SharedScene:
         Whether it was encoded for the page, because pages cannot read the original file.
     levels : int
         Number of coarser levels of detail; with levels, the page fetches only what it shows.
+    frames : int
+        Number of frames of a sequence, which the page fetches a group at a time; otherwise 0.
     rendered : RenderedLoss, optional
         Loss in rendered views from encoding it for the page; None if not measured.
     """
@@ -109,6 +113,7 @@ class SharedScene:
     data: bytes
     encoded: bool
     levels: int = 0
+    frames: int = 0
     rendered: RenderedLoss | None = None
 
 
@@ -136,7 +141,8 @@ def share(
     sources : sequence of str or Path
         One scene or two, in formats supported by `read`. `.egs` files of profiles `paper-*`, `l`,
         `m` and `s` are embedded unchanged, unless decoding needs G-PCC or torchac; others are
-        encoded with profile `l`, for a folder with levels of detail if they are large.
+        encoded with profile `l`, for a folder with levels of detail if they are large. A sequence
+        is shown alone.
     target : str or Path
         A self-contained ``.html`` file; or a folder for any static web server, with the page,
         ``index.html``, the scenes, ``preview.jpg`` for links to it, and ``embed.js``, by which
@@ -205,6 +211,8 @@ def page_of(
     template = _built("page.html").decode()
     opened = [_open(source, progress, max_bytes, streamed=not alone) for source in sources]
     shared = [one for one, _ in opened]
+    if len(shared) == 2 and any(one.frames for one in shared):
+        raise InvalidInput("a sequence is shown alone, expected one scene")
     first = opened[0][1]
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
     files, entries, blocks = {}, [], []
@@ -259,6 +267,8 @@ def _description(opened: Sequence[tuple[SharedScene, Scene]]) -> str:
 def _entry(one: SharedScene) -> dict[str, Any]:
     """Description of a scene for a page, without its location."""
     entry = {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
+    if one.frames:
+        entry["frames"] = one.frames
     return entry if one.rendered is None else entry | {"psnr": one.rendered.psnr}
 
 
@@ -300,6 +310,10 @@ def _open(
         return _encoded("cloud", source, progress, streamed)
     path = Path(source)
     with open_scene(path) as file:
+        frames, data = 0, file.data
+        if file.format == EGS:
+            with located(path):
+                frames, file = _first_frame(file)
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
         if file.format == EGS:
             info = inspect_bytes(file.data)
@@ -307,9 +321,19 @@ def _open(
                 (Feature.FAR | Feature.LOCAL_BASIS).labels
             ):
                 levels = len(info.levels)
-                return SharedScene(_name(path), bytes(file.data), False, levels), scene
+                return SharedScene(_name(path), bytes(data), False, levels, frames), scene
         with located(path):
             return _encoded(_name(path), scene, progress, streamed)
+
+
+def _first_frame(file: SceneFile) -> tuple[int, SceneFile]:
+    """The number of frames of a sequence, and its first; 0 and the file itself if it is a scene."""
+    whole = read_file(file.data, described)
+    if Feature.SEQUENCE not in whole.header.features:
+        return 0, file
+    count = timeline_of(whole).count
+    position, size, _ = whole.table[SectionId.KEY_FRAME, 0]
+    return count, replace(file, data=file.data.window(position, size))
 
 
 def _encoded(
@@ -320,7 +344,7 @@ def _encoded(
     parts, report = encode(scene, Request(config), progress)
     data = b"".join(parts)
     levels = len(inspect_bytes(data).levels)
-    return SharedScene(name, data, True, levels, report.rendered), scene
+    return SharedScene(name, data, True, levels, rendered=report.rendered), scene
 
 
 def _name(path: Path) -> str:

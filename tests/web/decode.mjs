@@ -4,7 +4,7 @@ import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { Worker } from 'node:worker_threads';
 
-import { decode, open } from '../../viewer/web/src/index.js';
+import { decode, open, openSequence } from '../../viewer/web/src/index.js';
 import { frequencies } from '../../viewer/web/src/tables.js';
 
 const ARRAYS = ['positions', 'fDc', 'fRest', 'opacity', 'logScale', 'rotation'];
@@ -162,6 +162,27 @@ async function runOpened(data, { open: job, ...given }, options, told) {
   return { ...(await kinds[given.as ?? 'bytes']()), ...told, alive };
 }
 
+/** Digests of frames of a sequence, in the order of `frames` or, if that is true, all. */
+async function framesOf(data, { frames, as }, options, told) {
+  const work = async (source) => {
+    const sequence = await openSequence(source, options);
+    try {
+      const { count, fps, names, keys, degree, size } = sequence;
+      const hashes = [];
+      const wanted = frames === true ? Array(count).keys() : frames;
+      for (const number of wanted) hashes.push(digest(await sequence.frame(number)));
+      return { count, fps, names, keys, degree, size, hashes, fetched: sequence.fetched };
+    } finally {
+      sequence.close();
+    }
+  };
+  const isUrl = as === 'url';
+  const found = isUrl
+    ? await served(data, 'ranges', told.asked, (host) => work(`${host}/scene.egs`))
+    : await work(data);
+  return { ...found, asked: told.asked, alive };
+}
+
 async function run(job) {
   if (job.weights) {
     return { frequencies: [...frequencies(job.weights, job.precision, 'table')] };
@@ -219,6 +240,7 @@ async function run(job) {
     number: () => decode(7, options),
   };
   try {
+    if (job.frames) return await framesOf(data, job, options, told);
     if (job.open) return await runOpened(data, job, options, told);
     const scene = await kinds[job.as ?? 'bytes']();
     const properties = createHash('sha256');

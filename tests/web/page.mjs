@@ -20,7 +20,7 @@ const STEPS = {
     await STEPS.drawn(page);
     const cover = (visibility) =>
       page.evaluate((value) => {
-        for (const cover of document.querySelectorAll('#panel, #told, #wipe, #stick')) {
+        for (const cover of document.querySelectorAll('#panel, #told, #bar, #wipe, #stick')) {
           cover.style.visibility = value;
         }
       }, visibility);

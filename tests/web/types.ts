@@ -1,6 +1,6 @@
 // What pages in TypeScript may write, and what they may not; test_web_types.py has it checked.
-import { CorruptError, decode, EgsError, open } from '../../viewer/web/src/index.js';
-import type { DecodeOptions, EgsFile, Scene, View } from '../../viewer/web/src/index.js';
+import { CorruptError, decode, EgsError, open, openSequence } from '../../viewer/web/src/index.js';
+import type { DecodeOptions, EgsFile, Scene, Sequence, View } from '../../viewer/web/src/index.js';
 import { createViewer } from '../../viewer/web/embed.js';
 import type { ViewerState } from '../../viewer/web/embed.js';
 import { toPly } from '../../viewer/web/src/ply.js';
@@ -49,6 +49,11 @@ const { views } = await viewer.ready;
 const shown: ViewerState = await viewer.set({ view: views.length - 1, turn: true });
 const picture: Blob = await viewer.picture();
 viewer.close();
+
+const sequence: Sequence = await openSequence('clip.egs', { maxBytes: 1e9 });
+const group = await sequence.group(sequence.groupOf(7));
+group.scene.move(await group.next());
+export const frame: Scene = await sequence.frame(0);
 
 export function whereOf(error: unknown): string {
   return error instanceof CorruptError || error instanceof EgsError ? error.where : '';

@@ -27,6 +27,8 @@ export interface ViewerState {
   bare: boolean;
   /** Dark or light; an empty text for what the system asks for. */
   theme: 'dark' | 'light' | '';
+  /** Frame of a paused sequence. */
+  frame?: number;
 }
 
 type Vector = [x: number, y: number, z: number];

@@ -19,13 +19,14 @@ const text = (numbers) => numbers.map((value) => Number(value.toPrecision(DIGITS
  * @param {boolean} state.turn whether the picture turns
  * @param {boolean} state.tour whether a tour goes on
  * @param {boolean} state.bare whether only the picture is shown
+ * @param {number} [state.frame] of a sequence that does not play
  * @param {number} [state.note] number of the open annotation
  * @param {string} [state.theme] if chosen
  * @param {string} [state.lang] language, if chosen
  */
 export function addressOf(state) {
   const { view, camera, show, wipe, degree, up, background } = state;
-  const { turn, tour, bare, note, theme, lang } = state;
+  const { turn, tour, bare, frame, note, theme, lang } = state;
   const parts = { view };
   if (camera) parts.camera = text(camera);
   if (show) parts.show = show;
@@ -36,6 +37,7 @@ export function addressOf(state) {
   if (turn) parts.turn = 1;
   if (tour) parts.tour = 1;
   if (bare) parts.bare = 1;
+  if (frame !== undefined) parts.frame = frame;
   if (note) parts.note = note;
   if (theme) parts.theme = theme;
   if (lang) parts.lang = lang;
@@ -54,9 +56,9 @@ function numbers(listed, length) {
  *
  * @param {string | object} hash or what it would contain, by name
  * @param {object} possible names and numbers: `views`, `shows`, `ups`, `backgrounds`,
- *   `notes`, `languages`
+ *   `notes`, `frames`, `languages`
  */
-export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages }) {
+export function stateOf(hash, { views, shows, ups, backgrounds, notes, frames, languages }) {
   const asked = new URLSearchParams(typeof hash === 'string' ? hash.replace(/^#/, '') : hash);
   const one = (name, known) => (known.includes(asked.get(name)) ? asked.get(name) : undefined);
   const whole = (name, end) => {
@@ -79,6 +81,7 @@ export function stateOf(hash, { views, shows, ups, backgrounds, notes, languages
     turn: isOn('turn'),
     tour: isOn('tour'),
     bare: isOn('bare'),
+    frame: whole('frame', frames),
     note: whole('note', notes + 1),
     theme: one('theme', ['dark', 'light', '']),
     lang: one('lang', languages),

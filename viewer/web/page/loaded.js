@@ -2,8 +2,10 @@
 import sorterText from 'text:./sorter.js';
 import workerText from 'text:../src/worker.js';
 
-import { SourceError, TooLargeError, decode, open } from '../src/index.js';
+import { SourceError, TooLargeError, decode, open, openSequence } from '../src/index.js';
 import { AGAIN, Detail } from './detail.js';
+import { ROW } from './limits.js';
+import { Player } from './player.js';
 import { axesOf } from './pose.js';
 import { Splats } from './renderer.js';
 import { say } from './strings.js';
@@ -13,6 +15,9 @@ import { say } from './strings.js';
  * milliseconds.
  */
 const [RECENT, PATIENCE] = [100, 60];
+
+/** Gaussians of a key frame that are uploaded at once. */
+const SLICE = 16 * ROW;
 
 /** Maximum number of errors shown for a scene. */
 const MOST_TOLD = 4;
@@ -36,10 +41,21 @@ function inPage(id) {
   return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 }
 
+/** Pass runs of changed rows of a kind to `put`, as Gaussians, and forget them. */
+function passRows({ changed, scene }, kind, put) {
+  const rows = changed?.[kind] ?? [];
+  for (let from = rows.indexOf(1), end; from >= 0; from = rows.indexOf(1, end)) {
+    end = rows.indexOf(0, from);
+    put(from * ROW, Math.min((end - from) * ROW, scene.count - from * ROW));
+  }
+  rows.fill(0);
+}
+
 export class Loaded {
   /**
    * @param {{name: string, url?: string, data?: string}} entry description of the scene: its URL,
-   *   or the element that contains it; `levels`, if it has levels of detail
+   *   or the element that contains it; `levels`, if it has levels of detail; `frames`, their number,
+   *   if it is a sequence
    * @param {(scene: Loaded) => void} changed called when more can be drawn, or something is lost
    * @param {number} [maxBytes] maximum bytes of its decoded floats, if it has no levels
    */
@@ -50,6 +66,10 @@ export class Loaded {
     this.trouble = null; // an error after which loading is retried
     this.splats = null; // null until the first block arrives
     this.detail = null; // of a scene with levels
+    this.player = null; // of a sequence
+    this.start = null; // the frame that it shows at first, else it plays
+    this.incoming = null; // a key frame that is not sorted yet
+    this.keys = this.key = 0; // number of the last key frame, and of the one that is drawn
     this.share = 0; // of the file, read so far
     this.sorter = worker(sorterText);
     this.sorted = null; // the last pose sorted for
@@ -100,6 +120,7 @@ export class Loaded {
       );
     }
     const source = entry.url ?? (this.data ??= inPage(entry.data));
+    if (entry.frames) return this.#play(source, gl, signal);
     if (entry.levels) {
       try {
         await this.#open(source, gl, signal, budget);
@@ -168,6 +189,87 @@ export class Loaded {
     this.share = 1; // later progress depends on views
   }
 
+  /** Play a sequence; until its first frame is there. */
+  async #play(source, gl, signal) {
+    const sequence = await openSequence(source, {
+      signal,
+      maxBytes: this.maxBytes,
+      createWorker: () => worker(workerText),
+    });
+    this.axes = axesOf(sequence.coordinates);
+    await new Promise((resolve, reject) => {
+      const player = new Player(sequence, {
+        prepare: (scene) => this.#upload(gl, scene),
+        begin: (scene, splats) => this.#begins(scene, splats),
+        move: (scene, changes) => this.#move(scene, changes),
+        drop: (splats) => splats?.dispose(),
+        stopped: (error) => {
+          if (!signal.aborted) this.failures.push(error);
+          this.changed(this);
+          reject(error); // has no effect later
+        },
+        changed: () => {
+          if (this.share < 1 && player.shown !== null) {
+            const { degree, profile, bytes } = sequence;
+            this.scene = { count: this.incoming.scene.count, degree, profile, bytes };
+            this.share = 1;
+            resolve();
+          }
+          this.changed(this);
+        },
+      });
+      this.player = player;
+      player.seek(this.start ?? 0);
+      if (this.start === null && !matchMedia('(prefers-reduced-motion)').matches) player.play(true);
+    }).catch(() => {
+      this.failures.length || signal.throwIfAborted();
+    });
+  }
+
+  /** Upload a key frame, a part at a time, because another may be shown. */
+  async #upload(gl, scene) {
+    const splats = new Splats(gl, scene);
+    // Rows that are not uploaded: of shapes, of SH-AC; and of positions that are not sent to the sorter.
+    splats.changed = [0, 1, 2].map(() => new Uint8Array(splats.rows + 1));
+    for (let first = 0; first < scene.count; first += SLICE) {
+      const count = Math.min(SLICE, scene.count - first);
+      for (const degree of new Set([0, scene.degree])) splats.load(scene, first, first, count, degree);
+      await new Promise((resolve) => setTimeout(resolve));
+    }
+    return splats;
+  }
+
+  /** Show a key frame as soon as it is sorted. */
+  #begins(scene, splats) {
+    this.incoming?.dispose();
+    this.incoming = splats;
+    this.keys++;
+    this.sorter.postMessage({ count: scene.count });
+    this.#addToSorter(scene, 0, scene.count);
+  }
+
+  /** Change the last key frame, and mark the rows that change. */
+  #move(scene, { blocks }) {
+    scene.move({ blocks });
+    const { changed } = this.incoming ?? this.splats;
+    for (const { first, parts } of blocks) {
+      for (let part = 0; part < 5; part++) {
+        const rows = part === 4 ? [changed[1]] : part === 2 ? [changed[0], changed[2]] : [changed[0]];
+        for (const i of parts[2 * part]) for (const own of rows) own[Math.floor((first + i) / ROW)] = 1;
+      }
+    }
+    this.sorted = null;
+  }
+
+  /** Upload the rows that have changed, because a picture follows. */
+  flush() {
+    const { splats } = this;
+    if (!splats?.changed) return;
+    const put = (degree) => (first, count) => splats.load(splats.scene, first, first, count, degree);
+    passRows(splats, 0, put(0));
+    passRows(splats, 1, put(splats.scene.degree));
+  }
+
   async #decode(source, gl, signal, shDegree) {
     let splats;
     const scene = await decode(source, {
@@ -205,13 +307,13 @@ export class Loaded {
     return (this.splats = new Splats(gl, scene));
   }
 
-  #addToSorter({ count: all, positions }, first, count) {
+  #addToSorter({ count: all, positions }, first, count, again) {
     const block = new Float32Array(3 * count);
     for (let axis = 0; axis < 3; axis++) {
       const plane = axis * all + first;
       for (let i = 0; i < count; i++) block[3 * i + axis] = positions[plane + i];
     }
-    this.sorter.postMessage({ first, block }, [block.buffer]);
+    this.sorter.postMessage({ first, block, again }, [block.buffer]);
     this.sorted = null;
   }
 
@@ -238,7 +340,7 @@ export class Loaded {
 
   /** Whether it is sorted for a pose, and no sorting is in progress. */
   isInOrder(pose) {
-    return !this.splats || (this.sorted === pose && !this.busy);
+    return !(this.splats ?? this.incoming) || (this.sorted === pose && !this.busy);
   }
 
   /** Whether to draw now: otherwise it may soon be sorted correctly. */
@@ -249,18 +351,28 @@ export class Loaded {
 
   /** Sort for a pose; a new object whenever the camera moves. */
   sort(pose) {
-    if (!this.splats || this.sorted === pose) return;
-    if (this.busy) return;
+    if (!(this.splats ?? this.incoming) || this.sorted === pose) return;
+    // On the way to another frame, the last one stays.
+    if (this.busy || (this.incoming && this.player.isJumping)) return;
     const { eye, turn } = pose.within(this.axes);
     this.busy = true;
     this.since = performance.now();
+    const ranges = this.detail?.ranges();
+    const splats = this.incoming ?? this.splats;
+    passRows(splats, 2, (first, count) => this.#addToSorter(splats.scene, first, count, true));
     this.sorted = pose;
-    this.sorter.postMessage({ eye, forward: turn[2], ranges: this.detail?.ranges() });
+    this.sorter.postMessage({ eye, forward: turn[2], ranges, shown: this.keys });
   }
 
-  #take({ order, size }) {
+  #take({ order, size, shown }) {
     this.busy = false;
     if (this.detail && size !== this.room) return this.changed(this); // of an earlier budget
+    if (shown === this.keys && this.incoming) {
+      this.splats?.dispose();
+      [this.splats, this.incoming, this.key] = [this.incoming, null, shown];
+    } else if (shown !== this.key) {
+      return this.changed(this); // of a key frame that was never shown
+    }
     this.madeFor = this.since;
     this.splats.sort(order);
     this.detail?.ordered();

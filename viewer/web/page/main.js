@@ -1,4 +1,6 @@
 // The page: one scene, or two to compare.
+// First: the text of its workers compresses better next to the same code for this thread.
+import { Loaded } from './loaded.js';
 import { SourceError } from '../src/index.js';
 import { accompany } from './access.js';
 import { addressOf, stateOf } from './address.js';
@@ -7,7 +9,6 @@ import { control } from './controls.js';
 import { answer } from './embedded.js';
 import { Headset } from './headset.js';
 import { joystick } from './joystick.js';
-import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
 import { Pose } from './pose.js';
@@ -112,7 +113,10 @@ class Viewer extends EventTarget {
 
   /** Retry what connections lost. */
   retry() {
-    for (const { detail } of this.scenes) detail?.retry();
+    for (const scene of this.scenes) {
+      scene.detail?.retry();
+      if (scene.player && scene.failures.splice(0).length) scene.player.retry();
+    }
     if (this.isLoaded) this.#load();
   }
 
@@ -157,11 +161,17 @@ class Viewer extends EventTarget {
     this.redraw();
   }
 
+  /** What plays a sequence, once it is open. */
+  get player() {
+    return this.scenes?.[0].player;
+  }
+
   #arrived() {
     if (!this.isLoaded) this.panel.progress(this.scenes); // orders arrive later, too
     this.panel.detailed(this.scenes, this.abort.signal.aborted);
     this.#tell();
     this.redraw();
+    if (this.player && !this.player.isPlaying) this.#remember();
   }
 
   /** Go to a view, by its number. */
@@ -301,7 +311,7 @@ class Viewer extends EventTarget {
 
   /** What is shown; `addressOf` puts it into the address. */
   get state() {
-    const { view, pose, look, panel, axis, isBare, notes, language } = this;
+    const { view, pose, look, panel, axis, isBare, notes, language, player } = this;
     return {
       view,
       camera: [...pose.eye, ...pose.target, ...pose.top],
@@ -313,6 +323,7 @@ class Viewer extends EventTarget {
       turn: this.isTurning,
       tour: this.motion === 'tour',
       bare: Boolean(isBare),
+      frame: player && !player.isPlaying ? player.wanted : undefined,
       note: notes.shown,
       theme: this.theme,
       lang: language,
@@ -338,6 +349,7 @@ class Viewer extends EventTarget {
       ups: Object.keys(this.ups),
       backgrounds: Object.keys(BACKGROUNDS),
       notes: this.notes.listed.length,
+      frames: this.scenes[0].entry.frames ?? 0,
       languages: Object.keys(LANGUAGES),
     };
   }
@@ -368,14 +380,23 @@ class Viewer extends EventTarget {
     const { show, background, wipe: split } = asked;
     const look = Object.entries({ show, background, split });
     this.set(Object.fromEntries(look.filter(([, value]) => value !== undefined)));
-    const { bare, note, turn, tour, theme } = asked;
+    const { bare, frame, note, turn, tour, theme } = asked;
     if (theme !== undefined) this.dress(theme);
     if (bare !== undefined) this.bare(bare);
+    if (frame !== undefined) this.#hold(frame);
     if (note !== undefined) this.notes.open(note, true);
     const isStill = matchMedia('(prefers-reduced-motion)').matches;
     if (turn !== undefined) this.turn(turn && !isStill);
     if (tour && !isStill) this.tour(true);
     else if (tour === false && this.motion === 'tour') this.rest();
+  }
+
+  /** Show a frame of a sequence, paused. */
+  #hold(frame) {
+    this.scenes[0].start = frame;
+    if (!this.player) return;
+    this.player.play(false);
+    this.player.seek(frame);
   }
 
   /** Put what is shown into the address, once nothing changes; a page in a notebook has none. */
@@ -497,6 +518,7 @@ class Viewer extends EventTarget {
       split: { a: 1, b: 0, wipe: target ? 1 : look.split, error: 1 }[look.show],
       errors: look.show === 'error',
     };
+    for (const scene of scenes) scene.flush();
     renderer.draw(scenes, pose, lens, shown, target);
     for (const { detail } of scenes) detail?.pictured();
   }

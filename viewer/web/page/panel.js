@@ -101,9 +101,12 @@ export class Panel {
   #key(event) {
     const { viewer, two } = this;
     if (event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented) return;
-    if (event.target.tagName === 'SELECT' || event.target.id === 'budget') return;
+    const { tagName, id } = event.target;
+    if (tagName === 'SELECT' || id === 'budget') return;
     const show = (name) => two && viewer.set({ show: name });
     const actions = {
+      ',': () => viewer.player?.step(-1),
+      '.': () => viewer.player?.step(1),
       n: () => viewer.choose(viewer.view + 1),
       p: () => viewer.choose(viewer.view - 1),
       r: () => viewer.choose(viewer.view),
@@ -125,6 +128,10 @@ export class Panel {
         $('keys').open = !$('keys').open;
       },
     };
+    // Elsewhere, Space presses buttons.
+    if (id === 'view' || id === 'time' || tagName === 'BODY') {
+      actions[' '] = () => viewer.player?.play(!viewer.player.isPlaying);
+    }
     actions[event.key.toLowerCase()]?.();
   }
 
@@ -241,7 +248,7 @@ export class Panel {
     const degrees = Array.from({ length: highest + 1 }, (_, k) => new Option(k, k));
     $('degree').replaceChildren(...degrees);
     this.viewer.set({ degree: Math.min(this.viewer.degree ?? highest, highest) });
-    $('sizes').hidden = false;
+    $('sizes').hidden = Boolean(this.viewer.player);
     const [head, body] = [$('sizes').tHead, $('sizes').tBodies[0]];
     head.replaceChildren();
     body.replaceChildren();

@@ -15,12 +15,12 @@ self.onmessage = ({ data }) => {
   }
   if (data.block) {
     positions.set(data.block, 3 * data.first);
-    known.push([data.first, data.first + data.block.length / 3]);
+    if (!data.again) known.push([data.first, data.first + data.block.length / 3]);
   }
   if (data.eye) {
     known = data.ranges ?? known;
     const order = ordered(data.eye, data.forward);
-    self.postMessage({ order, size: positions.length }, [order.buffer]);
+    self.postMessage({ order, size: positions.length, shown: data.shown }, [order.buffer]);
   }
 };
 

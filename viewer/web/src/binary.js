@@ -5,13 +5,13 @@ import { counted } from './wording.js';
 /** 131072 // (2 n + 3). */
 const RATES = Int32Array.from({ length: 256 }, (_, n) => Math.floor(131072 / (2 * n + 3)));
 
-/** Decodes decisions with adaptive contexts, all fresh at first. */
+/** Decodes decisions with adaptive contexts: those of another coder, or fresh ones. */
 export class BinaryCoder {
-  constructor(data, contexts, where) {
+  constructor(data, contexts, where, before = undefined) {
     this.data = data;
     this.where = where;
-    this.chances = new Uint16Array(contexts).fill(32768);
-    this.seen = new Uint8Array(contexts);
+    this.chances = before?.chances ?? new Uint16Array(contexts).fill(32768);
+    this.seen = before?.seen ?? new Uint8Array(contexts);
     this.low = 0;
     this.high = 0xffffffff;
     this.code = 0;
@@ -44,6 +44,17 @@ export class BinaryCoder {
       this.shifted += 1;
     }
     return decision;
+  }
+
+  /** `bits` decisions of even chance as a number; the context is only for them. */
+  even(bits, context) {
+    let value = 0;
+    for (let k = 0; k < bits; k++) {
+      this.chances[context] = 32768;
+      this.seen[context] = 0;
+      value = 2 * value + this.bit(context);
+    }
+    return value;
   }
 
   /** Check that the data end after the last decision. */

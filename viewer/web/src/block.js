@@ -2,11 +2,11 @@
 import { MATRIX_ONE, readBases, runBegin } from './basis.js';
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
-import { COARSE_BITS, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
+import { COARSE_BITS, ONE, POWERS, PRECISION, SLOTS, fixedPoint, turnShifts } from './lattice.js';
 import { Neighbours } from './neighbours.js';
 import { bitLength, clamp, inRange } from './numbers.js';
 import { LANES, Words, checkLastStates, firstStates } from './tables.js';
-import { addBits, axesOf, walkTree } from './tree.js';
+import { addBits, axesOf, walkTree, widthsOf } from './tree.js';
 import { counted } from './wording.js';
 
 /** Gaussians whose components are turned at once. */
@@ -103,13 +103,18 @@ export class LatticeBlock {
    * @param {Lattice} lattice
    * @param {number} count Gaussians of the block
    * @param {number} degree SH degree of the file
+   * @param {boolean} moves whether to keep, in `kept`, what frames of a sequence change
    */
-  constructor(lattice, count, degree) {
+  constructor(lattice, count, degree, moves = false) {
     this.lattice = lattice;
     this.count = count;
     this.degree = degree;
     this.colourShifts = new Uint8Array(count);
     this.left = new Int32Array(0);
+    const planes = (size) => Array.from({ length: size }, () => new Int32Array(count));
+    this.kept = moves
+      ? { shape: planes(4), classes: planes(2), missing: new Uint8Array(count), levels: [[], [], []] }
+      : null;
   }
 
   /**
@@ -170,12 +175,7 @@ export class LatticeBlock {
       const s1 = scales[1];
       const s2 = scales[2];
 
-      for (let axis = 0; axis < 3; axis++) {
-        const apart = Math.abs(scales[axis === 0 ? 1 : 0] - scales[axis === 2 ? 1 : 2]);
-        const extra = Math.max(20 - bitLength(apart), 0);
-        turns[axis] = lattice.turns[axis].shift(shape, o, s0, s1, s2, extra);
-      }
-      const pole = turns[2] > turns[0] ? 2 : 0;
+      const pole = turnShifts(lattice, shape, o, s0, s1, s2, turns);
       for (let k = 0; k < 3; k++) {
         const by = turns[k === 0 ? pole : k === 1 ? 1 : 2 - pole];
         const found = pass.integer(lists[6 + k][Math.min(by, 31)], rotation);
@@ -187,6 +187,10 @@ export class LatticeBlock {
       quaternion(pole, angles[0], angles[1], angles[2], planes, 4 * count + i, count);
       shifts[i] = lattice.positions.shift(shape, o, s0, s1, s2);
       this.colourShifts[i] = lattice.colour.shift(colour, o, s0, s1, s2);
+      if (this.kept) {
+        [o, s0, s1, s2].forEach((value, k) => (this.kept.shape[k][i] = value));
+        [shape, colour].forEach((value, k) => (this.kept.classes[k][i] = value));
+      }
     }
     for (const stream of [classes, opacities, scaling, rotation]) stream.finish();
     return shifts;
@@ -198,14 +202,7 @@ export class LatticeBlock {
     const axes = axesOf(lattice.bits);
     const raw = new RawBits(sections['low-bits'], 'low-bits');
     const places = [0, 1, 2].map(() => new Int32Array(count));
-    // How many of the lowest bits of a code belong to each axis.
-    const among = [0, 1, 2].map((axis) => {
-      const counts = new Uint8Array(axes.length + 1);
-      for (let k = 1; k <= axes.length; k++) {
-        counts[k] = counts[k - 1] + (axes[axes.length - k] === axis ? 1 : 0);
-      }
-      return counts;
-    });
+    const among = widthsOf(axes);
     const far = farCentres(sections.far, count);
     const near = count - far.length / 3;
     let i = 0;
@@ -218,9 +215,11 @@ export class LatticeBlock {
         const place = (cells[axis] << (width + 1)) + (1 << width);
         for (let k = i; k < i + points; k++) places[axis][k] = place;
       }
+      this.kept?.missing.fill(missing, i, i + points);
       i += points;
     });
     raw.finish();
+    if (this.kept) Object.assign(this.kept, { places, near });
     const half = lattice.step / 2;
     for (let axis = 0; axis < 3; axis++) {
       const origin = lattice.origin[axis];
@@ -252,6 +251,7 @@ export class LatticeBlock {
       }
     }
     stream.finish();
+    if (this.kept) this.kept.colours = values;
     toColours(values, new Float64Array(count).fill(1), planes, count);
   }
 
@@ -278,7 +278,10 @@ export class LatticeBlock {
     const kept = (wanted + 1) ** 2 - 1;
     if (!sections.basis) return this.#colours(levels, kept, 0);
     const bases = readBases(sections.basis, levels[0].length, this.count);
-    return this.#turned(levels, kept, bases);
+    if (this.kept) this.kept.bases = bases;
+    return turnedColours(levels, kept, this.#steps(0), bases, (run) =>
+      runBegin(run, bases.length, this.count),
+    );
   }
 
   /** Levels of the next band: planes of Y, of Co, of Cg. */
@@ -314,6 +317,7 @@ export class LatticeBlock {
     }
     stream.finish();
     if (!hasMore) checkLastStates(this.states);
+    levels.forEach((own, colour) => this.kept?.levels[colour].push(...own));
     return levels;
   }
 
@@ -386,29 +390,37 @@ export class LatticeBlock {
     for (let i = 0; i < steps.length; i++) steps[i] = unit * POWERS[this.colourShifts[i]];
     return steps;
   }
+}
 
-  /** The first coefficients of levels of components. */
-  #turned(levels, size, bases) {
-    const { count } = this;
-    const steps = this.#steps(0).map((step) => step / MATRIX_ONE);
-    const planes = new Float32Array(3 * size * count);
-    const sums = levels.map(() => new Float64Array(size * AT_ONCE));
-    const rows = Array.from({ length: size }, (_, k) =>
-      sums.map((own) => own.subarray(k * AT_ONCE, (k + 1) * AT_ONCE)),
-    );
-    bases.forEach((matrix, run) => {
-      const end = runBegin(run + 1, bases.length, count);
-      for (let begin = runBegin(run, bases.length, count); begin < end; begin += AT_ONCE) {
-        const some = Math.min(AT_ONCE, end - begin);
-        levels.forEach((own, colour) => turn(own, begin, some, matrix, sums[colour]));
-        const own = steps.subarray(begin, begin + some);
-        rows.forEach((row, k) => {
-          toColours(row, own, planes.subarray(k * count + begin), size * count);
-        });
-      }
-    });
-    return planes;
-  }
+/**
+ * The first `size` coefficients of levels of components.
+ *
+ * @param {Int32Array[][]} levels planes of Y, of Co, of Cg
+ * @param {number} size
+ * @param {Float64Array} steps of each Gaussian
+ * @param {Int32Array[]} bases from `readBases`
+ * @param {(run: number) => number} begins gives the first Gaussian of a run, or the end of the last
+ */
+export function turnedColours(levels, size, steps, bases, begins) {
+  const count = steps.length;
+  const planes = new Float32Array(3 * size * count);
+  const sums = levels.map(() => new Float64Array(size * AT_ONCE));
+  const rows = Array.from({ length: size }, (_, k) =>
+    sums.map((own) => own.subarray(k * AT_ONCE, (k + 1) * AT_ONCE)),
+  );
+  const units = steps.map((step) => step / MATRIX_ONE);
+  bases.forEach((matrix, run) => {
+    const end = begins(run + 1);
+    for (let begin = begins(run); begin < end; begin += AT_ONCE) {
+      const some = Math.min(AT_ONCE, end - begin);
+      levels.forEach((own, colour) => turn(own, begin, some, matrix, sums[colour]));
+      const own = units.subarray(begin, begin + some);
+      rows.forEach((row, k) => {
+        toColours(row, own, planes.subarray(k * count + begin), size * count);
+      });
+    }
+  });
+  return planes;
 }
 
 /**
@@ -452,7 +464,7 @@ function quaternion(pole, roll, tilt0, tilt1, planes, at, stride) {
 }
 
 /** R, G, B from Y, Co, Cg in steps, into zeroed planes that are `stride` apart. */
-function toColours([ys, cos, cgs], steps, planes, stride) {
+export function toColours([ys, cos, cgs], steps, planes, stride) {
   for (let i = 0; i < steps.length; i++) {
     if (ys[i] === 0 && cos[i] === 0 && cgs[i] === 0) continue;
     const step = steps[i];

@@ -1,8 +1,9 @@
 // Decoding of blocks, in this thread or in a worker.
 import { partDegrees } from './basis.js';
 import { LatticeBlock } from './block.js';
-import { Lattice } from './lattice.js';
-import { Channels, PaperBlock } from './paper.js';
+import { commonOf } from './common.js';
+import { MovingBlock } from './motion.js';
+import { PaperBlock } from './paper.js';
 
 /** Decodes parts of blocks, and keeps their state until the last part. */
 export class Blocks {
@@ -11,19 +12,15 @@ export class Blocks {
    *   `lattice` or `channels`, the SH degree of the file, those that the parts of a block reach, and
    *   whether SH-AC is in a local basis
    */
-  constructor({ content, degree, degrees, hasBasis, isPaper }) {
-    this.common = isPaper ? new Channels(content, degree) : new Lattice(content, degree);
+  constructor(setup) {
+    const { degree, degrees, hasBasis, isPaper } = setup;
+    this.common = commonOf(setup);
     this.Block = isPaper ? PaperBlock : LatticeBlock;
     this.degree = degree;
     this.degrees = degrees;
     this.hasBasis = hasBasis;
-    if (hasBasis) this.common.checkBasis();
     this.open = new Map();
-  }
-
-  /** Names of the sections of each block, with profiles paper-*. */
-  get sections() {
-    return this.common.sections;
+    this.moving = new Map(); // blocks of a key frame
   }
 
   /**
@@ -51,27 +48,38 @@ export class Blocks {
   /**
    * Decode a whole block, up to an SH degree.
    *
-   * @param {object} job `{count, degree, sections}`
+   * @param {object} job `{count, degree, sections}`; of a key frame also `moves` and `block`
    * @returns {Float32Array[]} planes of each part
    */
-  whole({ count, degree, sections }) {
-    const found = new this.Block(this.common, count, this.degree);
-    return partDegrees(degree, this.hasBasis).map((reached) =>
+  whole({ count, degree, sections, moves, block }) {
+    const found = new this.Block(this.common, count, this.degree, moves);
+    const planes = partDegrees(degree, this.hasBasis).map((reached) =>
       reached === 0 ? found.base(sections) : this.#ac(found, reached, sections),
     );
+    if (moves) this.moving.set(block, new MovingBlock(found, planes[0]));
+    return planes;
   }
 }
 
-/** Decodes blocks of several files, such as the levels of one, each with its own setup. */
+/**
+ * Decodes blocks of several files, such as the levels of one, each with its own setup. Key frames
+ * bring theirs with their jobs, and are released.
+ */
 export class Files {
   constructor(setups) {
     this.setups = setups;
-    this.files = [];
+    this.files = {};
   }
 
-  /** Decode the block of a job: one part or, without `part`, all of it. */
+  /** Decode the block of a job: one part or, without `part`, all of it, or its next frame. */
   decode(job) {
-    const blocks = (this.files[job.file] ??= new Blocks(this.setups[job.file]));
+    const blocks = (this.files[job.file] ??= new Blocks(job.setup ?? this.setups[job.file]));
+    if (job.sections.motion) return blocks.moving.get(job.block).next(job.sections.motion);
     return job.part === undefined ? blocks.whole(job) : blocks.decode(job);
+  }
+
+  /** Forget a file. */
+  release(file) {
+    delete this.files[file];
   }
 }

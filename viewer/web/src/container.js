@@ -10,21 +10,26 @@ const COEFFICIENTS = [0, 3, 8, 15];
 /** Names of sections by id. */
 const NAMES = (
   ' channels geometry sh-dc states opacity scaling rotation sh1 sh2 sh3 comments extra lattice ' +
-  'classes low-bits index gpcc tool coder level errors far basis'
+  'classes low-bits index gpcc tool coder level errors far basis timeline key-frame motion'
 ).split(' ');
 
 /** Sections at the beginning of a file, in this order. */
-export const FIRST = ['index', 'errors', 'channels', 'lattice', 'tool', 'coder'];
+export const FIRST = ['index', 'errors', 'channels', 'lattice', 'tool', 'coder', 'timeline'];
 
 const OF_SCENE = [...FIRST, 'comments', 'extra'];
 
-/** Names of the bits of `features`; the last is reserved. */
-const FEATURES = ['G-PCC', 'torchac', 'far Gaussians', 'local SH basis', 'sequences'];
+/** Sections of frames of a sequence, and the maximum number of frames. */
+const OF_FRAMES = ['key-frame', 'motion'];
+const MOST_FRAMES = 2 ** 24;
+
+/** Names of the bits of `features`. */
+const FEATURES = ['G-PCC', 'torchac', 'far Gaussians', 'local SH basis', 'sequence'];
 
 /** Features; files with one from `FAR` on are version 2. */
 const FAR = 4;
 const LOCAL_BASIS = 8;
-const KNOWN = 15;
+const SEQUENCE = 16;
+const KNOWN = 31;
 
 /** Fan-out: one block, or Gaussian, replaces this many of the next finer level. */
 export const FANOUT = 4;
@@ -57,6 +62,7 @@ export function headerSize(prefix) {
  * Attributes in addition to those of the format: `profile` is a name, `coordinates` three letters
  * or null, `coefficients` the number of SH-AC per colour, `blocks` the number of blocks, `hasFar`
  * whether some have far Gaussians, `hasBasis` whether some have SH-AC in a local basis,
+ * `isSequence` whether it has frames instead of blocks,
  * `levelCounts` the numbers of Gaussians of level 1, 2, ... if the file has levels, `sections` a
  * list of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file,
  * `bytes` that of each stream, by name.
@@ -90,6 +96,7 @@ export class Header {
     }
     this.hasFar = (this.features & FAR) !== 0;
     this.hasBasis = (this.features & LOCAL_BASIS) !== 0;
+    this.isSequence = (this.features & SEQUENCE) !== 0;
     const isRight = version === (this.features >= FAR ? 2 : 1);
     check(isRight, 'header', `version ${version} with features ${this.features}`);
     check(flags < 8, 'header', `flags ${flags}`);
@@ -99,7 +106,7 @@ export class Header {
     check(!(flags & 2) || this.profile === 'lossless', 'header', 'order of the input');
     const isPaper = profile <= 2;
     const isLattice = !isPaper && profile <= 5;
-    const fitting = (isPaper ? FAR - 1 : 0) | (isLattice ? FAR | LOCAL_BASIS : 0);
+    const fitting = (isPaper ? FAR - 1 : 0) | (isLattice ? FAR | LOCAL_BASIS | SEQUENCE : 0);
     check((this.features & ~fitting) === 0, 'header', `features with profile ${profile}`);
     check(this.degree <= 3, 'header', `SH degree ${this.degree}`);
     check(!this.hasBasis || this.degree > 0, 'header', 'a local basis of SH degree 0');
@@ -140,7 +147,7 @@ export class Header {
     const isThere =
       name === 'level'
         ? block >= 1 && block <= levels
-        : block < (OF_SCENE.includes(name) ? 1 : this.blocks);
+        : block < (OF_FRAMES.includes(name) ? MOST_FRAMES : OF_SCENE.includes(name) ? 1 : this.blocks);
     check(!name || isThere, where, 'there is no such block');
     return { id, name, block, at, size, checksum };
   }
@@ -290,6 +297,17 @@ export function checkLevel(header, level, file) {
   );
 }
 
+/** Check that a header belongs to key frame `frame` of a sequence. */
+export function checkKeyFrame(header, frame, file) {
+  const same = ['coordinates', 'profile', 'degree', 'flags'];
+  if (frame === 0) same.push('count', 'blockSize');
+  const isSame =
+    same.every((name) => header[name] === file[name]) && (header.features & ~file.features) === 0;
+  check(isSame && !header.isSequence, 'header', 'does not match the sequence');
+  const others = header.sections.filter(({ name }) => name === 'level' || name === 'extra');
+  check(others.length === 0, 'header', 'levels or extra properties in a sequence');
+}
+
 /** Check that the box of a block encloses exactly its centres, planes x, y, z of `count` values. */
 export function checkBox([low, high], planes, count, block) {
   for (let axis = 0; axis < 3; axis++) {
@@ -331,6 +349,7 @@ function ofHeader(line) {
 
 /** Reject files that this decoder does not support. */
 export function checkSupport(header) {
+  if (header.isSequence) throw new UnsupportedError('a sequence: open it with openSequence');
   if (header.profile === 'lossless') {
     throw new UnsupportedError(
       'profile lossless: this decoder has no pcodec; encode it with l, m or s',

@@ -58,6 +58,7 @@ export class Scene implements Facts {
   readonly rotation: Float32Array;
   readonly properties: string[];
   property(name: string): Float32Array;
+  move(changes: Changes): void;
 }
 
 /** A camera, in the file's axes; the rows of `rotation` point right, down, forward. */
@@ -96,6 +97,41 @@ export interface EgsFile extends Facts {
 }
 
 export function open(source: Source, options?: Workers): Promise<EgsFile>;
+
+/** What changes from one frame to the next, for `scene.move`. */
+export interface Changes {
+  readonly blocks: { first: number; parts: (Int32Array | Float32Array)[] }[];
+}
+
+/** A key frame and the frames after it, to `end`. */
+export interface Group {
+  readonly first: number;
+  readonly end: number;
+  readonly frame: number;
+  readonly scene: Scene;
+  next(): Promise<Changes>;
+  close(): void;
+}
+
+export interface SequenceOptions extends Workers {
+  maxBytes?: number;
+}
+
+export interface Sequence extends Facts {
+  readonly count: number;
+  readonly fps: number;
+  readonly names: string[];
+  readonly keys: number[];
+  readonly size: number;
+  readonly fetched: number;
+  frame(number: number): Promise<Scene>;
+  groupOf(frame: number): number;
+  group(number: number): Promise<Group>;
+  fetch(group: number): Promise<Uint8Array>;
+  close(): void;
+}
+
+export function openSequence(source: Source, options?: SequenceOptions): Promise<Sequence>;
 
 export class EgsError extends Error {
   readonly where: string;

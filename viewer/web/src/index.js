@@ -17,6 +17,7 @@ export {
   WorkerError,
 } from './errors.js';
 export { open } from './levels.js';
+export { openSequence } from './sequence.js';
 export { Scene };
 
 /**

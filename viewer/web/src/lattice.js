@@ -58,6 +58,16 @@ class Rule {
   }
 }
 
+/** Shifts of the turns, and the pole, of a Gaussian of a class; the shifts go to `found`. */
+export function turnShifts({ turns }, number, o, s0, s1, s2, found) {
+  for (let axis = 0; axis < 3; axis++) {
+    const apart = Math.abs((axis === 0 ? s1 : s0) - (axis === 2 ? s1 : s2));
+    const extra = Math.max(20 - bitLength(apart), 0);
+    found[axis] = turns[axis].shift(number, o, s0, s1, s2, extra);
+  }
+  return found[2] > found[0] ? 2 : 0;
+}
+
 /** The section `lattice`. */
 export class Lattice {
   constructor(content, degree) {

@@ -1,6 +1,6 @@
 // A file whose header and first sections have been read, which describe its blocks.
 import { partDegrees } from './basis.js';
-import { Blocks } from './blocks.js';
+import { commonOf } from './common.js';
 import {
   FIRST,
   Header,
@@ -110,10 +110,10 @@ export class Opened {
     this.degrees = partDegrees(wanted, hasBasis);
     /** The setup of `Blocks`. */
     this.setup = { content: this.common, degree, degrees: this.degrees, hasBasis, isPaper };
-    const blocks = new Blocks(this.setup); // also checks it
-    const names = isPaper ? blocks.sections : [...BASE, ...bands];
+    const common = commonOf(this.setup); // also checks it
+    const names = isPaper ? common.sections : [...BASE, ...bands];
     header.checkPresence([commonName], names, this.isLevel);
-    if (header.hasFar) blocks.common.checkFar();
+    if (header.hasFar) common.checkFar();
     /** Blocks with sections that others may lack. */
     this.having = {};
     for (const name of ['far', 'basis']) {

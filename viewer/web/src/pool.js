@@ -1,24 +1,6 @@
 // Decoding in this thread, or in workers.
-import { Files } from './blocks.js';
 import * as errors from './errors.js';
-
-/** Decodes in this thread, and yields to other tasks between parts. */
-export class Here {
-  constructor(setups) {
-    this.files = new Files(setups);
-  }
-
-  async decode(job) {
-    await new Promise((resolve) => setTimeout(resolve));
-    if (!this.files) throw new errors.EgsError('closed');
-    return this.files.decode(job);
-  }
-
-  /** Stop decoding. */
-  close() {
-    this.files = null;
-  }
-}
+import { Here } from './here.js';
 
 /** Decodes in workers; a block always goes to the same one. */
 export class WorkerPool {
@@ -60,6 +42,11 @@ export class WorkerPool {
       this.waiting.set(id, { resolve, reject });
       this.workers[job.block % this.workers.length].postMessage({ id, ...job }, memory);
     });
+  }
+
+  /** Forget a file. */
+  release(file) {
+    for (const worker of this.workers) worker.postMessage({ release: file });
   }
 
   #answer({ id, planes, error }) {

@@ -11,6 +11,9 @@ const ARRAYS = [
   ['rotation', 4],
 ];
 
+/** Arrays of each part that frames of a sequence change. */
+const PARTS = [['opacity', 'logScale'], ['rotation'], ['positions'], ['fDc'], ['fRest']];
+
 /** Bytes of the floats of `count` Gaussians, up to an SH degree. */
 export const floatBytes = (count, degree) => 4 * count * (14 + 3 * ((degree + 1) ** 2 - 1));
 
@@ -92,6 +95,21 @@ export class Scene {
     const [begin, end] = [(below + 1) ** 2 - 1, (degree + 1) ** 2 - 1];
     for (let colour = 0; colour < 3; colour++) {
       for (let i = begin; i < end; i++) copy(this.fRest, colour * this.coefficients + i, from++);
+    }
+  }
+
+  /** Apply the changes of the next frame of a sequence. */
+  move({ blocks }) {
+    for (const { first, parts } of blocks) {
+      PARTS.forEach((names, part) => {
+        const [members, values] = [parts[2 * part], parts[2 * part + 1]];
+        let at = 0;
+        for (const array of names.map((name) => this[name])) {
+          for (let from = first; from < array.length; from += this.count) {
+            for (let k = 0; k < members.length; k++) array[from + members[k]] = values[at++];
+          }
+        }
+      });
     }
   }
 }

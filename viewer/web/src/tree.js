@@ -10,6 +10,16 @@ export function axesOf(depths) {
   return axes;
 }
 
+/** How many of the lowest 0, 1, ... bits of a code belong to each axis. */
+export const widthsOf = (axes) =>
+  [0, 1, 2].map((axis) => {
+    const counts = new Uint8Array(axes.length + 1);
+    for (let k = 1; k <= axes.length; k++) {
+      counts[k] = counts[k - 1] + (axes[axes.length - k] === axis ? 1 : 0);
+    }
+    return counts;
+  });
+
 /** Add raw bits `begin` to `end` of a Morton code to the cells of a point. */
 export function addBits(cells, axes, begin, end, raw) {
   for (let k = begin; k < end; k++) cells[axes[k]] = (cells[axes[k]] << 1) | raw.take(1);

@@ -9,6 +9,10 @@ self.onmessage = ({ data }) => {
       files = new Files(data.setups);
       return;
     }
+    if (data.release !== undefined) {
+      files.release(data.release);
+      return;
+    }
     const planes = files.decode(data);
     self.postMessage(
       { id: data.id, planes },

@@ -1,0 +1,117 @@
+"""Sequences on the page: it plays them, and shows the frames of the Python decoder."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from moving_scenes import coded, moving
+from web_pages import (
+    HEIGHT,
+    WIDTH,
+    Job,
+    decibels,
+    drawn,
+    in_browser,
+    open_pages,
+    seen,
+    serving,
+)
+
+from gs_codec.cameras.camera import Camera, facing
+from gs_codec.cameras.camera_files import write_cameras
+from gs_codec.errors import InvalidInput
+from gs_codec.files.sharing import share
+from gs_codec.formats.ply.writer import write_ply
+from gs_codec.sequences.frame_decoding import opened_sequence
+
+CAMERA = Camera(
+    "a", WIDTH, HEIGHT, 250.0, 250.0, WIDTH / 2, HEIGHT / 2,
+    facing(np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])), np.array([0.0, 0.0, -9.0]),
+)  # fmt: skip
+
+PAUSED = "document.getElementById('play').ariaLabel === 'Play'"
+FRAME = "Number(document.getElementById('time').value)"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A sequence of two groups of four frames, the second of fewer Gaussians, and pages of it."""
+    folder = tmp_path_factory.mktemp("player")
+    scenes = [*moving(sh_degree=1, frames=4), *moving(280, 4, sh_degree=1, seed=5)]
+    coded(folder / "clip.egs", scenes)
+    write_ply(folder / "one.ply", scenes[0])
+    write_cameras(folder / "cameras.json", [CAMERA])
+    for name in ("page.html", "site"):
+        [shared] = share([folder / "clip.egs"], folder / name, folder / "cameras.json")
+        assert (shared.frames, shared.encoded) == (8, False)
+    assert (folder / "site" / "clip.egs").read_bytes() == (folder / "clip.egs").read_bytes()
+    return folder
+
+
+@in_browser
+def test_frames_are_those_of_python(folder, tmp_path):
+    """The frame of the address, the next one, one before in its group, and one of the other."""
+    page = (folder / "page.html").as_uri()
+    steps = [
+        ("shot", str(tmp_path / "6.png")),
+        ("key", "."),
+        ("until", f"{FRAME} === 7"),
+        ("shot", str(tmp_path / "7.png")),
+        *[("key", ",")] * 3,
+        ("until", f"{FRAME} === 4"),
+        ("shot", str(tmp_path / "4.png")),
+        ("value", "new Promise((done) => setTimeout(() => done(location.hash), 600))"),
+        *[("key", ",")] * 2,
+        ("until", f"{FRAME} === 2"),
+        ("shot", str(tmp_path / "2.png")),
+    ]
+    [opened] = open_pages(Job(f"{page}#frame=6", steps))
+    assert not opened.errors
+    assert opened.values[9] == "#view=0&frame=4"
+    with opened_sequence(folder / "clip.egs") as sequence:
+        for number, scene in enumerate(sequence.frames()):
+            if number in (2, 4, 6, 7):
+                ours = drawn(scene, CAMERA)
+                assert decibels(seen(tmp_path / f"{number}.png"), ours) > 45, number
+
+
+@in_browser
+def test_it_plays_again_and_again_until_space_is_pressed(folder):
+    """Also from a server without ranges."""
+    plays = [
+        ("until", f"{FRAME} > 4"),
+        ("until", f"{FRAME} < 3"),
+        ("until", f"{FRAME} > 4"),
+        ("value", PAUSED),
+        ("key", " "),
+        ("until", PAUSED),
+        ("drawn",),
+        ("value", "document.getElementById('clock').textContent.endsWith(' / 0.32 s')"),
+        ("value", FRAME),
+        ("value", "new Promise((done) => setTimeout(() => done(0), 300))"),
+        ("value", FRAME),
+        ("click", "#play"),
+        ("value", PAUSED),
+    ]
+    with serving(folder / "site") as url:
+        for opened in open_pages(Job((folder / "page.html").as_uri(), plays), Job(url, plays)):
+            assert not opened.errors
+            assert [opened.values[k] for k in (3, 7, 12)] == [False, True, False]
+            assert opened.values[8] == opened.values[10]
+
+
+@in_browser
+def test_damage_in_a_later_group_is_reported(folder, tmp_path):
+    data = bytearray((folder / "site" / "clip.egs").read_bytes())
+    data[-9] ^= 4
+    for name in ("index.html", "clip.egs"):
+        (tmp_path / name).write_bytes((folder / "site" / name).read_bytes())
+    (tmp_path / "clip.egs").write_bytes(data)
+    with serving(tmp_path) as url:
+        [opened] = open_pages(Job(url, [("until", "document.body.dataset.state === 'error'")]))
+    assert opened.status.startswith("clip.egs: frame 7: ")
+
+
+def test_a_sequence_is_shared_alone(folder, tmp_path):
+    with pytest.raises(InvalidInput, match="a sequence is shown alone"):
+        share([folder / "clip.egs", folder / "one.ply"], tmp_path / "page.html")

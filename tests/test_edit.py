@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from appearance import assert_seen_alike, matrix_of, some_turn
-from scenes import DAMAGE, assert_same_bits, random_scene
+from scenes import DAMAGE, assert_same_bits, assert_same_floats, random_scene
 from scipy.spatial.transform import Rotation
 
 from gs_codec import edit
@@ -18,6 +19,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.edit.actions import KINDS, Action
 from gs_codec.edit.apply import edit_scenes
 from gs_codec.edit.join import merge_scenes
+from gs_codec.edit.project_file import read_rows, rows_text
 from gs_codec.encoding.combinations import check_actions
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud, to_cloud
@@ -245,6 +247,70 @@ def test_matrices_in_files(scene, tmp_path, form):
     np.testing.assert_allclose(moved.positions, expected, atol=1e-6)
 
 
+def test_matrices_are_typed_as_numbers(scene, tmp_path):
+    matrix = matrix_of(some_turn(3), 0.5, [1.0, 2.0, 3.0])
+    (tmp_path / "m.json").write_text(json.dumps(matrix.tolist()))
+    typed = act(scene, f"transform {','.join(map(repr, matrix[:3].ravel().tolist()))}")
+    assert_same_floats(typed, act(scene, f"transform {tmp_path / 'm.json'}"))
+    assert "expected 12 numbers" in refused(f"transform {','.join('nan' for _ in range(12))}")
+
+
+PROJECT = {
+    "project": 1,
+    "scenes": [{"path": "a.ply", "name": "a", "gaussians": 500}],
+    "moves": [
+        {"rows": "0-9,30", "matrix": [[0, 2, 0, 1], [-2, 0, 0, 0], [0, 0, 2, 0]]},
+        {"rows": "30,40-499", "matrix": [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0]]},
+    ],
+    "removed": "7,300-310",
+    "hidden": "8",
+}
+
+
+def test_edits_of_a_project_move_and_remove_rows(scene, tmp_path):
+    (tmp_path / "p.gsproj").write_text(json.dumps(PROJECT))
+    done = act(scene, f"edits {tmp_path / 'p.gsproj'}")
+    first = act(scene, "transform 0,2,0,1,-2,0,0,0,0,0,2,0")
+    kept = np.setdiff1d(np.arange(500), [7, *range(300, 311)])
+    for row, source in enumerate(kept.tolist()):
+        some = first if source in (*range(10), 30) else scene
+        some = some.take(np.array([source]))
+        if source == 30 or source >= 40:
+            some = act(some, "translate 5,0,0")
+        assert_same_floats(done.take(np.array([row])), some)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"project": 2}, "version 2, expected 1"),
+        ({"scenes": []}, "number of Gaussians"),
+        ({"removed": "500"}, "rows 500, expected 0 to 499"),
+        ({"removed": "9-3"}, "rows 9-3, expected"),
+        ({"removed": "x"}, "not a project of gs-viewer"),
+        ({"moves": [{"rows": "1", "matrix": [[1, 0], [0, 1]]}]}, "not a project of gs-viewer"),
+        ({"moves": 5}, "not a project of gs-viewer"),
+        ({"scenes": [{"path": "a", "name": "", "gaussians": 1e300}]}, "not a project|number"),
+        ({"scenes": [{"path": "a", "name": "", "gaussians": 9}], "moves": [], "removed": "",
+          "hidden": ""}, "edits of 9 Gaussians, the scene has 500"),
+        ({"moves": [{"rows": "1", "matrix": [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0]]}]},
+         "stretches or shears"),
+    ],
+)  # fmt: skip
+def test_damaged_projects_are_refused(scene, tmp_path, change, said):
+    (tmp_path / "p.gsproj").write_text(json.dumps({**PROJECT, **change}))
+    assert re.search(said, refused(f"edits {tmp_path / 'p.gsproj'}", scene=scene))
+
+
+def test_rows_are_written_as_runs():
+    rng = np.random.default_rng(4)
+    for count in (0, 1, 2, 50, 1000):
+        for share in (0.0, 0.1, 0.9, 1.0):
+            rows = rng.random(count) < share
+            np.testing.assert_array_equal(read_rows(rows_text(rows), count), rows)
+    assert rows_text(np.array([1, 1, 0, 1, 0, 0, 1], bool)) == "0-1,3,6"
+
+
 @pytest.mark.parametrize(
     "text",
     ["[1, 2]", "[[1,0,0,0],[0,1,0,0]]", "{}", "nonsense", "[[1,0,0],[0,1,0],[0,0,1]]", "3",
@@ -315,10 +381,15 @@ def test_actions_are_applied_in_order(scene):
 @pytest.mark.parametrize("name", sorted(KINDS))
 def test_empty_scenes_are_unchanged(name, tmp_path):
     (tmp_path / "m.json").write_text(json.dumps(matrix_of(np.eye(3), 2.0).tolist()))
+    nothing = {"project": 1, "scenes": [{"path": "a.ply", "name": "", "gaussians": 0}]}
+    (tmp_path / "p.gsproj").write_text(
+        json.dumps({**nothing, "moves": [], "removed": "", "hidden": ""})
+    )
     texts = {
         "crop-box": "0,0,0,1,1,1", "crop-sphere": "0,0,0,1", "filter": "z>0",
         "translate": "1,2,3", "rotate": "1,2,3", "scale": "2", "transform": f"{tmp_path}/m.json",
-        "sh-degree": "1", "gaussians": "5", "keep": "50%", "sort": "morton",
+        "edits": f"{tmp_path}/p.gsproj", "sh-degree": "1", "gaussians": "5", "keep": "50%",
+        "sort": "morton",
     }  # fmt: skip
     with np.errstate(all="raise"):
         assert act(random_scene(0, 2), f"{name} {texts.get(name, '')}".rstrip()).count == 0

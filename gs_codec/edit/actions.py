@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec.config import Option
+from gs_codec.edit.project_file import Project, read_project
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 from gs_codec.runtime.json_text import parse_json
@@ -128,11 +129,14 @@ def _nothing(text: str) -> tuple[()]:
 
 
 def _matrix(path: str) -> tuple[list[list[float]]]:
-    """Read a JSON file of three or four rows of four numbers.
+    """Read a JSON file of three or four rows of four numbers, or three rows as typed numbers.
 
     In nerfstudio's ``dataparser_transforms.json``, they are the ``transform`` of an object, and its
     ``scale`` multiplies the result.
     """
+    if path.count(",") == 11:
+        numbers = _numbers(12)(path)
+        return ([[*numbers[k : k + 4]] for k in (0, 4, 8)] + [[0.0, 0.0, 0.0, 1.0]],)
     try:
         with open(path, "rb") as file:
             found = parse_json(file.read(_LONGEST), with_constants=True)
@@ -148,6 +152,11 @@ def _matrix(path: str) -> tuple[list[list[float]]]:
         raise InvalidInput("expected three or four rows of four numbers, in JSON")
     scaled = [[factor * number for number in row] for row in rows[:3]]
     return ([*scaled, *(rows[3:] or [[0.0, 0.0, 0.0, 1.0]])],)
+
+
+def _project(path: str) -> tuple[Project]:
+    """Read a project of gs-viewer."""
+    return (read_project(path),)
 
 
 #: Kinds of actions by name, in the order of the help.
@@ -178,8 +187,13 @@ KINDS: Mapping[str, Kind] = {
     ),
     "scale": Kind("Scale the scene by this factor.", "F", _numbers(1), does="move"),
     "transform": Kind(
-        "Transform the scene by a 4x4 matrix (JSON rows) that scales all axes equally.",
-        "FILE", _matrix, does="move",
+        "Transform the scene by a 4x4 matrix (JSON rows, or the 12 numbers of its first three) "
+        "that scales all axes equally.",
+        "FILE|NUMBERS", _matrix, does="move",
+    ),
+    "edits": Kind(
+        "Move and remove Gaussians as in a project of gs-viewer, of which IN are the scenes.",
+        "FILE", _project, does="move", local=False,
     ),
     "sh-degree": Kind("Remove SH above this degree, 0-3.", "D", _whole(0, 3), "change"),
     "gaussians": Kind(

@@ -106,6 +106,7 @@ _EDITS: Mapping[str, Callable[..., Scene]] = {
     "rotate": lambda scene, _, *x: motion.rotate(scene, x),
     "scale": lambda scene, _, x: motion.scale(scene, x),
     "transform": lambda scene, _, x: motion.transform(scene, x),
+    "edits": lambda scene, _, x: motion.apply_project(scene, x),
     "sh-degree": lambda scene, _, x: selection.limit_sh_degree(scene, x),
     "gaussians": _decimate,
     "keep": _decimate_to_share,

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.edit.clouds import finite, on_clouds
+from gs_codec.edit.project_file import Move, Project
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import move_scene, rotation_of
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Minimum scale factor, and inverse of the maximum; float32 can represent lengths in this range.
@@ -76,7 +79,7 @@ def rotate(scene: Scene, angles: Sequence[float]) -> Scene:
     >>> upside_down = gs_codec.edit.rotate(cloud, (180, 0, 0))
     """
     matrix = np.eye(4)
-    matrix[:3, :3] = _rotation(angles)
+    matrix[:3, :3] = rotation(angles)
     return transform(scene, matrix)
 
 
@@ -145,7 +148,36 @@ def transform(scene: Scene, matrix: ArrayLike) -> Scene:
     return scene if moved is scene else without_order(moved)
 
 
-def _rotation(angles: Sequence[float]) -> NDArray[np.float64]:
+def apply_project(scene: Scene, project: Project) -> Scene:
+    """The joined scenes of a project, with its Gaussians moved and removed.
+
+    Raises InvalidInput if it has another number of Gaussians.
+    """
+    if scene.count != len(project.removed):
+        raise InvalidInput(
+            f"edits of {counted(len(project.removed), 'Gaussian')}, the scene has {scene.count:,}"
+        )
+    scene = move_rows(scene, project.moves)
+    return without_order(scene.take(~project.removed)) if project.removed.any() else scene
+
+
+def move_rows(scene: Scene, moves: Sequence[Move]) -> Scene:
+    """Apply moves of some Gaussians in their order; raises InvalidInput like `transform`."""
+    for rows, matrix in moves:
+        moved = move_scene(scene.take(rows), matrix)
+        planes = {}
+        for group in ("positions", "log_scale", "rot", "f_rest"):
+            planes[group] = getattr(scene, group).copy()
+            planes[group][:, rows] = getattr(moved, group)
+        extra = {name: column.copy() for name, column in scene.extra.items()}
+        for name, column in extra.items():
+            column[rows] = moved.extra[name]
+        comments = moved.comments if rows.all() else scene.comments
+        scene = without_order(replace(scene, **planes, extra=extra, comments=comments))
+    return scene
+
+
+def rotation(angles: Sequence[float]) -> NDArray[np.float64]:
     """The matrix of a rotation from `rotate`."""
     if len(angles) == 4:
         quaternion = finite("quaternion", angles, 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -104,3 +105,41 @@ def test_boxes_select_by_footprints_and_only_what_is_seen(found, pixels):
 
 def test_the_status_is_empty_after_selecting(found):
     assert found["idle"] == ""
+
+
+@pytest.fixture(scope="module")
+def placed(display, folder) -> dict:
+    return drive("drive_place.py", display, folder)
+
+
+def test_handles_move_turn_and_scale(placed):
+    assert placed["red"] > 30
+    for kind in ("shift", "move", "turn", "scale"):
+        linear, shift = np.split(np.array(placed[kind])[:3], [3], axis=1)
+        factor = np.cbrt(np.linalg.det(linear))
+        turned = np.abs(linear / factor - np.eye(3)).max() > 0.01
+        assert (turned, abs(factor - 1) > 0.01) == (kind == "turn", kind == "scale")
+        assert np.abs(shift).max() > 0.01
+        assert (np.abs(shift[1:]).max() < 1e-9) == (kind == "move")
+    assert placed["back"] < 1e-6
+    assert placed["beside"] == [True, 0]  # the camera moves
+
+
+def test_numbers_place_the_selection(placed):
+    matrix, middle = np.array(placed["numbers"]), np.array(placed["middle"])
+    found = (matrix @ [*middle, 1])[:3] - middle
+    np.testing.assert_allclose(found, [0.1, 0.2, 0.3], atol=1e-5)
+    expected = 0.5 * np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    np.testing.assert_allclose(matrix[:3, :3], expected, atol=1e-6)
+    assert placed["moved"] == 2174
+
+
+def test_scenes_are_joined_and_saved_as_a_project(placed, folder, run_codec, monkeypatch):
+    assert placed["caption"] == " A: a.ply + b.egs, edited"
+    assert placed["again"] == [[["a.ply", 3000], ["coded", 3000]], True]
+    assert not placed["unsaved"]
+    words = shlex.split(placed["command"])
+    assert words[-1] == "--edits=both.gsproj"
+    monkeypatch.chdir(folder)
+    assert run_codec(*words[1:])[0] == 0
+    assert (folder / "a-edited.ply").read_bytes() == (folder / "both.ply").read_bytes()

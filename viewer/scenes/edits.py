@@ -1,15 +1,18 @@
-"""Selected, hidden and deleted Gaussians of a scene, with undo and redo."""
+"""Selected, hidden, deleted and moved Gaussians of one or several scenes, with undo and redo."""
 
 from __future__ import annotations
 
+import operator
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from viewer.scenes.opened import Opened, keep
+from gs_codec.edit.project_file import Move, Project, move_option
+from viewer.scenes.opened import Opened, joined, keep
 
 #: Ways to combine chosen Gaussians with the selection.
 HOW = ("replace", "add", "remove", "intersect")
@@ -24,14 +27,31 @@ _KEPT = 2
 _Bits = NDArray[np.uint8]
 
 
+#: Options of ``gs-codec convert``.
+Options = tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Masks over the file's Gaussians, and the step that led here."""
+    """Masks over the file's Gaussians, and the step that led here.
+
+    `options` are those of ``gs-codec convert`` with the same result; None if there are none.
+    `means` are the options that remove the selection, and those that remove all others.
+    """
 
     step: str
     selected: _Bits
     hidden: _Bits
     deleted: _Bits
+    moves: tuple[Move, ...] = ()
+    names: Mapping[int, str] = field(default_factory=dict)
+    order: tuple[int, ...] = ()
+    options: tuple[str, ...] | None = ()
+    means: tuple[Options, Options] = ((), ())
+
+
+#: Fields whose change is a step.
+_CHANGES = ("selected", "hidden", "deleted", "moves", "names", "order")
 
 
 class Edits:
@@ -59,12 +79,15 @@ class Edits:
         self.whole, self.scene = scene.whole or scene, scene
         nothing = np.packbits(np.zeros(self.whole.count, bool))
         deleted = nothing if scene.left is None else np.packbits(~scene.left)
-        self._state = _State("", nothing, nothing, deleted)
-        self.drawn: NDArray[np.bool_] | None = None
-        self._saved = nothing
+        hidden = nothing if scene.hidden is None else np.packbits(scene.hidden)
+        options: Options | None = () if scene is self.whole else None
+        self._state = _State("", nothing, hidden, deleted, scene.moves, options=options)
+        self.drawn = ~self._of_scene(hidden) if hidden.any() else None
+        # A project has masks of hidden Gaussians, and is unchanged.
+        self._saved = (nothing, ()) if scene.hidden is None else (deleted, scene.moves)
         self._before: deque[_State] = deque(maxlen=_STEPS)
         self._after: list[_State] = []
-        self._known: deque[tuple[_Bits, Opened]] = deque([(deleted, scene)], maxlen=_KEPT)
+        self._known = deque([(deleted, scene.moves, scene)], maxlen=_KEPT)
 
     @property
     def selected(self) -> NDArray[np.bool_]:
@@ -82,9 +105,22 @@ class Edits:
         return int(np.unpackbits(self._state.hidden).sum(dtype=np.int64))
 
     @property
+    def now(self) -> object:
+        """The present state; the same object after undo."""
+        return self._state
+
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """Median ``(3,)`` of the finite centres that `move` would move."""
+        centres = self.scene.positions[self.selected if self.count else slice(None)]
+        centres = centres[np.isfinite(centres).all(axis=1)].astype(np.float64)
+        return np.median(centres, axis=0) if len(centres) else np.zeros(3)
+
+    @property
     def unsaved(self) -> bool:
-        """Whether deleted Gaussians have changed since the scene was saved."""
-        return not np.array_equal(self._state.deleted, self._saved)
+        """Whether anything that is saved has changed since the scene was saved."""
+        deleted, moves = self._saved
+        return self._state.moves is not moves or not np.array_equal(self._state.deleted, deleted)
 
     @property
     def undone_next(self) -> str:
@@ -96,9 +132,21 @@ class Edits:
         """The step that `redo` would repeat; empty if none."""
         return self._after[-1].step if self._after else ""
 
-    def select(self, chosen: NDArray[np.bool_], how: str = "replace") -> None:
-        """Combine a mask ``(N,)`` with the selection, as `how` (one of `HOW`) says."""
-        self._do("select", selected=self.combined(chosen, how))
+    def select(
+        self,
+        chosen: NDArray[np.bool_],
+        how: str = "replace",
+        means: tuple[Options, Options] = ((), ()),
+    ) -> None:
+        """Combine a mask ``(N,)`` with the selection, as `how` (one of `HOW`) says.
+
+        `means` are options of ``gs-codec convert`` that remove the Gaussians of the mask, and that
+        remove all others.
+        """
+        alone = how == "replace" and self.drawn is None
+        means = means if alone else ((), ())
+        base = replace(self._state, means=means)
+        self._do("select", {"selected": self.combined(chosen, how)}, base)
 
     def combined(self, chosen: NDArray[np.bool_], how: str) -> NDArray[np.bool_]:
         """The selection ``(N,)`` that `select` would make."""
@@ -119,24 +167,26 @@ class Edits:
 
     def invert(self) -> None:
         """Invert the selection."""
-        self.select(~self.selected)
+        self.select(~self.selected, means=self._state.means[::-1])
 
     def hide(self) -> None:
         """Hide the selected Gaussians, and clear the selection."""
         selected = self.selected
         hidden = self._of_scene(self._state.hidden) | selected
-        self._do("hide", selected=np.zeros_like(selected), hidden=hidden)
+        self._do("hide", {"selected": np.zeros_like(selected), "hidden": hidden})
 
     def show_all(self) -> None:
         """Show all hidden Gaussians."""
-        self._do("show all", hidden=np.zeros(self.scene.count, bool))
+        self._do("show all", {"hidden": np.zeros(self.scene.count, bool)})
 
     def delete(self) -> None:
         """Delete the selected Gaussians; raises like `keep`."""
-        self.keep(~self.selected, "delete")
+        self.keep(~self.selected, "delete", self._state.means[0])
 
-    def keep(self, kept: NDArray[np.bool_], step: str) -> None:
+    def keep(self, kept: NDArray[np.bool_], step: str, options: Options = ()) -> None:
         """Delete all Gaussians not in the mask `kept` ``(N,)``; undo shows the name `step`.
+
+        `options` are those of ``gs-codec convert`` with the same result.
 
         Raises
         ------
@@ -146,7 +196,109 @@ class Edits:
         if not kept.any():
             raise gs_codec.GsCodecError(f"{step}: no Gaussian would be left")
         hidden = self._of_scene(self._state.hidden)
-        self._do(step, selected=self.selected & kept, hidden=hidden & kept, deleted=~kept)
+        masks = {"selected": self.selected & kept, "hidden": hidden & kept, "deleted": ~kept}
+        self._do(step, masks, replace(self._state, options=self._then(options), means=((), ())))
+
+    def move(self, matrix: NDArray[np.float64]) -> None:
+        """Move the selected Gaussians, or all if none is selected, by a matrix ``(4, 4)``.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+            If it shears, or scales axes differently.
+        """
+        state, count = self._state, self.whole.count
+        rows = np.unpackbits(state.selected, count=count).astype(bool)
+        everything = not rows.any()
+        rows, moves, option = rows | everything, state.moves, move_option(matrix)
+        options = self._then((option,)) if everything else None
+        if moves and np.array_equal(moves[-1].rows, rows):  # so that rounding does not add up
+            total = matrix @ moves[-1].matrix
+            if options is not None and options[-2:-1] == (move_option(moves[-1].matrix),):
+                options = (*options[:-2], move_option(total))
+            moves = (*moves[:-1], Move(moves[-1].rows, total))
+        else:
+            moves = (*moves, Move(rows, matrix))
+        self._do("move", {}, replace(state, moves=moves, options=options, means=((), ())))
+
+    def _then(self, options: Options) -> Options | None:
+        before = self._state.options
+        return (*before, *options) if options and before is not None else None
+
+    # Several scenes
+
+    def part(self, number: int) -> NDArray[np.bool_]:
+        """Mask ``(N,)`` of the Gaussians of one of the files joined."""
+        ends = np.cumsum([part.gaussians for part in self.whole.parts])
+        return np.searchsorted(ends, self.scene.rows, side="right") == number
+
+    def add(self, scene: Opened) -> None:
+        """Join another scene."""
+        whole, count = joined([self.whole, scene]), self.whole.count
+        longer = _Longer(count, scene.count)
+        before = [longer.state(state) for state in (*self._before, self._state)]
+        saved = longer.mask(self._saved[0], True), longer.moves(self._saved[1])
+        deleted = longer.mask(self._state.deleted, False)
+        options: Options | None = () if self._state.options == () else None
+        self.whole, self._saved = whole, saved
+        self._known.clear()
+        self._before, self._after = deque(before, maxlen=_STEPS), []
+        self._be(replace(before[-1], step="add", deleted=deleted, options=options))
+
+    def hide_part(self, number: int) -> None:
+        """Hide a file's Gaussians, or show them if all are hidden."""
+        part, hidden = self.part(number), self._of_scene(self._state.hidden)
+        step, after = ("show", hidden & ~part) if hidden[part].all() else ("hide", hidden | part)
+        self._do(step, {"selected": self.selected & ~after, "hidden": after})
+
+    def rename(self, number: int, name: str) -> None:
+        """Give a file another name."""
+        state = self._state
+        if name != {number: name for number, name, *_ in self.parts}[number]:
+            self._do("rename", {}, replace(state, names={**state.names, number: name}))
+
+    def raise_part(self, number: int) -> None:
+        """Move a file one place up in the list, and in the scene as saved."""
+        order = list(self._order)
+        place = order.index(number)
+        if place:
+            order[place - 1 : place + 1] = order[place], order[place - 1]
+            self._do("reorder", {}, replace(self._state, order=tuple(order)))
+
+    @property
+    def _order(self) -> tuple[int, ...]:
+        order = self._state.order
+        return (*order, *(k for k in range(len(self.whole.parts)) if k not in order))
+
+    @property
+    def parts(self) -> list[tuple[int, str, int, bool]]:
+        """Number, name, Gaussians left, and whether they are hidden, of each file not removed."""
+        found, hidden = [], self._of_scene(self._state.hidden)
+        for number in self._order:
+            part = self.part(number)
+            if part.any():
+                name = self._state.names.get(number, self.whole.parts[number].name)
+                found.append((number, name, int(part.sum()), bool(hidden[part].all())))
+        return found
+
+    @property
+    def options(self) -> Options | None:
+        """Options of ``gs-codec convert`` with the same result; None if there are none."""
+        return self._state.options
+
+    @property
+    def project(self) -> Project:
+        """All files with these edits, in the order of the list."""
+        state, parts, order = self._state, self.whole.parts, self._order
+        sources = [parts[k]._replace(name=state.names.get(k, parts[k].name)) for k in order]
+        ends = np.cumsum([part.gaussians for part in parts])
+        rows = np.concatenate([np.arange(ends[k] - parts[k].gaussians, ends[k]) for k in order])
+        moves = tuple(Move(moved[rows], matrix) for moved, matrix in state.moves)
+        masks = (
+            np.unpackbits(bits, count=self.whole.count).astype(bool)[rows]
+            for bits in (state.deleted, state.hidden)
+        )
+        return Project(tuple(sources), moves, *masks)
 
     def undo(self) -> None:
         """Undo the last step, if any."""
@@ -163,7 +315,7 @@ class Edits:
     def mark_saved(self, saved: Opened) -> None:
         """Record that a scene of these edits was saved."""
         left = np.ones(self.whole.count, bool) if saved.left is None else saved.left
-        self._saved = np.packbits(~left)
+        self._saved = np.packbits(~left), saved.moves
 
     def turn(self, whole: Opened) -> None:
         """Replace the whole scene by the result of `turned`, and keep the steps."""
@@ -171,28 +323,39 @@ class Edits:
         self._known.clear()
         self._be(self._state)
 
-    def _do(self, step: str, **masks: NDArray[np.bool_]) -> None:
-        """Set masks ``(N,)`` of the scene as a new step, if any of them changes."""
-        bits = {name: self._of_file(mask) for name, mask in masks.items()}
-        bits["deleted"] = bits.get("deleted", self._state.deleted) | self._state.deleted
-        before = {name: getattr(self._state, name) for name in bits}
-        changed = {name: b for name, b in bits.items() if not np.array_equal(b, before[name])}
-        if changed:
-            self._before.append(self._state)
+    def _do(
+        self, step: str, masks: Mapping[str, NDArray[np.bool_]], base: _State | None = None
+    ) -> None:
+        """Set masks ``(N,)`` of the scene, in the state `base`, as a step, if anything changes."""
+        state, bits = self._state, {name: self._of_file(mask) for name, mask in masks.items()}
+        bits["deleted"] = bits.get("deleted", state.deleted) | state.deleted
+        for name, after in bits.items():
+            if np.array_equal(after, getattr(state, name)):
+                bits[name] = getattr(state, name)
+        made = replace(
+            base or replace(state, means=((), ())),
+            step=step,
+            selected=bits.get("selected", state.selected),
+            hidden=bits.get("hidden", state.hidden),
+            deleted=bits["deleted"],
+        )
+        if any(getattr(made, name) is not getattr(state, name) for name in _CHANGES):
+            self._be(made)
+            self._before.append(state)
             self._after.clear()
-            self._be(replace(self._state, step=step, **changed))
 
     def _be(self, state: _State) -> None:
         """Switch to a state and to the scene without its deleted Gaussians."""
         before, was = self._state, self.scene
-        self._state = state
-        known = [scene for deleted, scene in self._known if deleted is state.deleted]
+        key = state.deleted, state.moves
+        known = [scene for *of, scene in self._known if all(map(operator.is_, of, key))]
         if known:
             self.scene = known[0]
         else:
             left = ~np.unpackbits(state.deleted, count=self.whole.count).astype(bool)
-            self.scene = keep(self.whole, left)
-            self._known.append((state.deleted, self.scene))
+            self.scene = keep(self.whole, left, state.moves)
+            self._known.append((*key, self.scene))
+        self._state = state
         if self.scene is not was or state.hidden is not before.hidden:
             self.drawn = ~self._of_scene(state.hidden) if self.hidden_count else None
 
@@ -208,3 +371,32 @@ class Edits:
             whole = np.zeros(self.whole.count, bool)
             whole[self.scene.left] = mask
         return np.packbits(whole)
+
+
+class _Longer:
+    """Extends masks and states of `count` Gaussians by `more`, which earlier states lack."""
+
+    def __init__(self, count: int, more: int) -> None:
+        self._count, self._more = count, more
+        self._moves: dict[int, tuple[Move, ...]] = {id(()): ()}
+
+    def mask(self, bits: _Bits, filled: bool) -> _Bits:
+        mask = np.unpackbits(bits, count=self._count).astype(bool)
+        return np.packbits(np.pad(mask, (0, self._more), constant_values=filled))
+
+    def moves(self, moves: tuple[Move, ...]) -> tuple[Move, ...]:
+        """The same object for the same moves."""
+        if id(moves) not in self._moves:
+            self._moves[id(moves)] = tuple(
+                Move(np.pad(rows, (0, self._more)), matrix) for rows, matrix in moves
+            )
+        return self._moves[id(moves)]
+
+    def state(self, state: _State) -> _State:
+        return replace(
+            state,
+            selected=self.mask(state.selected, False),
+            hidden=self.mask(state.hidden, False),
+            deleted=self.mask(state.deleted, True),
+            moves=self.moves(state.moves),
+        )

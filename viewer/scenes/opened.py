@@ -6,7 +6,7 @@ import json
 import logging
 import os
 import tokenize
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,9 @@ import gs_codec
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.edit.clusters import linked_neighbours
+from gs_codec.edit.join import merge_scenes
+from gs_codec.edit.motion import move_rows
+from gs_codec.edit.project_file import Move, Source
 from gs_codec.errors import one_line, printable
 from gs_codec.files.scenes import (
     gaussian_bits_of_file,
@@ -80,6 +83,12 @@ class Opened:
         For an edited scene, the M Gaussians of the file; None if none are deleted.
     left : ndarray, shape (M,), bool, or None
         Mask of those that are not deleted.
+    moves : tuple of Move
+        How some of the M were moved.
+    hidden : ndarray, shape (M,), bool, or None
+        Mask of those that are hidden at first.
+    sources : tuple of Source
+        The files of a scene that joins several; `path` is that of the first.
     """
 
     name: str
@@ -93,6 +102,14 @@ class Opened:
     system_given: bool = False
     whole: Opened | None = None
     left: NDArray[np.bool_] | None = None
+    moves: tuple[Move, ...] = ()
+    hidden: NDArray[np.bool_] | None = None
+    sources: tuple[Source, ...] = ()
+
+    @property
+    def parts(self) -> tuple[Source, ...]:
+        """Its files."""
+        return self.sources or (Source(self.path, self.name, self.file_count),)
 
     @property
     def title(self) -> str:
@@ -103,7 +120,8 @@ class Opened:
     @property
     def is_stored(self) -> bool:
         """Whether the scene equals its file: neither edited nor turned."""
-        return self.path != Path() and self.whole is None and not self.system_given
+        changed = self.whole is not None or self.system_given or len(self.sources) > 1
+        return self.path != Path() and not changed
 
     @property
     def count(self) -> int:
@@ -156,7 +174,7 @@ class Opened:
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:
         """Linked neighbours ``(N, K)`` of each Gaussian; see `linked_neighbours`."""
-        if self.whole is None:
+        if self.whole is None or self.moves:
             return linked_neighbours(self.gaussians)
         places = np.full(self.whole.count, -1, np.int32)
         places[self.rows] = own = np.arange(self.count, dtype=np.int32)
@@ -252,7 +270,7 @@ class Opened:
         ------
         gs_codec.GsCodecError
         """
-        if modified(self.path) != self.modified:
+        if last_modified(self.parts) != self.modified:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
 
     def _array(self, name: str) -> NDArray[np.float32]:
@@ -299,13 +317,39 @@ def modified(path: Path | str) -> int | None:
         return None
 
 
-def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
-    """The Gaussians of a whole scene in the mask ``(M,)``; the scene itself for all."""
-    if left.all():
+def last_modified(parts: Sequence[Source]) -> int | None:
+    """The latest modification time of files, nanoseconds; None if one is unknown."""
+    times = [modified(part.path) for part in parts]
+    return None if None in times else max(time for time in times if time is not None)
+
+
+def keep(scene: Opened, left: NDArray[np.bool_], moves: tuple[Move, ...] = ()) -> Opened:
+    """The Gaussians of a whole scene in the mask ``(M,)``, moved; the scene itself for all.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If a move shears, or scales axes differently.
+    """
+    if left.all() and not moves:
         return scene
-    cloud = to_cloud(from_cloud(scene.cloud, "keep").take(left))
+    cloud = to_cloud(move_rows(from_cloud(scene.cloud, "keep"), moves).take(left))
     comments = without_order(scene.gaussians).comments
-    return replace(scene, cloud=cloud, comments=comments, whole=scene, left=left)
+    return replace(scene, cloud=cloud, comments=comments, whole=scene, left=left, moves=moves)
+
+
+def joined(scenes: Sequence[Opened]) -> Opened:
+    """Several whole scenes as one, as by `gs_codec.edit.merge`."""
+    merged = merge_scenes([from_cloud(scene.cloud, "keep") for scene in scenes])
+    parts = tuple(part for scene in scenes for part in scene.parts)
+    return Opened(
+        " + ".join(part.name for part in parts),
+        to_cloud(merged),
+        path=scenes[0].path,
+        comments=merged.comments,
+        modified=last_modified(parts),
+        sources=parts,
+    )
 
 
 def turned(scene: Opened) -> Opened:

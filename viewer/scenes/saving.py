@@ -1,24 +1,41 @@
-"""Save an edited scene in any writable format."""
+"""Save an edited scene in any writable format, or all scenes and edits as a project."""
 
 from __future__ import annotations
 
 import os
+import shlex
+import tempfile
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 import gs_codec
+from gs_codec.edit.actions import Action
+from gs_codec.edit.project_file import SUFFIX, Project, project_text, read_project
+from gs_codec.errors import printable
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.suffixes import check_target
+from gs_codec.files.suffixes import WRITTEN, check_target
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.coordinates import CONVENTION
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted, size_text
-from viewer.scenes.opened import Opened, Progress
+from viewer.scenes.edits import Edits
+from viewer.scenes.opened import Opened, Progress, joined, keep, open_scene
+
+if TYPE_CHECKING:
+    from open3d.pybind.t.geometry import PointCloud
 
 #: Default encoding of ``gs-codec convert``.
 _CONFIG = gs_codec.Config(extra="keep")
 
 
-def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> list[str]:
+def save_scene(
+    scene: Opened, path: Path, progress: Progress | None = None, project: Project | None = None
+) -> list[str]:
     """Write an edited scene like ``gs-codec convert``, atomically.
 
     The Gaussians of a file are read again, to include comments and properties that the viewer does
@@ -30,6 +47,8 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
     path : Path
         Its suffix selects the format, as in `gs_codec.convert_file`.
     progress : callable, optional
+    project : Project, optional
+        Its files and edits, if the files are in another order.
 
     Returns
     -------
@@ -41,17 +60,90 @@ def save_scene(scene: Opened, path: Path, progress: Progress | None = None) -> l
     gs_codec.GsCodecError
         If it cannot be written, or the file of the scene has changed since it was opened.
     """
-    if scene.path == Path():
+    if any(part.path == Path() for part in scene.parts):
         check_target([], path)
         lost, _ = write_scene(path, from_cloud(scene.cloud, "keep"), _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]
     scene.check_unchanged()
     system = f"{scene.system}:{CONVENTION}" if scene.system_given else CONVENTION
-    done = convert_file(
-        scene.path, path, _CONFIG, system, chosen=scene.left, progress=progress, overwrite=True
-    )
+    nothing = np.zeros(scene.file_count, bool)
+    removed = nothing if scene.left is None else ~scene.left
+    project = project or Project(scene.parts, scene.moves, removed, nothing)
+    sources = [part.path for part in project.sources]
+    with tempfile.TemporaryDirectory() as folder:
+        actions = []
+        if project.moves or project.removed.any():
+            edits = Path(folder) / f"edits{SUFFIX}"
+            edits.write_text(project_text(project, Path(folder)))
+            actions = [Action("edits", str(edits))]
+        done = convert_file(
+            sources, path, _CONFIG, system, actions=actions, progress=progress, overwrite=True
+        )
     return [_written(path, done.count, done.file_bytes), *done.lost]
 
 
 def _written(path: Path, count: int, size: int) -> str:
     return f"{path.name} saved: {counted(count, 'Gaussian')}, {size_text(size)}"
+
+
+def save_project(edits: Edits, path: Path) -> None:
+    """Write the scenes and edits as a project; raises OSError if it cannot be written."""
+    with atomic_writer(path) as file:
+        file.write(project_text(edits.project, path.absolute().parent).encode())
+
+
+def command_of(edits: Edits, project: Path) -> str:
+    """The command ``gs-codec convert`` with the same result; `project` is needed for some edits.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If a scene is not a file.
+    """
+    whole = edits.whole
+    paths = [_short(part.path) for part in edits.project.sources]
+    if "" in paths:
+        raise gs_codec.GsCodecError("a cloud, expected files")
+    first = Path(paths[0])
+    suffix = first.suffix if first.suffix in WRITTEN else ".ply"
+    options = (f"--edits={_short(project)}",) if edits.options is None else edits.options
+    if whole.system_given:
+        options = (f"--coordinates={whole.system}:{CONVENTION}", *options)
+    target = first.with_name(f"{first.stem}-edited{suffix}")
+    return shlex.join(["gs-codec", "convert", *paths, str(target), *options])
+
+
+def _short(path: Path) -> str:
+    """A path as text, relative to the working directory if it is inside; empty for no path."""
+    if path == Path():
+        return ""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+def open_file(
+    source: Path | str | PointCloud,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> Opened:
+    """Open a scene as `open_scene` does, or the scenes of a project as one edited scene.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        Also if a scene of a project has another number of Gaussians.
+    """
+    if not isinstance(source, str | Path) or Path(source).suffix != SUFFIX:
+        return open_scene(source, progress=progress, max_bytes=max_bytes)
+    with located(source):
+        project = read_project(source)
+    scenes = []
+    for path, _, count in project.sources:
+        scene = open_scene(path, progress=progress, max_bytes=max_bytes)
+        if scene.count != count:
+            raise gs_codec.GsCodecError(f"{path}: {scene.count:,} Gaussians, expected {count:,}")
+        scenes.append(scene)
+    whole = joined(scenes) if len(scenes) > 1 else scenes[0]
+    name = printable(Path(source).name)
+    whole = replace(whole, name=name, sources=project.sources, hidden=project.hidden)
+    return keep(whole, ~project.removed, project.moves)

@@ -110,6 +110,28 @@ def by_rule(
     return ~largest_cluster(gaussians) if rule == _OUTLIERS else members(gaussians, rule)
 
 
+def rule_options(rule: str, cameras: object = None) -> tuple[str, ...]:
+    """Options of ``gs-codec convert`` that remove what a rule selects; empty if there are none."""
+    if rule == _FLOATERS and cameras is not None:
+        return ("--remove-floaters", f"--cameras={cameras}") if isinstance(cameras, str) else ()
+    return {_FLOATERS: ("--remove-floaters",), _OUTLIERS: ("--keep-largest-cluster",)}.get(rule, ())
+
+
+def range_options(name: str, low: float, high: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Options that remove a range of a quantity, and those that remove all else; see `in_range`."""
+    name = name.replace(" ", "_")
+    if name == "SH_energy":
+        return (), ()
+    ends = [f"--filter={name}{sign}{end:.17g}" for sign, end in ((">=", low), ("<=", high))]
+    kept = tuple(option for option, end in zip(ends, (low, high), strict=True) if np.isfinite(end))
+    gone = {
+        (True, False): f"--filter={name}<{low:.17g}",
+        (False, True): f"--filter={name}>{high:.17g}",
+    }
+    option = gone.get((bool(np.isfinite(low)), bool(np.isfinite(high))))
+    return (option,) if option else (), kept
+
+
 def inside_box(scene: Opened, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
     """Mask ``(N,)`` of the Gaussians that `gs_codec.edit.crop_box` keeps; raises like it."""
     return in_box(scene.gaussians, low, high)

@@ -8,6 +8,7 @@ from itertools import chain, count
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+from gs_codec.edit.project_file import SUFFIX
 from gs_codec.errors import InvalidInput, one_line, printable
 from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
@@ -44,7 +45,8 @@ class Kind:
 
 
 #: Scenes that can be read and written, and the other kinds of file that the window asks for.
-SCENES = Kind("3DGS scenes", SUFFIXES)
+PROJECTS = Kind("projects", (SUFFIX,))
+SCENES = Kind("3DGS scenes", (*SUFFIXES, SUFFIX))
 SAVED_SCENES = Kind("3DGS scenes", tuple(suffix for suffix in WRITTEN if suffix[0] == "."))
 TRIALS = Kind("gs_codec files", (".egs",))
 PICTURES = Kind("PNG images", (".png",))

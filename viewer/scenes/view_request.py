@@ -23,7 +23,8 @@ from viewer.scenes.choice import (
     SCALES,
     OctreeChoice,
 )
-from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
+from viewer.scenes.opened import Opened, Progress, Pruned, read_pruned
+from viewer.scenes.saving import open_file
 from viewer.scenes.viewpoints import Views, choose_views, given_views
 
 if TYPE_CHECKING:
@@ -154,10 +155,7 @@ class Request:
                 stage, k * total + done, len(sources) * total
             )
 
-        scenes = [
-            open_scene(source, progress=part(k), max_bytes=self.max_bytes)
-            for k, source in enumerate(sources)
-        ]
+        scenes = [open_file(source, part(k), self.max_bytes) for k, source in enumerate(sources)]
         wanted = {"octree-colour": self.octree.colouring, "colour": self.colouring}
         for option, colouring in wanted.items():
             reasons = [scene.unknown(colouring) for scene in scenes]

@@ -15,6 +15,7 @@ from viewer.window.loading import Loading
 from viewer.window.measuring import Measuring
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.picking import Picking
+from viewer.window.placing import Placing
 from viewer.window.shared import Host
 from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
@@ -35,6 +36,7 @@ class Controls(Host, Protocol):
     loading: Loading
     picking: Picking
     editor: Editor
+    placing: Placing
     encoding: Encoding
     dock: Dock
 

@@ -13,7 +13,16 @@ from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened
 from viewer.scenes.region import REGIONS
 from viewer.scenes.saving import save_scene
-from viewer.scenes.selecting import SEEDS, Selecting, by_rule, in_range, inside_box, rules
+from viewer.scenes.selecting import (
+    SEEDS,
+    Selecting,
+    by_rule,
+    in_range,
+    inside_box,
+    range_options,
+    rule_options,
+    rules,
+)
 from viewer.scenes.typed_paths import SAVED_SCENES
 from viewer.window import dialogs
 from viewer.window.dock import Dock
@@ -71,6 +80,7 @@ class Editor:
         known = {edits.scene: edits for edits in self.all}
         self.all = [known.get(scene) or Edits(scene) for scene in scenes]
         self.number = min(self.number, max(len(scenes) - 1, 0))
+        self._show_drawn()
         self._mark()
 
     @property
@@ -145,10 +155,14 @@ class Editor:
         for number, edits in enumerate(self.all):
             if stage.scenes[number] is not edits.scene:
                 stage.replace(number, edits.scene)
-        stage.draw_only({e.scene: e.drawn for e in self.all if e.drawn is not None})
+        self._show_drawn()
         self._mark()
         self._dock.unmark()
         self._viewer.refresh_panel()
+
+    def _show_drawn(self) -> None:
+        drawn = {edits.scene: edits.drawn for edits in self.all if edits.drawn is not None}
+        self._viewer.stage.draw_only(drawn)
 
     def _mark(self) -> None:
         for number, edits in enumerate(self.all):
@@ -156,13 +170,15 @@ class Editor:
 
     def select_range(self, name: str, low: float, high: float) -> None:
         """Select by a range of a quantity, inclusive; see `in_range`."""
-        how = self.selecting.how
-        self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high), how))
+        how, means = self.selecting.how, range_options(name, low, high)
+        self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high), how, means))
         self._dock.mark(name, low, high)
 
     def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
         """Delete the Gaussians outside a box."""
-        self.do(lambda edits: edits.keep(inside_box(edits.scene, low, high), "crop"))
+        corners = ",".join(f"{corner:.17g}" for corner in (*low, *high))
+        options = (f"--crop-box={corners}",)
+        self.do(lambda edits: edits.keep(inside_box(edits.scene, low, high), "crop", options))
 
     @property
     def box(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
@@ -183,6 +199,8 @@ class Editor:
         pruned = viewer.stage.pruned if self.number == 0 else None
         cameras = None if views.chosen else views.cameras or None
 
+        options = rule_options(rule, viewer.request.cameras if cameras else None)
+
         def choose(stale: Stale) -> NDArray[np.bool_]:
             progress = self.worker.progress(stale, viewer.panel.show_progress)
             return by_rule(scene, rule, pruned, cameras, progress)
@@ -190,7 +208,7 @@ class Editor:
         def done(chosen: NDArray[np.bool_]) -> None:
             viewer.panel.say("")
             if self.edits is edits and edits.scene is scene:
-                self.do(lambda edits: edits.select(chosen, self.selecting.how))
+                self.do(lambda edits: edits.select(chosen, self.selecting.how, (options, ())))
 
         viewer.panel.say(f"looking for {rule} ...", progress=0)
         self.worker.submit("select", choose, done, viewer.fail)
@@ -232,10 +250,10 @@ class Editor:
         edits, viewer, target = self.edits, self._viewer, Path(path)
         if edits is None:
             return
-        scene = edits.scene
+        scene, project = edits.scene, edits.project
 
         def write(stale: Stale) -> list[str]:
-            return save_scene(scene, target)
+            return save_scene(scene, target, project=project)
 
         def done(said: list[str]) -> None:
             edits.mark_saved(scene)

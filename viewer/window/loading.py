@@ -8,8 +8,9 @@ from functools import partial
 from pathlib import Path
 
 import gs_codec
-from viewer.scenes.opened import Opened, Pruned, modified, open_scene, read_pruned, turned
+from viewer.scenes.opened import Opened, Pruned, modified, read_pruned, turned
 from viewer.scenes.recent import recent_files, remember
+from viewer.scenes.saving import open_file
 from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.view_request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
@@ -43,8 +44,9 @@ class Loading:
             return scenes, self._first_views(stale, scenes), find_pruned(request, scenes[0])
 
         def done(found: tuple[list[Opened], Views, Pruned | None]) -> None:
-            for scene in found[0]:
-                _remember(scene)
+            for source in (request.a, request.b):
+                if isinstance(source, str | Path):
+                    remember(Path(source))
             self.show(*found)
 
         viewer.panel.say("loading ...", progress=0)
@@ -91,14 +93,14 @@ class Loading:
 
         def read(stale: Stale) -> tuple[Opened, Views]:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
-            opened = open_scene(Path(path), progress=progress)
+            opened = open_file(path, progress)
             if not before:
                 self._preview(stale, [opened])
             return opened, self._first_views(stale, [opened]) if chosen and not pane else views
 
         def done(found: tuple[Opened, Views]) -> None:
             opened, seen = found
-            _remember(opened)
+            remember(Path(path))
             scenes = [*viewer.stage.scenes[:pane], opened, *viewer.stage.scenes[pane + 1 :]]
             self.show(scenes, seen, viewer.stage.pruned if pane else None)
 
@@ -115,7 +117,7 @@ class Loading:
 
         def read(stale: Stale) -> Opened:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
-            return open_scene(path, progress=progress, max_bytes=viewer.request.max_bytes)
+            return open_file(path, progress, viewer.request.max_bytes)
 
         def done(opened: Opened) -> None:
             stage = viewer.stage
@@ -178,6 +180,9 @@ class Loading:
             return
         edits = self._editor.all[1]
         whole = edits.whole
+        if edits.scene.moves or whole.sources:
+            viewer.fail(gs_codec.GsCodecError("B was placed: turn it in the tab Place"))
+            return
 
         def done(scene: Opened) -> None:
             edits.turn(scene)
@@ -247,9 +252,3 @@ class Loading:
             self._viewer.fail(gs_codec.GsCodecError(f"{title.lower()}: open a scene first"))
             return
         self._viewer.files.ask_open(title, kind, then)
-
-
-def _remember(scene: Opened) -> None:
-    """Add a scene's file to the recently opened ones."""
-    if scene.file_bytes is not None:
-        remember(scene.path)

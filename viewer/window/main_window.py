@@ -26,6 +26,7 @@ from viewer.window.notice import Notice
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
 from viewer.window.picking import Picking
+from viewer.window.placing import Placing
 from viewer.window.stage import Stage
 from viewer.window.start import Start
 from viewer.window.timeline import Timeline
@@ -63,6 +64,7 @@ class Viewer(Controls):
     panel : Panel
     dock : Dock
     editor : Editor
+    placing : Placing
     keys : Keys
     notice : Notice
     modal : Modal
@@ -101,6 +103,7 @@ class Viewer(Controls):
         self.timeline, self.measuring = Timeline(self), Measuring(self)
         self.dock = Dock(self, self.visits, self.timeline, self._select_range)
         self.editor = Editor(self, self.visits, self.dock)
+        self.placing = Placing(self, self.editor)
         self.loading = Loading(self, self.visits, self.editor)
         self.watching = Watching(self, self.loading, self.editor)
         self.start = Start(self, self.loading)

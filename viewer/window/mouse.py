@@ -28,8 +28,8 @@ Place = tuple[float, float]
 class Tool(Protocol):
     """Handles drags with the left button while it is chosen. Positions are pixels of a picture."""
 
-    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
-        """Begin a drag; `event` has the modifier keys."""
+    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> bool:
+        """Begin a drag; return whether to take it. `event` has the modifier keys."""
 
     def move(self, at: Place) -> None:
         """Continue the drag."""
@@ -39,12 +39,15 @@ class Tool(Protocol):
 
     def hover(self, pane: Pane, at: Place) -> None:
         """Follow the mouse while no button is down."""
+        return
 
     def finish(self) -> bool:
         """End what takes several clicks; return whether there was anything to end."""
+        return False
 
     def drop(self) -> bool:
         """Drop what is unfinished; return whether there was anything."""
+        return False
 
 
 class Steered(Protocol):
@@ -118,9 +121,9 @@ class Mouse:
     def _press(self, pane: Pane, event: gui.MouseEvent, pose: Pose) -> None:
         left = event.is_button_down(gui.MouseButton.LEFT)
         self._pressed = (event.x, event.y) if left else None
-        self._drawing = left and self.tool is not None
-        if self.tool is not None and self._drawing:
-            self.tool.begin(pane, self._stage.place(pane, event.x, event.y), event)
+        at = self._stage.place(pane, event.x, event.y)
+        self._drawing = left and self.tool is not None and self.tool.begin(pane, at, event)
+        if self._drawing:
             return
         kind: DragKind = "look" if self._stage.choice.flying else "turn"
         if not left or event.is_modifier_down(gui.KeyModifier.CTRL):

@@ -140,18 +140,24 @@ class Pane:
         self._bring_near("outline", pose, _OUTLINED)
 
     def show_lines(
-        self, name: str, lines: list[NDArray], pose: Pose, width: int, height: int
+        self,
+        name: str,
+        lines: list[NDArray],
+        pose: Pose,
+        width: int,
+        height: int,
+        light: tuple[float, float, float] | None = None,
     ) -> None:
         """Draw closed lines ``(n, 2)``, light on dark, in front of everything, or remove them.
 
-        Lines are in pixels of a picture; its size is as in `look`.
+        Lines are in pixels of a picture; its size is as in `look`. `light` is their RGB.
         """
         for depth, (thickness, colour) in zip(_LINED, LINES, strict=True):
             each = f"{name} at {depth}"
             self._replace(each, None)
             if lines:
                 mesh = line_mesh(lines, thickness, pose.lens(width, height))
-                self._replace(each, (mesh, _solid(colour)))
+                self._replace(each, (mesh, _solid(light if light and any(colour) else colour)))
                 self._bring_near(each, pose, depth)
 
     def _bring_near(self, name: str, pose: Pose, depth: float) -> None:

@@ -16,13 +16,14 @@ from viewer.window.dialogs import folded
 from viewer.window.edit_tab import EditTab
 from viewer.window.path_tab import PathTab
 from viewer.window.pick_tab import PickTab
+from viewer.window.place_tab import PlaceTab
 from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
 from viewer.window.widgets import Widgets
 
 #: Width of the panel, in font sizes.
-EMS = 21
+EMS = 22
 
 #: Width of its text, in characters.
 _COLUMNS = 38
@@ -47,6 +48,7 @@ class Panel:
     Attributes
     ----------
     scene, view, path, rate, pick, edit : SceneTab, ViewTab, PathTab, RateTab, PickTab, EditTab
+    place : PlaceTab
     """
 
     def __init__(self, viewer: Controls, font: int) -> None:
@@ -69,6 +71,7 @@ class Panel:
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
         self.pick, self.edit = PickTab(viewer, widgets, font), EditTab(viewer, widgets)
         self.path, self.rate = PathTab(viewer, widgets), RateTab(viewer, widgets, font)
+        self.place = PlaceTab(viewer, widgets)
         self._named: dict[str, Tab] = {
             "Scene": self.scene,
             "View": self.view,
@@ -76,6 +79,7 @@ class Panel:
             "Rate": self.rate,
             "Pick": self.pick,
             "Edit": self.edit,
+            "Place": self.place,
         }
         self.tabs = gui.TabControl()
         self._coming: int | None = None

@@ -17,7 +17,7 @@ class RegionTool(SelectingTool):
 
     _region: Region | None = None
 
-    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
+    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> bool:
         """Begin a region, or go on to the next corner of a polygon."""
         stage, region = self._viewer.stage, self._region
         if region is not None and (pane, stage.pose) == (self._pane, self._pose):
@@ -25,13 +25,14 @@ class RegionTool(SelectingTool):
                 self.finish()
             else:
                 region.extend(at)
-            return
+            return True
         self.hold(pane, event)
         self._region = Region(self.kind, at, self._chooser.selecting.radius)
         if self.kind == "brush" and stage.pose is not None:
             self._projected = stage.pose.project(pane.scene.positions, *stage.picture_size)
             self._painted = np.zeros(pane.scene.count, bool)
             self._paint(pane, self._region)
+        return True
 
     def move(self, at: Place) -> None:
         """Extend the region, within the pane."""

@@ -18,10 +18,11 @@ from viewer.window.selecting_tool import Mask, SelectingTool
 class SeedTool(SelectingTool):
     """Selects around the Gaussian where the mouse goes down; a drag sets a sphere's radius."""
 
-    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> None:
+    def begin(self, pane: Pane, at: Place, event: gui.MouseEvent) -> bool:
         """Begin at a Gaussian."""
         self.hold(pane, event)
         self._start = self._at = at
+        return True
 
     def move(self, at: Place) -> None:
         """Show the sphere."""

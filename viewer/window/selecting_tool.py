@@ -11,7 +11,7 @@ from open3d.visualization import gui
 
 from viewer.scenes.pose import Pose
 from viewer.scenes.selecting import Selecting
-from viewer.window.mouse import Place
+from viewer.window.mouse import Place, Tool
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
 from viewer.window.worker import Stale, Worker
@@ -33,7 +33,7 @@ class Chooser(Protocol):
         """Only show the selection that `choose` would make."""
 
 
-class SelectingTool:
+class SelectingTool(Tool):
     """A tool of a viewer that selects; see `Tool`.
 
     Parameters
@@ -58,13 +58,6 @@ class SelectingTool:
         removed = event.is_modifier_down(gui.KeyModifier.CTRL)
         names = {(1, 0): "add", (0, 1): "remove", (1, 1): "intersect"}
         self._how = names.get((added, removed), self._chooser.selecting.how)
-
-    def hover(self, pane: Pane, at: Place) -> None:
-        """Follow the mouse while no button is down."""
-
-    def finish(self) -> bool:
-        """End what takes several clicks; return whether there was anything to end."""
-        return False
 
     def drop(self) -> bool:
         """Drop what is unfinished; return whether there was anything."""

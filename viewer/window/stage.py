@@ -75,6 +75,8 @@ class Stage:
     navigator : Navigator
     overlays : dict of str to Overlay
         Lines drawn over all panes, by name.
+    overlay_colours : dict of str to tuple
+        RGB of those that are not white.
     captions : list of gui.Label
         The captions above the panes.
     divider : Canvas
@@ -103,6 +105,7 @@ class Stage:
         self.seen: Pose | None = None
         self.navigator = Navigator()
         self.overlays: dict[str, Overlay] = {}
+        self.overlay_colours: dict[str, tuple[float, float, float]] = {}
         self.captions = [gui.Label("") for _ in range(2)]
         for label in self.captions:
             window.add_child(label)
@@ -404,7 +407,13 @@ class Stage:
             lines = marker(*self._marked, self.seen, wide, height) if self._marked else []
             pane.show_lines("mark", lines, self.seen, wide, height)
             for name, overlay in self.overlays.items():
-                pane.show_lines(name, overlay(self.seen, wide, height), self.seen, wide, height)
+                lines, colour = overlay(self.seen, wide, height), self.overlay_colours.get(name)
+                pane.show_lines(name, lines, self.seen, wide, height, colour)
+
+    def draw_overlays(self) -> None:
+        """Draw lines again, without new pictures."""
+        self._look()
+        self.window.post_redraw()
 
     def see(self, pose: Pose) -> None:
         """Make the panes look from a pose."""

@@ -45,7 +45,7 @@ class Watching:
             return
         self._looked = time.monotonic()
         for number, scene in enumerate(self._viewer.stage.scenes):
-            if scene.file_bytes is None:  # a cloud
+            if scene.file_bytes is None or scene.sources:  # a cloud, or a project
                 continue
             path = newest(scene.path) if self.on else scene.path
             now, (before, looks) = modified(path), self._seen.get(path, (None, 0))

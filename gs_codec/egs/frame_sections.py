@@ -88,7 +88,9 @@ class Timeline:
 
 
 def is_sequence(path: str | Path) -> bool:
-    """Whether a file is an `.egs` that is a sequence."""
+    """Whether a file, other than a pipe, is an `.egs` that is a sequence."""
+    if not Path(path).is_file():
+        return False
     try:
         with opened(path) as data:
             return Feature.SEQUENCE in read_file(data, described).header.features

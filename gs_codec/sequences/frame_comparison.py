@@ -65,7 +65,7 @@ def _frames(
     source: str | Path, stack: ExitStack, max_bytes: int | None
 ) -> tuple[Sequence[str], Iterator[Scene]]:
     """Names of the frames of a source, and the frames."""
-    if Path(source).is_file() and is_sequence(source):
+    if is_sequence(source):
         sequence = stack.enter_context(opened_sequence(source))
         timeline = sequence.timeline
         names = [timeline.name_of(number) for number in range(timeline.count)]

@@ -85,8 +85,8 @@ class Frames:
 def has_frames(source: str | Path) -> bool:
     """Whether a source is a folder, a pattern, or a file with several frames."""
     path = Path(source)
-    if path.is_dir() or not path.exists():
-        return path.is_dir() or glob.has_magic(str(source))
+    if not path.is_file():  # a pipe can be read only once
+        return path.is_dir() or (glob.has_magic(str(source)) and not path.exists())
     try:
         if path.suffix.lower() == ZIP_SUFFIX:
             with opened_zip(path) as archive:

@@ -182,6 +182,7 @@ def test_nothing_is_overwritten_by_default():
     calls = {
         "write": lambda path, **o: gs_codec.write(path, cloud, **o),
         "encode_file": lambda path, **o: gs_codec.encode_file("a.ply", path, **o),
+        "encode_sequence": lambda path, **o: gs_codec.encode_sequence([cloud], path, **o),
         "decode_file": lambda path, **o: gs_codec.decode_file("a.egs", path, **o),
         "convert_file": lambda path, **o: gs_codec.convert_file("a.ply", path, **o),
         "prepare_file": lambda path, **o: gs_codec.prepare_file("a.ply", path, plan, **o),
@@ -197,7 +198,8 @@ def test_nothing_is_overwritten_by_default():
     for each in writing:
         assert inspect.signature(each).parameters["overwrite"].default is False
     for name, call in calls.items():
-        path = Path(f"{name}.egs" if name == "encode_file" else f"{name}.ply")
+        coded = name in ("encode_file", "encode_sequence")
+        path = Path(f"{name}.egs" if coded else f"{name}.ply")
         if call is None:
             continue
         path.write_bytes(b"before")

@@ -518,7 +518,7 @@ def test_egs_with_properties_invalid_in_ply_is_refused(folder, names):
 THREADS = "threads {}: expected an integer from 1 to 256"
 REFUSED = {
     "encode missing": ("encode missing.ply out.egs", "missing.ply: No such file"),
-    "encode directory": ("encode some.dir out.egs", "some.dir: a directory, expected a file"),
+    "encode directory": ("encode some.dir out.egs", "some.dir: no frames, expected files of"),
     "decode missing": ("decode missing.egs out.ply", "missing.egs: No such file"),
     "decode directory": ("decode some.dir out.ply", "some.dir: a directory, expected a file"),
     "decode .ply": ("decode scene.ply out.ply", "scene.ply: ply, not an .egs file"),
@@ -537,7 +537,7 @@ REFUSED = {
     "encode .pt": ("encode scene.ply a.pt", "suffix '.pt', expected .*; `convert` writes that"),
     "coding of a .pt": ("convert scene.ply a.pt -p s", "--profile has no effect on a.pt, expected"),
     "compare missing": ("compare scene.ply missing.ply", "missing.ply: No such file"),
-    "compare directory": ("compare some.dir scene.ply", "some.dir: a directory, expected a file"),
+    "compare directory": ("compare some.dir scene.ply", "some.dir: no frames, expected files of"),
     "compare counts": (
         "compare scene.ply other.ply",
         "1,500 Gaussians against 7: .* rendered views",

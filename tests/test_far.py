@@ -527,11 +527,11 @@ def test_javascript_has_the_same_headers(small):
         files.append(with_checksums(changed))
     files.append(with_section(small, SectionId.FAR, lambda _: None))
     later = bytearray(small)
-    later[24] |= 48
+    later[24] |= 96
     files.append(with_checksums(later))
     *found, named = run(*({"bytes": data} for data in files))
     assert [each.get("error") for each in found] == ["CorruptError"] * 4
-    assert named["message"] == "header: features sequences and 5"
+    assert named["message"] == "header: features 5 and 6"
 
 
 @needs_node

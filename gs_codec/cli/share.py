@@ -57,7 +57,9 @@ def command(
     ] = None,
     url: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Address of the page on the web, for previews of links."),
+        typer.Option(
+            "--url", metavar="URL", help="Address of the page on the web, for previews of links."
+        ),
     ] = None,
     embed: Annotated[
         list[str] | None,

@@ -14,13 +14,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec.config import Option
-from gs_codec.edit.project_file import Project, read_project
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 from gs_codec.runtime.json_text import parse_json
 
 if TYPE_CHECKING:
-    pass
+    from gs_codec.edit.project_file import Project
 
 #: Comparison operators of conditions; an operator precedes its own prefixes.
 COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
@@ -156,6 +155,8 @@ def _matrix(path: str) -> tuple[list[list[float]]]:
 
 def _project(path: str) -> tuple[Project]:
     """Read a project of gs-viewer."""
+    from gs_codec.edit.project_file import read_project
+
     return (read_project(path),)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from gs_codec.coding.fields import ByteReader
 from gs_codec.egs.egs_file import (
     FRAME_SECTIONS,
+    MAGIC,
     MOST_FRAMES,
     EgsFile,
     Readable,
@@ -30,17 +31,18 @@ from gs_codec.egs.egs_file import (
 from gs_codec.egs.header import Feature, Header
 from gs_codec.errors import (
     CorruptStream,
-    GsCodecError,
     InvalidInput,
     TruncatedStream,
     UnsupportedVersion,
 )
-from gs_codec.runtime.mapped import opened
 from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
 _WHERE = "section 'timeline'"
+
+#: Where the header states features.
+_FEATURES = slice(24, 28)
 
 #: Features that key frames may have; the file's header has those of all of them.
 _OF_KEYS = Feature.FAR | Feature.LOCAL_BASIS
@@ -89,13 +91,15 @@ class Timeline:
 
 def is_sequence(path: str | Path) -> bool:
     """Whether a file, other than a pipe, is an `.egs` that is a sequence."""
-    if not Path(path).is_file():
-        return False
     try:
-        with opened(path) as data:
-            return Feature.SEQUENCE in read_file(data, described).header.features
-    except GsCodecError:
+        if not Path(path).is_file():
+            return False
+        with open(path, "rb") as file:
+            start = file.read(_FEATURES.stop)
+    except OSError:  # reported by the reader
         return False
+    features = int.from_bytes(start[_FEATURES], "little")
+    return start.startswith(MAGIC) and bool(features & Feature.SEQUENCE)
 
 
 def read_described(data: Readable | bytes, wanted: Wanted | None = described) -> EgsFile:

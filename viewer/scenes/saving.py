@@ -141,7 +141,9 @@ def open_file(
     for path, _, count in project.sources:
         scene = open_scene(path, progress=progress, max_bytes=max_bytes)
         if scene.count != count:
-            raise gs_codec.GsCodecError(f"{path}: {scene.count:,} Gaussians, expected {count:,}")
+            raise gs_codec.GsCodecError(
+                f"{path}: {counted(scene.count, 'Gaussian')}, expected {count:,}"
+            )
         scenes.append(scene)
     whole = joined(scenes) if len(scenes) > 1 else scenes[0]
     name = printable(Path(source).name)

@@ -53,6 +53,7 @@ class Viewer extends EventTarget {
     this.ups = ups; // vectors by name, the cameras' first
     this.axis = up;
     this.path = tour; // cameras with times
+    this.note = ''; // a text to show
     this.frame = null; // the lens, if not that of the view
     this.canvas = document.getElementById('view');
     this.abort = new AbortController();
@@ -141,8 +142,15 @@ class Viewer extends EventTarget {
     let text = [...new Set(errors.map((one) => one.text))].join('\n');
     if (!text && isStopped) text = say('Stopped: the page shows what was loaded.');
     else if (!text && lost) text = say('{}: asking again', lost.told(lost.lost));
+    else if (!text) text = this.note;
     const mayRetry = !isStopped && errors.some(({ error }) => error instanceof SourceError);
     this.panel.tell(text, errors.length > 0, mayRetry);
+  }
+
+  /** Show a text until the camera is moved, unless there are failures. */
+  #say(text) {
+    this.note = text;
+    this.#tell();
   }
 
   /** A scene's share of the budget, if it has levels. */
@@ -261,6 +269,7 @@ class Viewer extends EventTarget {
 
   /** Stop what moves the camera by itself. */
   rest() {
+    if (this.note) this.#say('');
     if (this.motion) this.#play();
   }
 
@@ -418,7 +427,7 @@ class Viewer extends EventTarget {
       await navigator.clipboard.writeText(link);
       return true;
     } catch {
-      this.panel.tell(link, false, false); // to copy it by hand
+      this.#say(link); // to copy it by hand
       return false;
     }
   }
@@ -534,7 +543,7 @@ class Viewer extends EventTarget {
         this.moved();
       });
     } catch (error) {
-      this.panel.tell(error.message, false, false);
+      this.#say(error.message);
     }
   }
 

@@ -147,8 +147,8 @@ class Viewer extends EventTarget {
     this.panel.tell(text, errors.length > 0, mayRetry);
   }
 
-  /** Show a text until the camera is moved, unless there are failures. */
-  #say(text) {
+  /** Leave a text on the page until the camera is moved, unless there are failures. */
+  #leave(text) {
     this.note = text;
     this.#tell();
   }
@@ -269,7 +269,7 @@ class Viewer extends EventTarget {
 
   /** Stop what moves the camera by itself. */
   rest() {
-    if (this.note) this.#say('');
+    if (this.note) this.#leave('');
     if (this.motion) this.#play();
   }
 
@@ -427,7 +427,7 @@ class Viewer extends EventTarget {
       await navigator.clipboard.writeText(link);
       return true;
     } catch {
-      this.#say(link); // to copy it by hand
+      this.#leave(link); // to copy it by hand
       return false;
     }
   }
@@ -543,7 +543,7 @@ class Viewer extends EventTarget {
         this.moved();
       });
     } catch (error) {
-      this.#say(error.message);
+      this.#leave(error.message);
     }
   }
 

@@ -162,14 +162,35 @@ def test_an_interrupted_run_goes_on(tmp_path):
             return super().read(number)
 
     request = Request(SmallBlocks("m", block_size=600))
+    paths = [tmp_path / "whole.egs"]
     with pytest.raises(KeyboardInterrupt):
-        encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4)
+        encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4, paths=paths)
     assert not (tmp_path / "a.egs").exists()
     read.append(-1)
-    encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4)
+    encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4, paths=paths)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "whole.egs").read_bytes()
     assert read[read.index(-1) + 1 :] == [4, 5]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.egs", "whole.egs"]
+
+
+def test_frames_in_memory_are_not_those_of_an_earlier_run(tmp_path):
+    scenes = moving(frames=3)
+    read: list[int] = []
+
+    class Failing(Given):
+        def read(self, number: int) -> Scene:
+            read.append(number)
+            # The first time is for step sizes.
+            if read[-4:].count(2) == 2:
+                raise KeyboardInterrupt
+            return super().read(number)
+
+    with pytest.raises(KeyboardInterrupt):
+        encode_frames(Failing(moving(frames=3, seed=1)), tmp_path / "a.egs", Request(SMALL))
+    assert read == [0, 1, 2, 0, 1, 2]
+    for name in ("whole.egs", "a.egs"):
+        encode_frames(Given(scenes), tmp_path / name, Request(SMALL))
+    assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "whole.egs").read_bytes()
 
 
 def test_turns_between_rotations():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import secrets
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -151,10 +152,13 @@ def encode_frames(
         Maximum number of frames that a key frame begins.
     progress : callable, optional
     paths : sequence of path
-        Files of the source, by which an interrupted run is recognised.
+        Files of the source, by which an interrupted run is recognised; without them, none is.
     """
     times = StageTimes()
     settings = {"group": group, "names": list(source.names), "request": repr(request)}
+    if not paths:
+        # Nothing tells whether frames in memory are those of an earlier run.
+        settings["run"] = secrets.token_hex(8)
     with (
         using_threads(request.config.threads),
         work_folder(Path(target), identity_of(paths, **settings)) as folder,

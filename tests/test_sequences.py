@@ -186,10 +186,10 @@ def test_frames_in_memory_are_not_those_of_an_earlier_run(tmp_path):
             return super().read(number)
 
     with pytest.raises(KeyboardInterrupt):
-        encode_frames(Failing(moving(frames=3, seed=1)), tmp_path / "a.egs", Request(SMALL))
+        encode_frames(Failing(moving(frames=3, seed=1)), tmp_path / "a.egs", Request(SMALL), 1)
     assert read == [0, 1, 2, 0, 1, 2]
     for name in ("whole.egs", "a.egs"):
-        encode_frames(Given(scenes), tmp_path / name, Request(SMALL))
+        encode_frames(Given(scenes), tmp_path / name, Request(SMALL), 1)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "whole.egs").read_bytes()
 
 

@@ -83,7 +83,7 @@ def command(
 
             if target is None:
                 target = source.with_suffix("" if frame is None else ".ply")
-            sequence_commands.decode(source, source, target, typed, frame, time)
+            sequence_commands.decode(source, target, typed, frame, time)
             return
     typed.refuse(["frame", "time"], f"has no effect on {source}, expected a sequence")
     if target is None:

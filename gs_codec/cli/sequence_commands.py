@@ -1,4 +1,4 @@
-"""Sequences: what `encode`, `decode`, `inspect` and `verify` do with them."""
+"""Sequences: what `encode`, `decode`, `inspect`, `compare` and `verify` do with them."""
 
 from __future__ import annotations
 
@@ -80,10 +80,8 @@ def _keys_text(keys: int, frames: int, share: float) -> str:
     return text
 
 
-def decode(
-    source: Path, file: Path, target: Path, typed: Typed, frame: int | None, time: str | None
-) -> None:
-    """Decode frames of a sequence to a folder, or one to a PLY; `file` is what is read."""
+def decode(source: Path, target: Path, typed: Typed, frame: int | None, time: str | None) -> None:
+    """Decode frames of a sequence to a folder, or one to a PLY."""
     from gs_codec.runtime.threads import using_threads
     from gs_codec.sequences.frame_decoding import decode_to_files
 
@@ -93,7 +91,7 @@ def decode(
         raise InvalidInput("--frame and --time cannot be combined")
     with progress_bar() as progress, using_threads(typed["threads"]):
         done = decode_to_files(
-            file, target, frame, span, progress, typed["max_bytes"], typed["overwrite"]
+            source, target, frame, span, progress, typed["max_bytes"], typed["overwrite"]
         )
     if typed["json"]:
         shown = asdict(done)
@@ -199,10 +197,8 @@ def compare(
                 max_bytes=typed["max_bytes"], **drawn,
             )
         ]  # fmt: skip
-    mean, lowest = (
-        sum(psnr for _, psnr, _ in found) / len(found),
-        min(found, key=lambda row: row[1]),
-    )
+    mean = sum(psnr for _, psnr, _ in found) / len(found)
+    lowest = min(found, key=lambda row: row[1])
     if typed["json"]:
         frames = [{"name": name, "psnr": psnr, "worst": worst} for name, psnr, worst in found]
         print_document(input=[str(first), str(second)], frames=frames, psnr=mean)

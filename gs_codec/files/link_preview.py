@@ -79,7 +79,7 @@ def tags_of(title: str, description: str, url: str | None, view: Camera | None) 
     ----------
     title, description : str
     url : str, optional
-        Address of the page, of which some programs need the picture's.
+        Address of the page; some programs show the picture only if it is stated.
     view : Camera, optional
         The view that `PICTURE` beside the page shows; None if there is no picture.
     """

@@ -115,15 +115,21 @@ def _to_file(write: Callable[[Path], object], suffix: str) -> bytes:
         return path.read_bytes()
 
 
-def _decode(data: bytes) -> None:
-    """Decode all or a part; the first byte selects which, and whether checksums are corrected."""
-    if not data:
-        return
+def _stream_of(data: bytes) -> bytes:
+    """The stream after the first byte, which tells whether size and checksums are corrected."""
     stream = bytearray(data[1:])
     if data[0] & 8:
         _fit_last(stream)
     if data[0] & 1 and len(stream) > HEADER:
         stream = with_checksums(stream)
+    return bytes(stream)
+
+
+def _decode(data: bytes) -> None:
+    """Decode all or a part; the first byte selects which, and whether checksums are corrected."""
+    if not data:
+        return
+    stream = _stream_of(data)
     part = Part()
     if data[0] & 2:
         part = Part((-0.5, -0.5, -0.5, 0.5, 0.5, 0.5))
@@ -133,8 +139,8 @@ def _decode(data: bytes) -> None:
         part = Part(level=1)
     if data[0] & 32:
         part = Part(view=_VIEW)
-    inspect_bytes(bytes(stream))
-    scene, _ = decode_part(bytes(stream), part, 1, _MOST)
+    inspect_bytes(stream)
+    scene, _ = decode_part(stream, part, 1, _MOST)
     for group in GROUPS if data[0] & 1 else ():
         getattr(scene, group).sum(dtype=np.float64)
 
@@ -172,12 +178,7 @@ def _decode_frames(data: bytes) -> None:
     """Decode the frames of a sequence; the first byte is as in `_decode`."""
     if not data:
         return
-    stream = bytearray(data[1:])
-    if data[0] & 8:
-        _fit_last(stream)
-    if data[0] & 1 and len(stream) > HEADER:
-        stream = with_checksums(stream)
-    file = read_file(bytes(stream), described)
+    file = read_file(_stream_of(data), described)
     with using_threads(1):
         for scene in decode_frames(file, timeline_of(file), max_bytes=_MOST):
             scene.f_rest.sum(dtype=np.float64)

@@ -26,7 +26,7 @@ from samples.generate import generate
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-RESULTS = (ROOT / "gs_codec" / "bench" / "RESULTS.md").read_text()
+RESULTS = (ROOT / "gs_codec" / "bench" / "LAB_NOTEBOOK.md").read_text()
 COMMANDS = (ROOT / "gs_codec" / "cli" / "COMMANDS.md").read_text()
 FOLDERS = ("gs_codec", "samples", "tests", "viewer")
 DOCUMENTS = sorted(

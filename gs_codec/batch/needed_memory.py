@@ -7,7 +7,7 @@ from gs_codec.format_table import format_of_file
 #: Bytes for Python, its packages, and compiled kernels.
 _FIXED = 400 << 20
 
-#: Peak bytes per byte of raw floats: 2.6 measured (bench/RESULTS.md).
+#: Peak bytes per byte of raw floats: 2.6 measured (bench/LAB_NOTEBOOK.md).
 _ENCODING = 4
 
 #: The same when rendering views (16 measured); and bytes per pixel of the views (280 measured).

@@ -14,7 +14,7 @@ from gs_codec.runtime.kernels import kernel
 #: Default range of SH-AC after rectification: Laplace scales on either side of the median, per bit
 #: of depth. The paper gives the number only in its supplement. Clipped tails are visible, and
 #: entropy coding makes rare levels cheap: a wide range with one more bit of depth takes no more
-#: space than a narrow one, and renders are closer to the original (RESULTS.md).
+#: space than a narrow one, and renders are closer to the original (LAB_NOTEBOOK.md).
 LAPLACE_SCALES_PER_BIT = 3.0
 
 

@@ -28,7 +28,7 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, join_scenes
 
 #: Maximum mean squared error of a block's covered pixels: 35 dB. Chosen on bonsai, flowers and the
-#: showroom (RESULTS.md, "Levels of detail").
+#: showroom (LAB_NOTEBOOK.md, "Levels of detail").
 _ALIKE = 10.0**-3.5
 
 #: The same for scenes without antialiasing: 32.5 dB. Their renders differ more from the scene with

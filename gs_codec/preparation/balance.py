@@ -23,7 +23,7 @@ StepError = Callable[[float, float], float]
 StepsOf = Callable[[ViewSplit], StepError]
 
 #: Share of the squared error of pruning that remains after 500 iterations of refinement, with and
-#: without photographs (bench/RESULTS.md).
+#: without photographs (bench/LAB_NOTEBOOK.md).
 _LEFT = {True: 0.07, False: 0.13}
 
 #: Exponent of that share as a function of the number of iterations.

@@ -46,7 +46,7 @@ _CHUNK = 1000
 _TOGETHER = 2
 
 #: One step at full rates may change images by at most this share of the possible improvement (both
-#: as root mean squared error); if it would change more, rates are reduced (bench/RESULTS.md).
+#: as root mean squared error); if it would change more, rates are reduced (bench/LAB_NOTEBOOK.md).
 _SHARE = 1 / 6
 
 #: Number of views for estimating the possible improvement.

@@ -36,7 +36,7 @@ from gs_codec.scene import Scene
 log = logging.getLogger(__name__)
 
 #: Iterations of refinement that pay off: looks at each image that it fits, and a minimum
-#: (bench/RESULTS.md).
+#: (bench/LAB_NOTEBOOK.md).
 _LOOKS = 15
 _LEAST = 2000
 

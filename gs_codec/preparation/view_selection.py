@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 #: Refinement fits this many times as many views as other steps use; its time does not depend on
 #: their number. If there are fewer cameras than these steps use, pruning sees as many, too: what
-#: no view shows would be removed (bench/RESULTS.md).
+#: no view shows would be removed (bench/LAB_NOTEBOOK.md).
 _TARGETS = 4
 
 #: Approximate maximum bytes of the images of these extra views.

@@ -16,7 +16,7 @@ from open3d.visualization import gui
 
 from viewer.pictures.picture import LINE_COLOUR
 from viewer.scenes.choice import Appearance
-from viewer.window.worker import Stale
+from viewer.scenes.worker import Stale
 
 
 def layers(driver: Driver, first: np.ndarray) -> dict:

@@ -60,7 +60,7 @@ from viewer.scenes.opened import Opened, keep, open_scene, read_pruned, thinned,
 from viewer.scenes.pose import Pose, look_at, of_camera, overview
 from viewer.scenes.view_request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
-from viewer.window.worker import Worker
+from viewer.scenes.worker import Worker
 
 STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
 

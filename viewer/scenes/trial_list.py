@@ -26,6 +26,20 @@ from viewer.scenes.opened import Opened, Progress, open_scene
 #: Gaussian, or loss of views in dB.
 WISHES = ("steps", "size", "bits", "loss")
 
+#: Range of step sizes, relative to the profile's.
+_STEPS = (0.25, 4.0)
+
+#: Range of losses of views, dB.
+_LOSSES = (0.01, 1.0)
+
+#: Range of file sizes, as shares of the raw size.
+_SHARES = (1 / 200, 1 / 4)
+
+#: Initial target values: step sizes, share of the raw size, and loss in dB.
+_STEP = 1.0
+_SHARE = 1 / 20
+_LOSS = 0.05
+
 
 @dataclass(frozen=True)
 class EncodingSettings:
@@ -84,6 +98,28 @@ class EncodingSettings:
         if self.guided or self.wish == "loss":
             plan = gs_codec.Plan(cameras=list(cameras) or "auto")
         return Request(self.config, plan, self.rate, max_bytes=max_bytes)
+
+
+@dataclass
+class Scale:
+    """A target's value, and the range of its slider; a size is in MB."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def within(self) -> float:
+        """The value clamped to the slider's range."""
+        return min(max(self.value, self.low), self.high)
+
+
+def scales_of(scene: Opened) -> dict[str, Scale]:
+    """The scale of each of `WISHES` for a scene."""
+    raw = scene.raw_bytes
+    units = {"size": raw / 1e6, "bits": 8 * raw / max(scene.count, 1)}
+    found = {name: Scale(_SHARE * u, *(s * u for s in _SHARES)) for name, u in units.items()}
+    return found | {"steps": Scale(_STEP, *_STEPS), "loss": Scale(_LOSS, *_LOSSES)}
 
 
 def has_steps(profile: str) -> bool:

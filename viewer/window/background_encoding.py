@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
-from gs_codec.metrics.comparison import Comparison
-from viewer.scenes.opened import Opened, Progress, Pruned
+from viewer.scenes.opened import Opened, Pruned
+from viewer.scenes.trial_jobs import TrialJobs
 from viewer.scenes.trial_list import EncodingSettings, Trial, Trials
+from viewer.scenes.worker import Stale
 from viewer.window.loading import Loading
 from viewer.window.shared import Host
 from viewer.window.visits import Visits
-from viewer.window.worker import Cancelled, Stale
-
-#: Minimum interval between progress updates, seconds, because drawing the window takes time too.
-_PERIOD = 0.2
 
 
-class Encoding:
-    """The trial encodings of a window, and the jobs that make and measure them.
+class Encoding(TrialJobs):
+    """The trial encodings of a window: of its first scene, shown as its second.
 
     Parameters
     ----------
@@ -32,28 +26,13 @@ class Encoding:
     loading : Loading
     changed : callable
         Called when `doing` changes.
-
-    Attributes
-    ----------
-    worker : Worker
-        Runs long jobs, so that pictures need not wait.
-    trials : Trials or None
-        None until the first encoding.
-    doing : tuple of str and float, or None
-        Current step and its progress, 0-1; None if idle.
-    encodes : bool
-        Whether a scene is being encoded.
     """
 
     def __init__(
         self, viewer: Host, visits: Visits, loading: Loading, changed: Callable[[], None]
     ) -> None:
+        super().__init__(viewer.worker.another(), changed, viewer.fail)
         self._viewer, self._visits, self._loading = viewer, visits, loading
-        self._changed = changed
-        self.worker = viewer.worker.another()
-        self.trials: Trials | None = None
-        self.doing: tuple[str, float] | None = None
-        self.encodes = False
         # Trials as decoded, neither edited nor turned.
         self._opened: WeakKeyDictionary[Opened, int] = WeakKeyDictionary()
         self._pruned: Pruned | None = None
@@ -61,30 +40,14 @@ class Encoding:
 
     def encode(self, settings: EncodingSettings) -> None:
         """Encode the first scene or, if it is a trial, its source; the result becomes B."""
-        trials = self._begin()
 
-        def job(stale: Stale) -> tuple[Trial, Opened]:
-            return trials.encode(settings, self._progress(stale, "encoding"))
-
-        def done(found: tuple[Trial, Opened]) -> None:
-            tried, opened = found
-            trials.add(tried)
+        def show(tried: Trial, opened: Opened) -> None:
             self._opened[opened] = tried.number
             first = self._viewer.stage.scenes[0]
-            self.encodes = False
             if first in self._opened:
                 self._put([first, opened])
-            self._measure(opened)
 
-        def failed(error: Exception) -> None:
-            self.encodes = False
-            self._measure()
-            self._viewer.fail(error)
-
-        self.worker.cancel("measure")
-        self.encodes = True
-        self._do("encoding", 0.0)
-        self.worker.submit("encode", job, done, failed)
+        self.run(self._begin(), settings, show)
 
     def _begin(self) -> Trials:
         """The trials of the scene shown; a new scene starts with none."""
@@ -100,61 +63,6 @@ class Encoding:
             self._opened[scene] = 0
         self.trials.look_from(cameras)
         return self.trials
-
-    def _measure(self, opened: Opened | None = None) -> None:
-        """Measure held-out views of the newest unmeasured trial, then of the other trials.
-
-        `opened` is the newest trial, if it is open.
-        """
-        trials = self.trials
-        left = [] if trials is None else [tried for tried in trials.all if tried.quality is None]
-        if trials is None or not left:
-            self._do()
-            return
-        tried = left[-1]
-
-        def job(stale: Stale) -> Comparison:
-            return trials.measure(
-                tried, opened, self._progress(stale, f"measuring #{tried.number}")
-            )
-
-        def done(quality: Comparison) -> None:
-            trials.add(replace(tried, quality=quality))
-            self._measure()
-
-        def failed(error: Exception) -> None:
-            self._do()
-            self._viewer.fail(error)
-
-        self._do(f"measuring #{tried.number}", 0.0)
-        self.worker.submit("measure", job, done, failed)
-
-    def cancel(self) -> None:
-        """Stop encoding or measuring; the scenes shown stay."""
-        for kind in ("encode", "measure"):
-            self.worker.cancel(kind)
-        self.encodes = False
-        self._do()
-
-    def _do(self, text: str = "", share: float = 0.0) -> None:
-        self.doing = (text, share) if text else None
-        self._changed()
-
-    def _progress(self, stale: Stale, what: str) -> Progress:
-        """Progress callback of a job; ends the job if its result is no longer wanted."""
-        shown_at = 0.0
-
-        def progress(stage: str, done: int, total: int) -> None:
-            nonlocal shown_at
-            if stale():
-                raise Cancelled
-            if time.monotonic() - shown_at > _PERIOD:
-                shown_at = time.monotonic()
-                self.worker.progress(stale, partial(self._do, f"{what}: {stage}"))(
-                    stage, done, total
-                )
-
-        return progress
 
     # Trial encodings
 

@@ -8,6 +8,7 @@ from typing import Protocol
 from viewer.pictures.screenshot import compose, save_picture
 from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Appearance, OctreeChoice
 from viewer.scenes.typed_paths import PICTURES
+from viewer.scenes.worker import Stale
 from viewer.window.background_encoding import Encoding
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
@@ -20,7 +21,6 @@ from viewer.window.shared import Host
 from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
 from viewer.window.watching import Watching
-from viewer.window.worker import Stale
 
 #: Fields of view are equal within this tolerance, degrees.
 _SAME_ANGLE = 0.01

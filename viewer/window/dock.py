@@ -13,13 +13,13 @@ from viewer.pictures.charts import Chart, ContactSheet, HistogramChart, Message,
 from viewer.pictures.timeline_chart import TimelineChart
 from viewer.scenes.choice import DOCKS
 from viewer.scenes.opened import Opened
+from viewer.scenes.worker import Stale
 from viewer.window.canvas import Canvas
 from viewer.window.pane import HIDDEN
 from viewer.window.shared import Host
 from viewer.window.timeline import Timeline
 from viewer.window.view_survey import Survey
 from viewer.window.visits import Visits
-from viewer.window.worker import Stale
 
 #: Share of the window's height that it takes.
 _SHARE = 0.25

@@ -24,6 +24,7 @@ from viewer.scenes.selecting import (
     rules,
 )
 from viewer.scenes.typed_paths import SAVED_SCENES
+from viewer.scenes.worker import Stale
 from viewer.window import dialogs
 from viewer.window.dock import Dock
 from viewer.window.mouse import Tool
@@ -32,7 +33,6 @@ from viewer.window.region_tool import RegionTool
 from viewer.window.seed_tool import SeedTool
 from viewer.window.shared import Host
 from viewer.window.visits import Visits
-from viewer.window.worker import Stale
 
 #: The name of the tool that moves the camera.
 NAVIGATE = "navigate"

@@ -14,11 +14,11 @@ from viewer.scenes.saving import open_file
 from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
 from viewer.scenes.view_request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
+from viewer.scenes.worker import Stale
 from viewer.window import dialogs
 from viewer.window.editor import Editor
 from viewer.window.shared import Host
 from viewer.window.visits import Visits
-from viewer.window.worker import Stale
 
 
 class Loading:

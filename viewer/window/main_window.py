@@ -12,6 +12,7 @@ import gs_codec
 from gs_codec.runtime.arrays import release_large_when_freed
 from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
+from viewer.scenes.worker import Worker
 from viewer.window import dialogs
 from viewer.window.background_encoding import Encoding
 from viewer.window.controls import Controls
@@ -33,7 +34,6 @@ from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
 from viewer.window.watching import Watching
 from viewer.window.widgets import monospace
-from viewer.window.worker import Worker
 
 #: Maximum time step of a flight, seconds, after slow frames.
 _STEP = 0.2

@@ -8,11 +8,11 @@ from open3d.visualization import gui
 
 from viewer.pictures.drawer import depth_at
 from viewer.pictures.marker import measure_lines
+from viewer.scenes.worker import Stale
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
 from viewer.window.widgets import Widgets
-from viewer.window.worker import Stale
 
 #: Offset of the label from the middle of the line, in font sizes.
 _BESIDE = 0.5

@@ -8,8 +8,8 @@ from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import Legend, Points
 from viewer.pictures.octree_cells import Octree
 from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.worker import Stale, Worker
 from viewer.window.pane import Pane
-from viewer.window.worker import Stale, Worker
 
 
 class OctreeLayer:

@@ -14,9 +14,9 @@ from viewer.pictures.drawer import Drawer, measure
 from viewer.pictures.picture import Shown, picture
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
+from viewer.scenes.worker import Stale, Worker
 from viewer.window.pace import Pace, Step
 from viewer.window.pane import Pane
-from viewer.window.worker import Stale, Worker
 
 #: Columns of a pane: start and stop in the window, picture width, and first picture column.
 Columns = tuple[int, int, int, int]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from viewer.scenes.picked import Hit, Picked, Picker
 from viewer.scenes.pose import Pose
+from viewer.scenes.worker import Stale
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
-from viewer.window.worker import Stale
 
 
 class Picking:

@@ -16,11 +16,11 @@ from viewer.scenes.gizmo import about
 from viewer.scenes.opened import Opened
 from viewer.scenes.saving import command_of, open_file, save_project
 from viewer.scenes.typed_paths import PROJECTS, SCENES
+from viewer.scenes.worker import Stale
 from viewer.window import dialogs
 from viewer.window.editor import Editor
 from viewer.window.place_tool import PlaceTool
 from viewer.window.shared import Host
-from viewer.window.worker import Stale
 
 #: Programs that copy their input to the clipboard, which Open3D cannot do.
 _COPIERS = (

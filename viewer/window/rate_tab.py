@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import SupportsFloat
 
 from open3d.visualization import gui
@@ -12,7 +11,14 @@ from gs_codec.config import PROFILE_CHOICES
 from gs_codec.runtime.wording import size_text
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
-from viewer.scenes.trial_list import WISHES, EncodingSettings, Trial, has_steps
+from viewer.scenes.trial_list import (
+    WISHES,
+    EncodingSettings,
+    Scale,
+    Trial,
+    has_steps,
+    scales_of,
+)
 from viewer.scenes.typed_paths import TRIALS
 from viewer.window.controls import Controls
 from viewer.window.dialogs import folded, shortened
@@ -20,20 +26,6 @@ from viewer.window.widgets import Widgets
 
 #: Labels of the targets.
 _WISHES = ("steps, times the profile's", "size, MB", "bits / Gaussian", "loss of views, dB")
-
-#: Range of step sizes, relative to the profile's.
-_STEPS = (0.25, 4.0)
-
-#: Range of losses of views, dB.
-_LOSSES = (0.01, 1.0)
-
-#: Range of file sizes, as shares of the raw size.
-_SHARES = (1 / 200, 1 / 4)
-
-#: Initial target values: step sizes, share of the raw size, and loss in dB.
-_STEP = 1.0
-_SHARE = 1 / 20
-_LOSS = 0.05
 
 #: Relative tolerance for equal values, because widgets round to float32.
 _SAME = 1e-5
@@ -43,20 +35,6 @@ _COLUMNS = 38
 
 #: Number of lines in the list.
 _LINES = 9
-
-
-@dataclass
-class _Scale:
-    """A target's value in the unit of the tab, and the range of its slider."""
-
-    value: float
-    low: float
-    high: float
-
-    @property
-    def within(self) -> float:
-        """The value clamped to the slider's range."""
-        return min(max(self.value, self.low), self.high)
 
 
 class RateTab:
@@ -78,7 +56,7 @@ class RateTab:
     def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
         self._viewer = viewer
         self.widget, self._upper, self._below = widgets.tab()
-        self._scales: dict[str, _Scale] = {}
+        self._scales: dict[str, Scale] = {}
         self._source: Opened | None = None
         self.lines: list[str] = []
         self._places: list[int] = []
@@ -202,10 +180,7 @@ class RateTab:
 
     def _find_scales(self, scene: Opened) -> None:
         """Set slider ranges for a scene; chosen values are kept."""
-        raw = scene.raw_bytes
-        units = {"size": raw / 1e6, "bits": 8 * raw / max(scene.count, 1)}
-        found = {name: _Scale(_SHARE * u, *(s * u for s in _SHARES)) for name, u in units.items()}
-        found |= {"steps": _Scale(_STEP, *_STEPS), "loss": _Scale(_LOSS, *_LOSSES)}
+        found = scales_of(scene)
         for name, before in self._scales.items():
             found[name].value = before.value
         self._scales = found

@@ -11,10 +11,10 @@ from open3d.visualization import gui
 
 from viewer.scenes.pose import Pose
 from viewer.scenes.selecting import Selecting
+from viewer.scenes.worker import Stale, Worker
 from viewer.window.mouse import Place, Tool
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
-from viewer.window.worker import Stale, Worker
 
 #: A mask ``(N,)``.
 Mask = NDArray[np.bool_]

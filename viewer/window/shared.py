@@ -8,10 +8,10 @@ from open3d.visualization import gui
 
 from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
+from viewer.scenes.worker import Worker
 from viewer.window.dialogs import Modal
 from viewer.window.file_dialog import Files
 from viewer.window.stage import Stage
-from viewer.window.worker import Worker
 
 
 class Status(Protocol):

@@ -18,13 +18,13 @@ from viewer.pictures.picture import Shown, wipe_line
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose, distance_ahead
+from viewer.scenes.worker import Stale, Worker
 from viewer.window.divider import make_divider
 from viewer.window.mouse import Mouse, Place
 from viewer.window.navigation import Navigator, focused
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.painter import Columns, Painter
 from viewer.window.pane import HIDDEN, Pane, draws_splats
-from viewer.window.worker import Stale, Worker
 
 #: Maximum number of centres in a pane, by device.
 _MOST = {"gpu": 5_000_000, "cpu": 250_000}

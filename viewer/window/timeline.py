@@ -19,8 +19,8 @@ from viewer.pictures.timeline_chart import TimelineChart, span_of
 from viewer.scenes.flight import LEG, CameraPath, evenly, read_path, write_path
 from viewer.scenes.pose import Pose
 from viewer.scenes.typed_paths import FILMS, POSES
+from viewer.scenes.worker import Stale
 from viewer.window.shared import Host
-from viewer.window.worker import Stale
 
 #: Keyframes nearer than this are the same moment, seconds.
 _SAME = 0.02

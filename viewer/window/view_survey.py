@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from viewer.pictures.drawer import quality, splats
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
+from viewer.scenes.worker import Result, Stale
 from viewer.window.shared import Host
 from viewer.window.visits import Visits
-from viewer.window.worker import Result, Stale
 
 #: Height of the pictures of views, pixels.
 _HIGH = 150

@@ -11,10 +11,10 @@ from gs_codec.cameras.up import BY_CAMERAS
 from gs_codec.runtime.wording import counted
 from gs_codec.views.photographs import read_photograph
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
+from viewer.scenes.worker import Stale
 from viewer.window.backdrop import picture_of
 from viewer.window.pane import HIDDEN
 from viewer.window.shared import Host
-from viewer.window.worker import Stale
 
 #: Text for the panel if the up axis is uncertain.
 _UNSURE = "The up axis is uncertain: press U to choose another."

@@ -71,11 +71,10 @@ wheel: $(VENV)/installed-test
 	@rm -rf build/lib
 	GS_CODEC_KERNELS=1 $(PIP) wheel --no-deps --no-build-isolation --wheel-dir dist $(SOURCE)
 
-# Pages on the Python API, to be opened in a browser.
+# The documentation as a site, to be opened in a browser.
 docs: $(VENV)/installed
 	$(PIP) install -e '.[docs]'
-	rm -rf build/docs
-	$(BIN)/python samples/api_pages.py build/docs
+	$(BIN)/python samples/documentation.py build/docs
 
 # The page of `gs-codec share` for browsers, which is kept beside its sources and built again after they change: Node 18
 # and npm, which fetches what package-lock.json names.
@@ -164,7 +163,7 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 	@touch $@
 
 $(VENV)/installed-test: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec and the tools for tests and lint into $(VENV): pytest, pytest-cov, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy, check-jsonschema"
+	@echo "Installing gs-codec and the tools for tests and lint into $(VENV): pytest, pytest-cov, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, Sphinx, ruff, mypy, codespell, proselint, check-jsonschema"
 	.ci/system-packages
 	$(NEW_VENV)
 	$(PIP) install --no-compile -e '.[test]'

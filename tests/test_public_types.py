@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from samples.api_pages import PACKAGES
+from samples.documentation import PACKAGES
 
 ROOT = Path(__file__).parents[1]
 

@@ -46,7 +46,8 @@ def folder(tmp_path, monkeypatch, few_cameras):
     for number in range(3):
         write_ply(tmp_path / "frames" / f"{number}.ply", scene)
     (tmp_path / "notes.json").write_text('[{"position": [0, 0, 0], "title": "middle"}]')
-    write_cameras(tmp_path / "path.json", auto_cameras(scene, 2))
+    for name in ("cameras.json", "path.json"):
+        write_cameras(tmp_path / name, auto_cameras(scene, 2))
     monkeypatch.chdir(tmp_path)
     # SOG takes minutes if its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
@@ -109,6 +110,32 @@ def test_the_other_figures_are_those_of_the_committed_run():
         pairs = [(results.curve(x, PAPER), results.curve(x, curve)) for x in results.scenes]
         rates = [-bd_rate(*pair).percent for pair in pairs]
         assert text.format(span(rates)) in first_screen
+
+
+HOW_TO = sorted((ROOT / "samples" / "docs").glob("*.md"))
+#: Pages whose commands take seconds.
+LONG = {"batches", "clean", "small_for_the_web", "tiles_for_cesium"}
+
+
+@pytest.mark.parametrize(
+    "path", [thorough(x) if x.stem in LONG else x for x in HOW_TO], ids=lambda path: path.stem
+)
+def test_how_to_pages_run_from_top_to_bottom(folder, path):
+    text = re.sub(r"^```sh\n.*?^```", "", path.read_text(), flags=re.DOTALL | re.MULTILINE)
+    names: dict = {}
+    if "import torch" in text:
+        pytest.importorskip("torch", reason="torch is not installed")
+    if "--dask" in text:
+        pytest.importorskip("distributed", reason="distributed is not installed")
+    step = r"^    gs-codec ([^#\n]*)|^```python\n(.*?)^```"
+    steps = re.findall(step, text, re.DOTALL | re.MULTILINE)
+    assert steps or path.stem == "how_it_works"
+    for line, code in steps:
+        if code:
+            exec(compile(code, path.name, "exec"), names)
+            continue
+        result = CliRunner().invoke(app, shlex.split(line))
+        assert result.exit_code == 0, (line, result.output)
 
 
 def test_every_command_has_an_example():

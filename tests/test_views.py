@@ -58,6 +58,34 @@ def test_equal_images_are_equal_whatever_lies_beyond_white():
     assert compare_images(image + 1.5, image + 1).psnr == math.inf
 
 
+def test_psnr_of_yuv_is_that_of_its_planes():
+    """Known for one colour: a plane of constant error d has -20 log10 |d| dB."""
+    image = np.full((20, 30, 3), 0.25)
+    grey = compare_images(image, image + 0.1).psnr_yuv
+    assert grey == pytest.approx((6 * 20 + 100 + 100) / 8)
+    blue = compare_images(image, image + np.array([0, 0, 0.1])).psnr_yuv
+    errors = 0.1 * np.array([0.0722, 0.5, 0.0722 / 1.5748])
+    assert blue == pytest.approx(np.average(-20 * np.log10(errors), weights=[6, 1, 1]))
+
+
+def test_only_pixels_of_a_mask_are_compared():
+    rng = np.random.default_rng(93)
+    image = rng.random((30, 40, 3))
+    mask = np.zeros((30, 40), bool)
+    mask[8:20, 10:30] = True
+    other = np.where(mask[..., None], image + 0.1 * (image < 0.5), rng.random(image.shape))
+    found = compare_images(image, other, mask=mask)
+    inside = np.mean((image - other)[mask] ** 2)
+    assert found.psnr == pytest.approx(-10 * np.log10(inside))
+    other[~mask] = 0
+    assert compare_images(image, other, mask=mask) == found
+    same = compare_images(np.where(mask[..., None], image, 0), image, mask=mask)
+    assert (same.psnr, same.ssim, same.psnr_yuv) == (math.inf, pytest.approx(1), math.inf)
+    for bad, message in ((mask[1:], "mask of shape"), (mask & False, "mask without a pixel")):
+        with pytest.raises(InvalidInput, match=message):
+            compare_images(image, other, mask=bad)
+
+
 @pytest.mark.parametrize(("height", "width"), [(11, 11), (11, 17), (29, 12)])
 def test_ssim_follows_its_definition(height, width):
     rng = np.random.default_rng(92)
@@ -90,9 +118,12 @@ def test_means_and_differences_of_qualities():
     a, b = Quality(30.0, 0.9, 0.2), Quality(20.0, 0.7, 0.5)
     assert mean_quality([a, b]) == Quality(25.0, pytest.approx(0.8), pytest.approx(0.35))
     assert mean_quality([a, Quality(10.0, 0.5)]).lpips is None
-    assert b.over(a) == Quality(-10.0, pytest.approx(-0.2), pytest.approx(0.3))
+    assert b.over(a) == Quality(-10.0, pytest.approx(-0.2), pytest.approx(0.3), 0.0)
     same = Quality(math.inf, 1.0)
-    assert same.over(same) == Quality(0.0, 0.0)
+    assert same.over(same) == Quality(0.0, 0.0, None, 0.0)
+    yuv = [Quality(30.0, 0.9, None, psnr) for psnr in (31.0, 33.0)]
+    assert mean_quality(yuv).psnr_yuv == 32
+    assert yuv[1].over(yuv[0]).psnr_yuv == 2
     assert mean_quality([same, a]).psnr == math.inf
 
 
@@ -363,7 +394,7 @@ def test_held_out_views_of_a_real_scene_have_the_known_psnr():
     assert len(result.views) == 37
     assert result.mean.between.psnr == math.inf
     assert result.mean.first.psnr == pytest.approx(29.7, abs=0.05)
-    assert result.mean.delta == Quality(0.0, 0.0)
+    assert result.mean.delta == Quality(0.0, 0.0, None, 0.0)
 
 
 # The command line

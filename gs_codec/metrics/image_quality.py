@@ -75,6 +75,14 @@ def load_lpips(path: str | Path) -> Lpips:
 #: Side of the window of SSIM, pixels.
 _SSIM_WINDOW = 11
 
+#: Y, U and V of RGB in 0-1 (BT.709, full range), and their weights in MPEG's conditions.
+_LUMA = np.array([0.2126, 0.7152, 0.0722])
+_YUV = np.array([_LUMA, ([0, 0, 1] - _LUMA) / 1.8556, ([1, 0, 0] - _LUMA) / 1.5748])
+_YUV_WEIGHTS = (6, 1, 1)
+
+#: Minimum mean squared error of a plane, which is 100 dB: that of grey images is 0 in U and V.
+_LEAST = 1e-10
+
 
 @dataclass(frozen=True)
 class Quality:
@@ -90,16 +98,20 @@ class Quality:
     lpips : float or None
         0 for equal images (Zhang et al. 2018, version 0.1); None if not measured. Images are scaled
         to -1 to 1, according to the definition; the script of the 3DGS paper leaves them in 0-1.
+    psnr_yuv : float
+        dB, as in MPEG's conditions: the mean of the PSNR of Y, U and V (BT.709, full range; each at
+        most 100 dB), weighted 6:1:1; infinite for equal images.
     """
 
     psnr: float
     ssim: float
     lpips: float | None = None
+    psnr_yuv: float = float("inf")
 
     def as_dict(self) -> dict[str, float | None]:
         """Convert for JSON; the infinite PSNR of equal images becomes None."""
-        finite = np.isfinite(self.psnr)
-        return {"psnr": self.psnr if finite else None, "ssim": self.ssim, "lpips": self.lpips}
+        psnr, yuv = (x if np.isfinite(x) else None for x in (self.psnr, self.psnr_yuv))
+        return {"psnr": psnr, "ssim": self.ssim, "lpips": self.lpips, "psnr_yuv": yuv}
 
     def over(self, other: Quality) -> Quality:
         """Difference, self minus `other`; 0 for equal values, including infinite ones."""
@@ -112,6 +124,7 @@ class Quality:
             less(self.psnr, other.psnr),
             less(self.ssim, other.ssim),
             less(self.lpips, other.lpips) if both else None,  # type: ignore[arg-type]
+            less(self.psnr_yuv, other.psnr_yuv),
         )
 
 
@@ -143,17 +156,23 @@ class View:
 
 
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
-    """Means of PSNR, SSIM, and of LPIPS if every pair has it."""
+    """Means of each metric, and of LPIPS if every pair has it."""
     lpips = [q.lpips for q in qualities if q.lpips is not None]
     return Quality(
         float(np.mean([q.psnr for q in qualities])),
         float(np.mean([q.ssim for q in qualities])),
         float(np.mean(lpips)) if len(lpips) == len(qualities) else None,
+        float(np.mean([q.psnr_yuv for q in qualities])),
     )
 
 
 @checked
-def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = None) -> Quality:
+def compare_images(
+    first: NDArray,
+    second: NDArray,
+    lpips: str | Path | None = None,
+    mask: NDArray[np.bool_] | None = None,
+) -> Quality:
     """Compare two images, clipped to 0-1.
 
     Parameters
@@ -162,6 +181,8 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
         RGB.
     lpips : path, optional
         As in `compare`; by default LPIPS is not measured.
+    mask : ndarray, shape (H, W), bool, optional
+        The pixels to compare, by default all; the others count as black in both images.
 
     Returns
     -------
@@ -171,7 +192,8 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
     Raises
     ------
     InvalidInput
-        If the sizes differ, or are too small for SSIM or LPIPS; or if the file has no such weights.
+        If the sizes differ, or are too small for SSIM or LPIPS; if the mask has no pixel whose
+        window of SSIM is inside the image; or if the file has no such weights.
     MissingTool
         If LPIPS is requested, and its package is not installed.
 
@@ -193,8 +215,32 @@ def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = N
             f"images of {_size(first)} pixels, expected at least {least} each way for {metric}"
         )
     a, b = (np.clip(image, 0, 1).astype(np.float64) for image in (first, second))
+    if mask is not None:
+        mask = _checked_mask(mask, a.shape)
+        a, b = (image * mask[..., None] for image in (a, b))
     distance = None if lpips is None else load_lpips(lpips).distance(a, b)
-    return Quality(psnr(a, b), mean_ssim(a, b), distance)
+    ssim = mean_ssim(a, b, mask)
+    if mask is not None:
+        a, b = a[mask], b[mask]
+    return Quality(psnr(a, b), ssim, distance, _psnr_yuv(a - b))
+
+
+def _checked_mask(mask: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    mask = np.asarray(mask, bool)
+    if mask.shape != shape[:2]:
+        raise InvalidInput(f"mask of shape {mask.shape}, expected {shape[:2]}")
+    half = _SSIM_WINDOW // 2
+    if not mask[half:-half, half:-half].any():
+        raise InvalidInput("mask without a pixel whose window of SSIM is inside the image")
+    return mask
+
+
+def _psnr_yuv(difference: NDArray[np.float64]) -> float:
+    """The weighted PSNR of Y, U and V of a difference of RGB images."""
+    if not difference.any():
+        return float("inf")
+    errors = np.mean((difference.reshape(-1, 3) @ _YUV.T) ** 2, axis=0)
+    return float(np.average(-10 * np.log10(np.maximum(errors, _LEAST)), weights=_YUV_WEIGHTS))
 
 
 def psnr(a: NDArray, b: NDArray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -10,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.image_files import find_images, output_names, write_png
+from gs_codec.cameras.image_files import find_images, output_names, read_image, write_png
 from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.image_quality import View, compare_images, load_lpips
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import make_folder
+from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 from gs_codec.views.photographs import read_photograph
@@ -34,6 +36,7 @@ def compare_views(
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
     lpips: str | Path | None = None,
+    masks: str | Path | None = None,
 ) -> Comparison:
     """Render both scenes for every camera and compare the images.
 
@@ -59,10 +62,14 @@ def compare_views(
     progress : callable, optional
     lpips : path, optional
         As in `compare_images`.
+    masks : path, optional
+        Folder of images, found by the cameras' names, of the size of the views: only pixels that
+        are brighter there than 50 % are compared.
     """
     backbone = None if lpips is None else load_lpips(lpips).backbone
     names = output_names(cameras) if images else []
     paths = find_images(truth, cameras) if truth else []
+    found = find_images(masks, cameras) if masks else []
     folder = make_folder(images) if images else None
     advance = step_counter(progress, "views", len(cameras))
 
@@ -76,8 +83,10 @@ def compare_views(
         )
         if folder is not None:
             _write_images(folder / names[i], a, b)
-        against = [compare_images(image, target, lpips) for image in (a, b) if target is not None]
-        return View(camera.name, compare_images(a, b, lpips), *against)
+        mask = read_image(found[i]).mean(axis=2) > 0.5 if masks else None
+        with located(found[i]) if masks else nullcontext():
+            pairs = [(a, b), *((image, target) for image in (a, b) if target is not None)]
+            return View(camera.name, *(compare_images(*pair, lpips, mask) for pair in pairs))
 
     views = run_all(compare_view, range(len(cameras)), advance=advance)
     return Comparison((first.count, second.count), views=tuple(views), backbone=backbone)

@@ -60,20 +60,24 @@ def differentiate_squares(colour: NDArray, target: NDArray) -> tuple[NDArray, fl
     return 2 * error, float(np.mean(np.square(error, dtype=np.float64)))
 
 
-def mean_ssim(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def mean_ssim(
+    first: NDArray[np.float64], second: NDArray[np.float64], mask: NDArray[np.bool_] | None = None
+) -> float:
     """SSIM of two images ``(H, W, 3)`` in 0-1, at least 11 pixels wide and high.
 
     The window is that of `differentiate_loss`; the mean is over pixels whose window lies within
-    the image.
+    the image, and which are in the mask ``(H, W)`` if there is one.
     """
     height, width, _ = first.shape
     a, b = first.reshape(height, -1), second.reshape(height, -1)
     means = np.empty((5, height + 2 * _HALF, 3 * width))
     inner = height - 2 * _HALF
-    sums = np.empty(inner)
+    ssim = np.empty((inner, 3 * (width - 2 * _HALF)))
     run_all(lambda band: _blur_across(a, b, *band, means), _bands(height))
-    run_all(lambda band: _sum_ssim(means, *band, sums), _bands(inner))
-    return float(sums.sum() / (3 * inner * (width - 2 * _HALF)))
+    run_all(lambda band: _fill_ssim(means, *band, ssim), _bands(inner))
+    if mask is None:
+        return float(ssim.mean())
+    return float(ssim.reshape(inner, -1, 3)[mask[_HALF:-_HALF, _HALF:-_HALF]].mean())
 
 
 def _bands(height: int) -> list[tuple[int, int]]:
@@ -166,20 +170,18 @@ def _blur_across(image, target, first, end, means):
 
 
 @kernel
-def _sum_ssim(means, first, end, sums):
-    """Sum of SSIM over each row, without the 5 pixels at either end, of rows from the fifth on."""
+def _fill_ssim(means, first, end, ssim):
+    """Fill rows of SSIM, without the 5 pixels at either end, of rows from the fifth on."""
     size = means.shape[2]
     window = np.empty((5, size))
     for y in range(first, end):
         for k in range(5):
             _blur_column(means[k], y + _HALF, window[k])
-        total = 0.0
         for j in range(3 * _HALF, size - 3 * _HALF):
             x, t = window[0, j], window[1, j]
             top = (2.0 * x * t + _C1) * (2.0 * (window[4, j] - x * t) + _C2)
             spread = window[2, j] - x * x + window[3, j] - t * t + _C2
-            total += top / ((x * x + t * t + _C1) * spread)
-        sums[y] = total
+            ssim[y, j - 3 * _HALF] = top / ((x * x + t * t + _C1) * spread)
 
 
 @inlined

@@ -103,8 +103,8 @@ def completion(words: Sequence[str]) -> Callable[[str], list[str]]:
     return lambda incomplete: [word for word in words if word.startswith(incomplete)]
 
 
-def typer_option(name: str, hidden: bool = False) -> Any:
-    """The option `name` for a parameter of a command."""
+def typer_option(name: str, hidden: bool = False, other_default: bool = False) -> Any:
+    """The option `name` for a parameter of a command, which may have another default."""
     described, typed = OPTIONS[name], typed_name(name)
     switch = described.kind is bool
 
@@ -117,7 +117,7 @@ def typer_option(name: str, hidden: bool = False) -> Any:
         help=described.help,
         metavar=metavar_of(described),
         autocompletion=completion(tuple(described.values)) if described.values else None,
-        show_default=described.shown or True,
+        show_default=(not other_default and described.shown) or True,
         parser=None if switch else parse,
         hidden=hidden,
     )

@@ -145,7 +145,8 @@ def _parameter(name: str, default: Any, hidden: bool) -> inspect.Parameter:
         inspect.Parameter.KEYWORD_ONLY,
         default=None if name == "cameras" else default,
         annotation=Annotated[
-            kind if described.kind is bool else kind | None, typer_option(name, hidden)
+            kind if described.kind is bool else kind | None,
+            typer_option(name, hidden, default != DEFAULTS.get(name)),
         ],
     )
 

@@ -279,7 +279,13 @@ def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, arg
         "--capture",
         choices=list(RIGS),
         help="train a scene on simulated photographs of this kind, in about half a minute; "
-        "OUT gets point_cloud.ply and cameras.json",
+        "OUT gets point_cloud.ply, cameras.json and the photographs in images",
+    )
+    parser.add_argument(
+        "--iterations",
+        type=int,
+        metavar="N",
+        help="iterations of a capture (default: 600)",
     )
     moving = parser.add_argument_group("sequences")
     moving.add_argument(
@@ -314,6 +320,8 @@ def _check_outputs(parser: argparse.ArgumentParser, args: argparse.Namespace) ->
     for path in filter(None, (None if folder else args.out, args.cameras)):
         if path.is_dir() or not path.parent.is_dir():
             parser.error(f"{path}: cannot be written, expected a file in an existing folder")
+    if args.capture is None and args.iterations is not None:
+        parser.error("--iterations: expected --capture too")
     for option in ("sh_degree", "cameras", "sequence"):
         if args.capture is not None and getattr(args, option) is not None:
             name = "--" + option.replace("_", "-")
@@ -328,6 +336,7 @@ def _check_outputs(parser: argparse.ArgumentParser, args: argparse.Namespace) ->
 
 def _write(args: argparse.Namespace) -> None:
     given = {"count": args.gaussians, "sh_degree": args.sh_degree, "seed": args.seed}
+    given["iterations"] = args.iterations
     given = {name: value for name, value in given.items() if value is not None}
     if args.capture is not None:
         write_capture(args.out, capture(args.capture, **given))

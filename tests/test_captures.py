@@ -10,6 +10,7 @@ import pytest
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras
+from gs_codec.cameras.image_files import find_image, read_image
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.preparation.reference_views import ReferenceViews
@@ -256,16 +257,19 @@ def test_training_fits_held_out_views_and_every_attribute() -> None:
 
 
 def test_cli_writes_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = partial(capture, iterations=2, width=24)
+    small = partial(capture, width=24)
     monkeypatch.setattr(generate, "capture", small)
     out = tmp_path / "scene"
-    generate.main(["--capture", "forward", "--gaussians", "150", "--seed", "2", str(out)])
-    made = small("forward", 150, 2)
+    options = ["--gaussians", "150", "--seed", "2", "--iterations", "2"]
+    generate.main(["--capture", "forward", *options, str(out)])
+    made = small("forward", 150, 2, iterations=2)
     back, cameras = read_ply(out / "point_cloud.ply"), read_cameras(out)
     for group in GROUPS:
         np.testing.assert_array_equal(getattr(back, group), getattr(made.scene, group), group)
-    assert {path.name for path in out.iterdir()} == {"point_cloud.ply", "cameras.json"}
-    for read, camera in zip(cameras, made.cameras, strict=True):
+    assert {path.name for path in out.iterdir()} == {"point_cloud.ply", "cameras.json", "images"}
+    for read, camera, image in zip(cameras, made.cameras, made.images, strict=True):
+        stored = read_image(find_image(out / "images", read.name))
+        np.testing.assert_allclose(stored, image, atol=0.5 / 255 + 1e-6)
         assert (read.name, read.split, read.fx) == (camera.name, camera.split, camera.fx)
         np.testing.assert_allclose(read.rotation, camera.rotation, atol=1e-12)
         np.testing.assert_array_equal(read.position, camera.position)
@@ -280,6 +284,7 @@ def test_cli_writes_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         (["--capture", "arc", "--cameras", "c.json"], "--cameras: not with --capture"),
         (["--capture", "arc", "--gaussians", "99"], "count: 99, expected 100-100000"),
         (["--capture", "arc", "--seed", "-1"], "seed: -1, expected 0 or more"),
+        (["--iterations", "5"], "--iterations: expected --capture too"),
     ],
 )
 def test_cli_refuses_bad_arguments(

@@ -9,10 +9,20 @@ from pathlib import Path
 
 import pytest
 
+from gs_codec.codecs.entropygs import paper
 from gs_codec.presets import PRESETS
 
 PAPER = Path(__file__).parents[1] / "gs_codec" / "PAPER.md"
-ROWS = [line.split("|")[1:-1] for line in PAPER.read_text().splitlines() if line.startswith("| ")]
+NOTEBOOK = PAPER.with_name("bench") / "LAB_NOTEBOOK.md"
+PARTS, _, FIGURES = PAPER.read_text().partition("## Published figures")
+
+
+def rows_of(text: str) -> list[list[str]]:
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+
+
+ROWS = rows_of(PARTS)
 NAMES = sorted({name for row in ROWS for name in re.findall(r"`(gs_codec\.[\w.]+)`", row[1])})
 
 
@@ -46,6 +56,32 @@ def test_every_section_and_table_is_covered():
         assert part in text
     for number in range(1, 5):
         assert f"Table {number}" in text
+
+
+def test_published_figures_are_those_of_the_paper():
+    shown = {row[0]: row[1] for row in rows_of(FIGURES)}
+    (before, whole), *_ = paper.ABLATION.values()
+    for step, (psnr, size) in list(paper.ABLATION.items())[1:]:
+        expected = f"{whole / size:.1f}x, {psnr - before:+.2f}"
+        assert shown[step].removesuffix(" dB") == expected
+    for group, bits in paper.ENTROPY_BITS.items():
+        name = "SH-AC, 4 bits" if group == "sh-ac" else group
+        assert shown[name] == f"{bits:.3f}, {paper.OVERHEAD_PERCENT[group]:.2f} %"
+    times = {row[0]: row[1:3] for row in rows_of(FIGURES)}
+    for way in ("encode", "decode"):
+        assert times[way] == [f"{known[way]}" for known in paper.SECONDS.values()]
+
+
+def test_our_figures_are_those_of_the_notebook():
+    steps, scene = {}, ""
+    for row in rows_of(NOTEBOOK.read_text().partition("## The paper's whole")[2]):
+        if len(row) == 10:
+            scene = row[0] or scene
+            steps[scene, row[1]] = f"{row[4]}, {row[6]}"
+    shown = [row for row in rows_of(FIGURES) if row[0] in paper.ABLATION]
+    assert len(shown) == 6
+    for step, _, *ours, _ in shown:
+        assert ours == [steps[name, step] for name in ("bonsai", "mouse", "orbit, dense")]
 
 
 def test_its_numbers_are_those_of_the_preset():

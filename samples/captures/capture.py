@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.image_files import write_png
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.atomic import atomic_writer
@@ -135,9 +136,11 @@ def _with_lost(scene: Scene, distance: float) -> Scene:
 
 
 def write_capture(folder: Path, made: Capture) -> None:
-    """Write ``point_cloud.ply``, and ``cameras.json`` in the layout of the INRIA trainer."""
-    folder.mkdir(exist_ok=True)
+    """Write ``point_cloud.ply``, ``cameras.json`` in the INRIA trainer's layout, and ``images``."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
     write_ply(folder / "point_cloud.ply", made.scene)
+    for camera, image in zip(made.cameras, made.images, strict=True):
+        write_png(folder / "images" / f"{camera.name}.png", image)
     entries = [_entry(number, camera) for number, camera in enumerate(made.cameras)]
     with atomic_writer(folder / "cameras.json") as file:
         file.write(json.dumps(entries, indent=1).encode() + b"\n")

@@ -21,12 +21,13 @@ from gs_codec.bench.peers import (
     columns_peer,
     find_peers,
     find_splat_transform,
+    own_peers,
     splat_transform_peers,
     spz_peer,
     zstd_peer,
 )
 from gs_codec.cli.main import app
-from gs_codec.errors import ToolFailed
+from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
@@ -191,6 +192,54 @@ def test_hanging_programs_are_killed_with_their_children(ply, tmp_path, monkeypa
     assert select.select([reader], [], [], 300)[0]
     assert os.read(reader, 1) == b""
     os.close(reader)
+
+
+@pytest.mark.parametrize(
+    "commands",
+    ["gzip -1c {in} >{out}; gzip -dc {in} >{out}", "cp {in} {out}.bin.1; cp {in}.bin.1 {out}"],
+)
+def test_own_codecs_are_two_shell_commands(tmp_path, commands):
+    folder = tmp_path / "a folder's"
+    folder.mkdir()
+    scene = random_scene(300, 1, seed=85)
+    write_ply(folder / "scene.ply", scene)
+    [peer] = own_peers([f"mine: {commands}"])
+    assert (peer.name, peer.version, peer.own_process) == ("mine", commands.split(";")[0], True)
+    data = peer.encode(folder / "scene.ply")
+    assert (data == (folder / "scene.ply").read_bytes()) == commands.startswith("cp")
+    assert vertex_rows(peer.scene(peer.decode(data))).tobytes() == vertex_rows(scene).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("commands", "message"),
+    [
+        ("no-such-tool {in} {out}; cp {in} {out}", "ended with status 127: .*no-such-tool"),
+        ("cp {in} {out}.bin; cp {in} {out}", "ended with status 1: .*coded"),
+        ("cp {in} {out}; echo {in} >{out}", "wrote a PLY that cannot be read"),
+        ("true {in} {out}; cp {in} {out}", "wrote nothing"),
+    ],
+)
+def test_failures_of_own_codecs_are_one_error(ply, commands, message):
+    [peer] = own_peers([f"mine: {commands}"])
+    with pytest.raises(ToolFailed, match=message):
+        peer.scene(peer.decode(peer.encode(ply)))
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["mine"], "codec 'mine': expected NAME: ENCODE; DECODE, with {in} and {out} in each"),
+        (["mine: cp {in} {out}"], "expected NAME: ENCODE; DECODE"),
+        (["mine: cp {in} x; cp {in} {out}"], "expected NAME: ENCODE; DECODE"),
+        (["mine: cd a; cp {in} {out}; cp {in} {out}"], "expected NAME: ENCODE; DECODE"),
+        ([": cp {in} {out}; cp {in} {out}"], "expected NAME: ENCODE; DECODE"),
+        (["m, x: cp {in} {out}; cp {in} {out}"], "the name 'm, x' is taken"),
+        (2 * ["a: cp {in} {out}; cp {in} {out}"], "the name 'a' is taken"),
+    ],
+)
+def test_own_codecs_need_a_name_and_two_commands(texts, message):
+    with pytest.raises(InvalidInput, match=message):
+        own_peers(texts)
 
 
 @pytest.mark.parametrize("index", range(3))

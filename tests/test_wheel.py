@@ -107,6 +107,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
             "gs_codec/bench/*.jpg",
             "gs_codec/bench/*.jsonl",
             "gs_codec/bench/*.png",
+            "gs_codec/bench/suite/*.csv",
             "gs_codec/runtime/kernels.txt",
             "*/py.typed",
             "viewer/*.png",

@@ -11,7 +11,7 @@ from typing import Any
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
 from gs_codec.bench.measured_scenes import MeasuredScene, open_scene
-from gs_codec.bench.peers import find_peers
+from gs_codec.bench.peers import Peer, find_peers
 from gs_codec.bench.processes import run_in_process
 from gs_codec.bench.side_by_side import measure_alternating, our_codecs
 from gs_codec.config import Config, changed_options
@@ -30,10 +30,12 @@ def measure_scenes(
     truth: Path | None,
     width: int | None,
     peers: bool,
+    own: Sequence[Peer] = (),
 ) -> Iterator[dict[str, Any]]:
     """Result lines of profiles, compared with other codecs or with details of each.
 
     Views come from `open_scene`. With cameras, `l`, `m` and `s` are also measured camera-guided.
+    The codecs `own` are measured too.
     """
     yield machine()
     extra, threads = configs[0].chosen_extra(), configs[0].threads
@@ -41,7 +43,7 @@ def measure_scenes(
         measured = open_scene(path, cameras, truth, width, extra, tile)
         ours = our_codecs(configs, measured.plan if cameras else None)
         others = find_peers(extra, threads) if peers else []
-        yield from measure_alternating(measured, [*ours, *others], repeats)
+        yield from measure_alternating(measured, [*ours, *others, *own], repeats)
         if not peers:
             for config in configs:
                 yield from _details(measured, config)

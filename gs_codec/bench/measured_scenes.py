@@ -58,6 +58,12 @@ class MeasuredScene:
     truth: Path | None
 
     @property
+    def masks(self) -> Path | None:
+        """Folder ``masks`` beside that of the photographs, if it exists."""
+        folder = None if self.truth is None else self.truth.with_name("masks")
+        return folder if folder is not None and folder.is_dir() else None
+
+    @property
     def plan(self) -> Plan:
         """A plan without steps, with the views for the encoder."""
         return Plan(Steps(), self.guides, views=_ENCODED_BY)
@@ -80,9 +86,19 @@ class MeasuredScene:
         return [plan] if self.truth is None else [plan, replace(plan, gt_images=self.truth)]
 
 
+def scene_folder(path: Path) -> Path:
+    """Folder of a scene's cameras and photographs: the PLY's own, or that of the INRIA trainer.
+
+    The trainer writes ``SCENE/point_cloud/iteration_30000/point_cloud.ply``.
+    """
+    folder = path.parent
+    by_trainer = folder.parent.name == "point_cloud" and folder.name.startswith("iteration_")
+    return folder.parents[1] if by_trainer else folder
+
+
 def scene_name(path: Path) -> str:
     """Name of a scene: its file's, or its folder's if the file is a trainer's point_cloud.ply."""
-    return path.stem if path.stem != "point_cloud" else path.absolute().parent.name
+    return path.stem if path.stem != "point_cloud" else scene_folder(path).absolute().name
 
 
 def check_names(paths: Sequence[Path]) -> None:
@@ -96,7 +112,7 @@ def check_names(paths: Sequence[Path]) -> None:
 
 def open_scene(
     path: Path,
-    cameras: str | None,
+    cameras: str | Sequence[Camera] | None,
     truth: Path | None,
     width: int | None,
     extra: Extra = "drop",
@@ -120,20 +136,20 @@ def open_scene(
 
 
 def open_with_cameras(path: Path, width: int | None) -> MeasuredScene:
-    """A scene with the cameras and photographs next to it; raises like `open_scene`."""
-    cameras, images = cameras_of(path), path.with_name("images")
+    """A scene with the cameras and photographs in its folder; raises like `open_scene`."""
+    cameras, images = cameras_of(path), scene_folder(path) / "images"
     truth = images if cameras != "auto" and images.is_dir() else None
     return open_scene(path, cameras, truth, width)
 
 
 def cameras_of(path: Path) -> str:
-    """The cameras next to a scene, or ``auto``."""
-    file = path.with_name("cameras.json")
+    """The cameras in the folder of a scene, or ``auto``."""
+    file = scene_folder(path) / "cameras.json"
     return str(file) if file.is_file() else "auto"
 
 
 def held_out_views(
-    source: str, scene: Scene, width: int | None
+    source: str | Sequence[Camera], scene: Scene, width: int | None
 ) -> tuple[list[Camera], list[Camera]]:
     """Cameras for measuring, and others for encoding; the same if one list would be empty.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
+import shlex
 import struct
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +20,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from gs_codec.bench.host import version_of
-from gs_codec.config import Extra
+from gs_codec.config import PROFILE_CHOICES, Extra
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows
@@ -260,6 +262,57 @@ def _peer(command: list[str], version: str, label: str, coded: str) -> Peer:
 
     name, slow = f"{_SPLAT_TRANSFORM}, {label}", label == _SLOW
     return Peer(name, version, encode, decode, _read, once=slow, own_process=True)
+
+
+def own_peers(texts: Sequence[str]) -> tuple[Peer, ...]:
+    """Codecs that are given by their commands, each as ``NAME: ENCODE; DECODE``.
+
+    Both commands contain ``{in}`` and ``{out}`` and are run by a shell, in a folder of their own.
+    The first makes a file of a PLY, whose ``{out}`` may have a suffix; the second makes a PLY of
+    that file, whose ``{in}`` has the same suffix. Raises InvalidInput if a text is different, or a
+    name is not new.
+    """
+    peers: dict[str, Peer] = {}
+    for text in texts:
+        name, _, commands = (part.strip() for part in text.partition(":"))
+        encode, *others = commands.split(";")
+        if (
+            not name
+            or len(others) != 1
+            or not all(
+                field in command for field in ("{in}", "{out}") for command in (encode, *others)
+            )
+        ):
+            raise InvalidInput(
+                f"codec '{text}': expected NAME: ENCODE; DECODE, with {{in}} and {{out}} in each "
+                "command"
+            )
+        if name in peers or name.partition(",")[0] in PROFILE_CHOICES:
+            raise InvalidInput(f"codec '{text}': the name '{name}' is taken")
+        peers[name] = _own_peer(name, encode.strip(), others[0].strip())
+    return tuple(peers.values())
+
+
+def _own_peer(name: str, encode: str, decode: str) -> Peer:
+    suffix = re.match(r"[.\w]*", encode.partition("{out}")[2])
+    coded = f"coded{suffix[0] if suffix else ''}"
+
+    def run(command: str, source: str, inputs: Mapping[str, bytes], target: str, out: str) -> bytes:
+        filled = command.replace("{in}", source).replace("{out}", target)
+        return run_on_files(["/bin/sh", "-c", filled], inputs, out, _OWN, _MOST_BYTES)
+
+    return Peer(
+        name,
+        encode,
+        lambda ply: run(encode, shlex.quote(str(ply.absolute())), {}, "coded", coded),
+        lambda data: run(decode, "coded", {coded: data}, "decoded.ply", "decoded.ply"),
+        _read,
+        own_process=True,
+    )
+
+
+#: Limits of codecs that are given by their commands: an hour, and the processor time of eight.
+_OWN = Limits(3600.0, 8 * 3600, None)
 
 
 def _limits() -> Limits:

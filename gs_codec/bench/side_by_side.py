@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import statistics
 import tempfile
 import time
@@ -23,6 +24,7 @@ from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
+from gs_codec.metrics.image_quality import LPIPS_VARIABLE
 from gs_codec.metrics.views import compare_views
 from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.pipeline import prepare_scene
@@ -234,11 +236,15 @@ def _line(measured: MeasuredScene, codec: Peer, turns: _Turns, ply_bytes: int) -
 
 def _quality(measured: MeasuredScene, decoded: Scene) -> dict[str, Any]:
     """Quality of the decoded scene's views; PSNR of equal views is None."""
-    views = (measured.cameras, measured.truth)
-    comparison = compare_views(measured.scene, decoded, *views, device="cpu")
+    comparison = compare_views(
+        measured.scene, decoded, measured.cameras, measured.truth, device="cpu",
+        lpips=os.environ.get(LPIPS_VARIABLE) or None, masks=measured.masks,
+    )  # fmt: skip
     mean = comparison.mean
     result: dict[str, Any] = {
+        "decoded_gaussians": decoded.count,
         "views": len(comparison.views),
+        "masked": measured.masks is not None,
         "mean": mean.between.as_dict(),
         "worst_psnr": comparison.worst.between.as_dict()["psnr"],
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import sys
 import time
@@ -34,10 +35,17 @@ def print_codecs(lines: list[dict[str, Any]]) -> None:
     results = Results(lines)
     for scene in results.scenes:
         table = codec_table(results, scene)
-        rows = [[cell.replace("`", "").replace("\\", "") for cell in row] for row in table.rows]
-        print_table(Table([f"{scene}: codec", *table.columns[1:]], rows), sys.stderr)
+        _print_plain(table._replace(columns=[f"{scene}: codec", *table.columns[1:]]))
+    if any(line.get("own_process") for line in lines):
+        print_status("* a separate program: its times include its start")
     for reason in results.absent:
         print_status(reason)
+
+
+def _print_plain(table: Table) -> None:
+    """Print a Markdown table without its markup, on stderr."""
+    rows = [[re.sub(r"[`\\]|\*\*", "", cell) for cell in row] for row in table.rows]
+    print_table(table._replace(rows=rows), sys.stderr)
 
 
 def _typed() -> str:
@@ -62,6 +70,17 @@ def _printed(lines: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     return printed
 
 
+_Codecs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--codec",
+        metavar="TEXT",
+        help="Also measure a codec given as 'NAME: ENCODE; DECODE', two shell commands with {in} "
+        "and {out}; may be repeated.",
+    ),
+]
+
+
 @takes("threads", "width", "overwrite")
 def measure_suite(
     out: Annotated[
@@ -72,10 +91,28 @@ def measure_suite(
         list[Path] | None,
         typer.Argument(
             metavar="SCENE...",
-            help="3DGS .ply files, with cameras.json and images in the same folder.",
+            help="3DGS .ply files, with cameras.json and images in the same folder; with "
+            "--dataset, the folder of its models.",
             show_default=False,
         ),
     ] = None,
+    dataset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Measure the INRIA trainer's models of a dataset (mipnerf360, tanksandtemples, "
+            "deepblending), and list published results of other methods.",
+        ),
+    ] = None,
+    gt_images: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the dataset's photographs, DIR/SCENE/images; by default they are in "
+            "the folder of each model.",
+        ),
+    ] = None,
+    codec: _Codecs = None,
     repeats: Annotated[
         int, typer.Option(metavar="N", help="Timed runs; medians are reported.", min=1)
     ] = 3,
@@ -90,15 +127,25 @@ def measure_suite(
 ) -> None:
     """Measure scenes with all profiles and other codecs, and write a report.
 
-    It takes about ten minutes per 100,000 Gaussians, and the same again for refinement.
-    suite.jsonl has all lines measured so far.
+    It takes about ten minutes per 100,000 Gaussians, and the same again
+    for refinement. suite.jsonl has all lines measured so far. With --dataset,
+    only codecs are measured, and results are also written as the CSV files of
+    the survey 3DGS.zip.
     """
+    from gs_codec.bench.peers import own_peers
+    from gs_codec.bench.suite.datasets import DATASETS, dataset_table
     from gs_codec.bench.suite.measurements import Options, run_suite
+    from gs_codec.bench.suite.results import Results
     from gs_codec.bench.suite.suite_report import write_report
 
+    if dataset is None and gt_images is not None:
+        raise InvalidInput("--gt-images needs --dataset")
+    if dataset is not None and len(scenes or ()) != 1:
+        raise InvalidInput(f"--dataset {dataset}: expected one folder, that of its models")
     options = Options(
-        tuple(scenes or ()), repeats, typed["threads"], typed["width"], frozenset(skip or ())
-    )
+        tuple(scenes or ()), repeats, typed["threads"], typed["width"], frozenset(skip or ()),
+        dataset, gt_images, own_peers(codec or ()),
+    )  # fmt: skip
     check_folder(out, typed["overwrite"])
     check_installed("matplotlib", "plots")
     start = time.monotonic()
@@ -113,6 +160,8 @@ def measure_suite(
     announce("report")
     write_report(lines, out)
     print_codecs(lines)
+    if dataset is not None:
+        _print_plain(dataset_table(Results(lines), DATASETS[dataset]))
     print_status(f"report: {out / 'report.md'}")
 
 
@@ -132,7 +181,8 @@ def measure_paper(
 ) -> None:
     """Reproduce the paper's experiment: run preset entropygs and print the paper's tables.
 
-    Refinement takes most of the time; with --overwrite it resumes from checkpoints in DIR.
+    Refinement takes most of the time; with --overwrite it resumes from
+    checkpoints in DIR.
     """
     from gs_codec.bench.reproduce import open_scenes, reproduce, tables_of
     from gs_codec.runtime.threads import using_threads
@@ -162,8 +212,8 @@ def measure_captures(
 ) -> None:
     """Measure the loss of profile m in held-out views: without, with estimated, with given cameras.
 
-    JSON lines go to stdout, a Markdown table to stderr. Losses are for a scene that matches its
-    photographs to 30 dB.
+    JSON lines go to stdout, a Markdown table to stderr. Losses are for a
+    scene that matches its photographs to 30 dB.
     """
     from gs_codec.bench.losses import loss_table, measure_losses
     from gs_codec.runtime.threads import using_threads
@@ -222,20 +272,23 @@ def measure(
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Also measure rendered quality: {CAMERAS}")
     ] = None,
+    codec: _Codecs = None,
 ) -> None:
     """Measure scenes one by one; JSON lines go to stdout, a table to stderr."""
     if cameras is None:
         typed.refuse(("gt_images", "width"), "needs --cameras")
     configs = [typed.build(Config, profile=name) for name in profile or PROFILE_CHOICES]
     from gs_codec.bench.measure import measure_scenes
+    from gs_codec.bench.peers import own_peers
 
     views, peers = (cameras, typed["gt_images"], typed["width"]), typed.command == "peers"
-    print_codecs(_printed(measure_scenes(scenes, configs, tile, repeats, *views, peers)))
+    own = own_peers(codec or ())
+    print_codecs(_printed(measure_scenes(scenes, configs, tile, repeats, *views, peers, own)))
 
 
 for _name, _help in (
     ("run", "Measure each profile: time, size, entropy, error, memory, quality."),
-    ("peers", "Compare profiles with spz, splat-transform, pcodec and zstd."),
+    ("peers", "Compare profiles with spz, splat-transform, pcodec, zstd and codecs of your own."),
 ):
     app.command(_name, cls=InOrder, help=_help)(measure)
 app.command("suite", cls=InOrder)(measure_suite)

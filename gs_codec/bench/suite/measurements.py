@@ -15,9 +15,10 @@ from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import installed, machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.measured_scenes import MeasuredScene, cameras_of, check_names, open_with_cameras
-from gs_codec.bench.peers import AbsentPeer, find_peers
+from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
 from gs_codec.bench.processes import measure_scaling
 from gs_codec.bench.side_by_side import ESTIMATED, guided, measure_alternating, our_codecs
+from gs_codec.bench.suite.datasets import models_of, open_model
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
@@ -44,8 +45,10 @@ class Options:
 
     Cameras come from ``cameras.json`` next to a file, otherwise they are estimated. Photographs are
     in the folder ``images`` there, if it exists; `width`, in pixels, applies to views without them.
-    Raises InvalidInput if there are no scenes, two have one name, a group is unknown, or a number
-    is out of range.
+    With a `dataset`, one of `DATASETS`, the only scene is the folder of its models, of which codecs
+    alone are measured; `photographs` are as in `open_model`. `codecs` are measured too. Raises
+    InvalidInput if there are no scenes, two have one name, a group is unknown, or a number is out
+    of range.
     """
 
     scenes: tuple[Path, ...]
@@ -53,6 +56,9 @@ class Options:
     threads: int | None = None
     width: int | None = None
     skip: frozenset[str] = frozenset()
+    dataset: str | None = None
+    photographs: Path | None = None
+    codecs: tuple[Peer, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.scenes:
@@ -60,10 +66,26 @@ class Options:
                 "no scenes given, expected .ply files, each in a folder with its cameras.json; "
                 "`make suite` generates and measures two"
             )
-        check_names(self.scenes)
+        check_names(self.paths)
         check_threads(self.threads)
-        for group in sorted(self.skip - set(GROUPS)):
-            raise InvalidInput(f"--skip {group}: expected one of {', '.join(GROUPS)}")
+        groups = GROUPS if self.dataset is None else GROUPS[len(STAGES) :]
+        for group in sorted(self.skip - set(groups)):
+            raise InvalidInput(f"--skip {group}: expected one of {', '.join(groups)}")
+
+    @property
+    def paths(self) -> Sequence[Path]:
+        """The scenes, or those of the dataset."""
+        return self.scenes if self.dataset is None else models_of(self.dataset, *self.scenes)
+
+    def open(self, path: Path) -> MeasuredScene:
+        """One of the scenes, with its views."""
+        if self.dataset is None:
+            return open_with_cameras(path, self.width)
+        return open_model(path, self.photographs, self.width)
+
+    def omits(self, group: str) -> bool:
+        """Whether one of `STAGES` is omitted."""
+        return group in self.skip or (self.dataset is not None and group != "codecs")
 
     def config(self, profile: str) -> Config:
         """The configuration for measuring a profile."""
@@ -77,7 +99,7 @@ def run_suite(options: Options, command: str, announce: Callable[[str], None]) -
     cameras or photographs cannot be used; raised before measuring.
     """
     check_installed("scipy", "bench suite")
-    scenes = [open_with_cameras(path, options.width) for path in options.scenes]
+    scenes = list(map(options.open, options.paths))
     return _measure(options, command, announce, scenes)
 
 
@@ -109,14 +131,14 @@ def _measure(
     skipped = sorted(options.skip)
     yield machine() | {
         "installed": installed(), "repeats": options.repeats, "skipped": skipped, "date": date,
-        "command": command,
+        "command": command, "dataset": options.dataset,
     }  # fmt: skip
     yield from map(scene_line, scenes)
     largest = max(scenes, key=lambda measured: measured.scene.count)
     found: list[dict[str, Any]] = []
     for measured in scenes:
         for group, (title, measure) in STAGES.items():
-            if group in options.skip or (group in ONCE and measured is not largest):
+            if options.omits(group) or (group in ONCE and measured is not largest):
                 continue
             announce(f"{measured.name}: {title}")
             for line in measure(measured, options, found):
@@ -144,7 +166,7 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
     others = find_peers("error", options.threads) if "peers" not in options.skip else []
     # Slow ones are left to `bench peers`.
     quick = [x for x in others if isinstance(x, AbsentPeer) or not x.once]
-    return measure_alternating(measured, [*ours, *quick], options.repeats)
+    return measure_alternating(measured, [*ours, *quick, *options.codecs], options.repeats)
 
 
 def _in_other_formats(config: Config) -> Iterator[Config]:

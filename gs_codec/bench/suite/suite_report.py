@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gs_codec.bench.side_by_side import is_ours
 from gs_codec.bench.suite import suite_plots, suite_tables
+from gs_codec.bench.suite.datasets import DATASETS, dataset_table, introduction, survey_files
 from gs_codec.bench.suite.results import Results
 from gs_codec.pages.figures import png_of
 from gs_codec.pages.tables import escaped
@@ -47,8 +48,9 @@ _DEVICE = (
 def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     """Write ``report.md``, its plots as PNG files, and ``headline.md`` into a folder.
 
-    `lines` are all or some result lines of the suite; sections without lines are omitted. Raises
-    MissingTool if matplotlib is not installed. Raises InvalidInput if a file cannot be written.
+    Results of a dataset are also written as the survey's files, in ``results``. `lines` are all or
+    some result lines of the suite; sections without lines are omitted. Raises MissingTool if
+    matplotlib is not installed. Raises InvalidInput if a file cannot be written.
     """
     check_installed("matplotlib", "plots")
     results, pictures = Results(lines), dict[str, bytes]()
@@ -60,6 +62,10 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
         return f"![{shown}]({file})"
 
     parts = ["# Benchmarks of gs_codec", _INTRODUCTION]
+    dataset = DATASETS.get(results.first("machine").get("dataset") or "")
+    if dataset is not None:
+        table = dataset_table(results, dataset).markdown()
+        parts += [f"## {dataset.title}", introduction(results, dataset), table]
     for scene in results.scenes:
         parts += _scene_parts(results, scene, draw)
     if results.of("geometry"):
@@ -76,6 +82,7 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
         folder,
         {
             **pictures,
+            **(survey_files(results, dataset) if dataset else {}),
             "headline.md": headline.encode("utf-8", "backslashreplace"),
             "report.md": text.encode("utf-8", "backslashreplace"),
         },

@@ -140,7 +140,7 @@ def write_capture(folder: Path, made: Capture) -> None:
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_ply(folder / "point_cloud.ply", made.scene)
     for camera, image in zip(made.cameras, made.images, strict=True):
-        write_png(folder / "images" / f"{camera.name}.png", image)
+        write_png(folder / "images" / camera.name, image)
     entries = [_entry(number, camera) for number, camera in enumerate(made.cameras)]
     with atomic_writer(folder / "cameras.json") as file:
         file.write(json.dumps(entries, indent=1).encode() + b"\n")

@@ -62,6 +62,8 @@ lint: $(VENV)/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell
+	$(BIN)/proselint check --config .ci/proselint.json *.md gs_codec samples viewer/*.md viewer/web/*.md
 
 check: lint test
 

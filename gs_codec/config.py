@@ -127,7 +127,8 @@ def _depths(*bits: int) -> Mapping[str, int]:
 
 
 #: Bits per group. The paper's Table 2 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
-#: geometry of S (15-16); these values were chosen by comparing rendered views (bench/LAB_NOTEBOOK.md).
+#: geometry of S (15-16); these values were chosen by comparing rendered views
+#: (bench/LAB_NOTEBOOK.md).
 PROFILES: Mapping[str, Mapping[str, int]] = {
     "paper-l": _depths(17, 8, 8, 8, 8, 5, 5, 5),
     "paper-m": _depths(16, 8, 8, 8, 8, 4, 4, 4),

@@ -8,9 +8,9 @@ that are decoded earlier. FORMAT.md, section "Notes on our encoder".
 Without cameras, log2 of a step size is log2 of the profile's fineness, minus a constant, minus a
 linear function of min(logit, 0) and of the log-scales relative to the scene's median. The
 coefficients are rounded from gamma regressions on rendered sensitivities of five scenes (six for
-turns; LAB_NOTEBOOK.md). The constants are adjusted so that a bit saves about the same error in every
-attribute. The lower sensitivity of turns between two axes of similar length is not fitted: see
-`rotation`.
+turns; LAB_NOTEBOOK.md). The constants are adjusted so that a bit saves about the same error in
+every attribute. The lower sensitivity of turns between two axes of similar length is not fitted:
+see `rotation`.
 """
 
 from __future__ import annotations

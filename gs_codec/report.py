@@ -65,6 +65,13 @@ class ChannelCost:
         sent, as with profiles ``l``, ``m`` and ``s``.
     shannon_bits : float
         Entropy of the symbols times their number: the lower bound for any static table.
+
+    Examples
+    --------
+    >>> report = gs_codec.encode_file("scene.ply", "costs.egs")
+    >>> cost = report.costs[-1]
+    >>> cost.name, cost.stream, cost.coded_bits >= cost.shannon_bits
+    ('sh3 Cg', 'sh3', True)
     """
 
     name: str
@@ -102,6 +109,12 @@ class RateReport:
     at_end : bool
         Whether the target is out of reach: the step sizes are the finest possible, or for a PSNR
         loss the coarsest.
+
+    Examples
+    --------
+    >>> data, report = gs_codec.encode("scene.ply", rate={"ratio": 12})
+    >>> report.coarseness > 1, report.steps["opacity"][0] < report.steps["opacity"][1]
+    (True, True)
     """
 
     target: RateTarget
@@ -141,6 +154,12 @@ class RenderedLoss:
         Number of times the scene was encoded.
     remedy : str, optional
         What was changed because the first result missed the target.
+
+    Examples
+    --------
+    >>> seen = gs_codec.encode_file("scene.ply", "seen.egs", "s").rendered
+    >>> seen.views, seen.loss < seen.worst
+    ('likely', True)
     """
 
     psnr: float
@@ -173,6 +192,13 @@ class ActionReport:
         With ``remove-floaters``, number of removed Gaussians by reason.
     seconds : float
         Wall time.
+
+    Examples
+    --------
+    >>> near = gs_codec.edit.Action("crop-sphere", "0,0,0,3")
+    >>> [done] = gs_codec.convert_file("scene.ply", "near.ply", actions=[near]).actions
+    >>> done.action, done.before, done.after
+    ('crop-sphere 0,0,0,3', 2000, 1428)
     """
 
     action: str
@@ -228,6 +254,14 @@ class EncodeReport:
         SH degree coded.
     float_bytes : int
         Size of the source scene's floats, before pruning; 0 if the scene was in memory.
+
+    Examples
+    --------
+    >>> report = gs_codec.encode_file("scene.ply", "reported.egs")
+    >>> report.file_bytes == sum(report.section_bytes.values())
+    True
+    >>> report.ratio == report.input_bytes / report.file_bytes
+    True
     """
 
     count: int

@@ -185,6 +185,16 @@ class Actions:
         The last scene opened.
     cameras : list of gs_codec's Camera
         The last cameras opened.
+
+    Examples
+    --------
+    With an `open3d.visualization.O3DVisualizer`:
+
+    >>> actions = viewer.attach(visualizer)
+    >>> actions.open("scene.ply")
+    >>> actions.scene.count, actions.cameras
+    (2000, [])
+    >>> actions.detach()
     """
 
     def __init__(self, visualizer: O3DVisualizer) -> None:

@@ -47,6 +47,16 @@ class Splats:
         Opacities before the sigmoid.
     sh : Tensor, shape (N, 1 + K, 3)
         SH-DC, then the K = 0, 3, 8, 15 coefficients of SH-AC; R, G, B.
+
+    Examples
+    --------
+    >>> splats = gs_codec.decode_tensors("scene.egs", device="cpu")
+    >>> bool((splats.scales > 0).all()), splats.opacities.shape
+    (True, torch.Size([2000]))
+    >>> import dataclasses
+    >>> opaque = dataclasses.replace(splats, logits=splats.logits + 1)
+    >>> len(gs_codec.encode_tensors(opaque)) > 1000
+    True
     """
 
     means: torch.Tensor

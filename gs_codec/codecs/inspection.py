@@ -46,6 +46,12 @@ class StreamInfo:
         The same size, in bits per Gaussian of the file.
     tables : int
         Number of frequency tables of its passes; 0 if it has none.
+
+    Examples
+    --------
+    >>> sizes = {stream.name: stream.bytes for stream in gs_codec.inspect("scene.egs").streams}
+    >>> sizes["sh3"] > sizes["sh-dc"] > sizes["header"]
+    True
     """
 
     name: str
@@ -68,6 +74,12 @@ class PassInfo:
         Number of frequency tables of its contexts.
     finest_step, coarsest_step : float
         Step sizes, in the attribute's own domain.
+
+    Examples
+    --------
+    >>> found = {each.name: each for each in gs_codec.inspect("scene.egs").passes}
+    >>> found["opacity"].stream, found["opacity"].finest_step < found["opacity"].coarsest_step
+    ('opacity', True)
     """
 
     name: str
@@ -92,6 +104,13 @@ class LevelInfo:
     least_error, largest_error : float
         Errors of its blocks, scene units. At the distance where a block's error is one pixel, it
         replaces four blocks of the next finer level.
+
+    Examples
+    --------
+    >>> data = gs_codec.encode("scene.ply", gs_codec.Config(lod=True, block_size=1024))
+    >>> [level] = gs_codec.inspect(data).levels
+    >>> level.level, level.count, level.largest_error > 0
+    (1, 500, True)
     """
 
     level: int
@@ -155,6 +174,12 @@ class Info:
         Sentences on what takes no bits, derived from header and tables.
     levels : tuple of LevelInfo
         Coarser levels of detail, the finest first.
+
+    Examples
+    --------
+    >>> info = gs_codec.inspect("scene.egs")
+    >>> info.version, info.blocks, info.geometry, info.ratio > 5
+    (1, 1, 'octree', True)
     """
 
     version: int

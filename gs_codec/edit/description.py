@@ -56,6 +56,13 @@ class AttributeStatistics:
     edges : tuple of float
         The 41 edges of the bins, evenly spaced (for scales, in the logarithm). Only the last bin
         includes its upper edge.
+
+    Examples
+    --------
+    >>> found = gs_codec.edit.statistics(gs_codec.read("scene.ply"))
+    >>> [opacity] = [each for each in found.attributes if each.name == "opacity"]
+    >>> opacity.unit, opacity.low <= opacity.median <= opacity.high, len(opacity.counts)
+    ('0-1', True, 40)
     """
 
     name: str
@@ -94,6 +101,12 @@ class Statistics:
         Each attribute in its natural unit.
     shares : tuple of Share
         ``transparent``, ``needle-like``, ``huge``, ``same centre``, ``duplicate``, ``not finite``.
+
+    Examples
+    --------
+    >>> found = gs_codec.edit.statistics(gs_codec.read("scene.ply"))
+    >>> found.sh_degree, found.raw_bytes == found.count * found.bytes_per_gaussian
+    (3, True)
     """
 
     count: int

@@ -44,6 +44,12 @@ class Share:
         Number of these Gaussians.
     share : float
         Share of all Gaussians, 0-1.
+
+    Examples
+    --------
+    >>> share = gs_codec.edit.statistics(gs_codec.read("scene.ply")).shares[0]
+    >>> share.name, share.rule, share.count
+    ('transparent', 'opacity below 1/255, which is not drawn', 0)
     """
 
     name: str

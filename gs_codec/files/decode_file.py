@@ -28,6 +28,12 @@ class DecodeReport:
         Bytes of the `.egs` file that were read, and its size.
     seconds : dict of str to float
         Wall time of each stage.
+
+    Examples
+    --------
+    >>> report = gs_codec.decode_file("scene.egs", "all.ply")
+    >>> report.count, report.bytes_read == report.file_bytes, list(report.seconds)
+    (2000, True, ['decode', 'write'])
     """
 
     count: int

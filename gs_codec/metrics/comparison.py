@@ -25,6 +25,14 @@ class GroupError:
         Maximum absolute error.
     rms : float
         Root mean square.
+
+    Examples
+    --------
+    >>> errors = gs_codec.compare("scene.ply", "scene.egs").groups
+    >>> [group.unit for group in errors if group.name == "opacity"]
+    ['logit', '0-1']
+    >>> all(group.rms <= group.max for group in errors)
+    True
     """
 
     name: str
@@ -54,6 +62,12 @@ class Comparison:
     backbone : str or None
         Network used for LPIPS; values of different networks are not comparable. None if LPIPS was
         not measured.
+
+    Examples
+    --------
+    >>> seen = gs_codec.compare("scene.ply", "scene.egs", "cameras.json", width=48)
+    >>> seen.counts, len(seen.views), seen.worst.between.psnr <= seen.mean.between.psnr
+    ((2000, 2000), 2, True)
     """
 
     counts: tuple[int, int]

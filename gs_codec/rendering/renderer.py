@@ -35,6 +35,13 @@ class Accumulations:
         Sum of T, the transmittance in front of the Gaussian.
     pixels : ndarray, int64
         Number of pixels.
+
+    Examples
+    --------
+    >>> views = gs_codec.render("scene.ply", "cameras.json", width=48, accumulate=True)
+    >>> weight = sum(rendering.accumulations.weight for _, rendering in views)
+    >>> weight.shape, bool((weight == 0).any())  # the second: whether some are never seen
+    ((2000,), True)
     """
 
     weight: NDArray[np.float64]
@@ -60,6 +67,13 @@ class Rendering:
         Sums for each Gaussian, if `accumulate` was set.
     pairs : int
         Number of splat-tile pairs; rendering time grows with it.
+
+    Examples
+    --------
+    >>> for camera, rendering in gs_codec.render("scene.ply", "cameras.json", width=48):
+    ...     print(rendering.alpha.shape, rendering.depth.dtype, bool(rendering.alpha.max() < 1))
+    (32, 48) float32 True
+    (32, 48) float32 True
     """
 
     colour: NDArray[np.float32]
@@ -126,6 +140,12 @@ class RenderedViews:
     ----------
     cameras : list of Camera
         In rendering order.
+
+    Examples
+    --------
+    >>> views = gs_codec.render("scene.ply", "cameras.json", width=48)
+    >>> len(views), [camera.name for camera in views.cameras]
+    (2, ['00000', '00001'])
     """
 
     def __init__(

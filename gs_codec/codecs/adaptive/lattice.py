@@ -169,6 +169,12 @@ class PositionGrid:
         Bits of a cell index on each axis.
     has_far : bool
         Whether Gaussians outside the grid are stored exactly, as *far* Gaussians.
+
+    Examples
+    --------
+    >>> grid = gs_codec.inspect("scene.egs").grid
+    >>> grid.bits, grid.has_far
+    ((17, 17, 17), False)
     """
 
     origin: tuple[float, float, float]

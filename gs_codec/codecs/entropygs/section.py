@@ -42,6 +42,14 @@ class Channel:
         Kind, depth (bits), origin and step.
     model : Model or None
         Mixture, Laplace or sent table; None if constant or not coded by rANS.
+
+    Examples
+    --------
+    >>> channels = gs_codec.inspect(gs_codec.encode("scene.ply", "paper-m")).channels
+    >>> channels[0].name, channels[0].quantiser.depth, channels[0].model
+    ('x', 16, None)
+    >>> type(channels[-1].model).__name__
+    'LaplaceModel'
     """
 
     group: str

@@ -97,7 +97,8 @@ def test_nothing_else_is_served(page):
     root = urlsplit(page.url).path
     for path in ("index.html", "b.egs", "../", "%2e%2e/", "a%20b.egs/"):
         assert answer(page, root + path)[0] == 404
-    assert answer(page, root, "POST")[0] == 501
+    for path in ("", "inspect"):
+        assert answer(page, root + path, "POST")[0] == 404
 
 
 def test_requests_from_other_hosts_are_refused(page):
@@ -199,6 +200,10 @@ def test_the_server_runs_until_interrupted(scene):
     [
         (["a.egs", "--web", "--mode", "wipe"], "--mode: has no effect on --web"),
         (["a.egs", "--web", "--screenshot", "a.png"], "--screenshot: has no effect on --web"),
+        (["a.egs", "--web", "--layers", "error"], "layers error: expected two scenes"),
+        (["a.egs", "--web", "--layers", "pruned"], "layers pruned: needs a report"),
+        (["a.egs", "--web", "--gt-images", "."], "gt-images: need cameras from a file"),
+        (["a.egs", "--web", "--watch"], "--watch: has no effect on --web"),
         (["a.egs", "--web", "--overwrite"], "--overwrite: has no effect on --web"),
         (["a.egs", "--web", "--up", "w"], "up 'w': expected -y, y, -z"),
         (["--web"], "web: needs a scene"),

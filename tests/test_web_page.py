@@ -955,7 +955,8 @@ def test_refusals_are_one_line(files, tmp_path, monkeypatch, capsys, arguments, 
 )
 def test_the_built_page_matches_its_sources(tmp_path):
     subprocess.run([NODE, WEB / "build.mjs", tmp_path / "page.html"], check=True)
-    assert (tmp_path / "page.html").read_bytes() == (WEB / "page.html").read_bytes(), "make web"
+    for name in ("page.html", "inspect.js"):
+        assert (tmp_path / name).read_bytes() == (WEB / name).read_bytes(), "make web"
 
 
 def test_the_built_page_is_small():

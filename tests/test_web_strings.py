@@ -12,11 +12,18 @@ from web_pages import NODE, ROOT, Job, in_browser, open_pages, small_page
 
 PAGE = ROOT / "viewer" / "web" / "page"
 
+#: Scripts that list words.
+WORDS = ("strings", "inspect_words")
+
 #: Texts that are the same in every language, or are only there without the page's script.
 SAME = re.compile(r"[-\W\d]*|[A-Z]|Home|W A S D Q E|N, P|1 2 3 4|Loading\. If this stays.*")
 
 LISTED = """
 import * as all from STRINGS;
+import { INSPECTED } from INSPECTION;
+const shared = Object.keys(INSPECTED).filter((word) => word in all.WORDS);
+if (shared.length) throw new Error(`twice: ${shared}`);
+Object.assign(all.WORDS, INSPECTED);
 const asked = ASKED.map(([hash, preferred]) => all.languageOf(hash, preferred));
 console.log(JSON.stringify([all.LANGUAGES, all.WORDS, asked]));
 """
@@ -25,6 +32,7 @@ console.log(JSON.stringify([all.LANGUAGES, all.WORDS, asked]));
 def listed(asked: list) -> list:
     """Languages, words, and the languages for some addresses and preferences."""
     script = LISTED.replace("STRINGS", json.dumps((PAGE / "strings.js").as_uri()))
+    script = script.replace("INSPECTION", json.dumps((PAGE / "inspect_words.js").as_uri()))
     script = script.replace("ASKED", json.dumps(asked))
     done = subprocess.run(
         [str(NODE), "--input-type=module", "-e", script],
@@ -52,7 +60,7 @@ def test_every_text_is_in_every_language_and_none_is_left_over():
     languages, words, _ = listed([])
     texts = Texts()
     texts.feed((PAGE / "page.html").read_text())
-    scripts = {path: path.read_text() for path in PAGE.glob("*.js") if path.stem != "strings"}
+    scripts = {path: path.read_text() for path in PAGE.glob("*.js") if path.stem not in WORDS}
     script = "\n".join(scripts.values())
     said = re.findall(r"\bsay\(\s*'((?:[^'\\]|\\.)*)'", script)
     nouns = re.findall(r"\bcounted\([^']*'(\w+)'", script)

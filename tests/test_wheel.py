@@ -112,6 +112,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
             "*/py.typed",
             "viewer/*.png",
             "viewer/web/embed.js",
+            "viewer/web/inspect.js",
             "viewer/web/page.html",
         )
         for path in ROOT.glob(pattern)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -16,7 +17,7 @@ from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.cli.typed import is_given
 from gs_codec.plan import CAMERAS
-from gs_codec.runtime.optional import check_installed
+from gs_codec.runtime.optional import check_installed, is_available
 from gs_codec.runtime.wording import counted
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
@@ -45,8 +46,17 @@ _SHOWN = "Display"
 _OUTPUT = "Pictures and films (no display needed)"
 _BROWSER = "Browser instead of a window"
 
-#: Options allowed with ``--web``.
+#: Options allowed with ``--web``: of the page, and of what it asks the server for.
 _OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes", "up"}
+_OF_INSPECTION = {
+    "gt_images",
+    "pruned",
+    "layers",
+    "colour",
+    "colour_scale",
+    "octree_depth",
+    "octree_colour",
+}
 
 
 @app.command(epilog="Without a scene, the window opens empty. Press H in it for a list of keys.")
@@ -217,7 +227,7 @@ def command(
         bool,
         typer.Option(
             "--web",
-            help="Show the scene in a browser; only this machine, or SSH, reaches the server.",
+            help="Show and inspect the scene in a browser, on this machine or over SSH.",
             rich_help_panel=_BROWSER,
         ),
     ] = False,
@@ -235,12 +245,12 @@ def command(
     if version:
         print_text(f"gs-viewer {gs_codec.__version__}")
         return
-    if web:
-        _serve(ctx, a, b, cameras, port, max_bytes, up)
-        return
-    if port is not None:
+    if port is not None and not web:
         raise gs_codec.GsCodecError("port: needs --web")
-    check_installed("open3d", "all but --web")
+    if web:
+        _check_web(ctx, a)
+    else:
+        check_installed("open3d", "all but --web")
     from viewer.scenes.view_request import Request, parse_layers
 
     request = Request(
@@ -260,6 +270,10 @@ def command(
         colour_scale,
         watch,
     )
+    if web:
+        asks = any(is_given(ctx, name) for name in _OF_INSPECTION)
+        _serve(request, [*filter(None, (a, b))], cameras or "auto", port, asks)
+        return
     request.check()
     film = _film(screenshot, turntable, flythrough, frames, fps, overwrite)
     if film is not None:
@@ -283,25 +297,33 @@ def command(
     run(request, device)
 
 
-def _serve(
-    ctx: typer.Context,
-    a: Path | None,
-    b: Path | None,
-    cameras: str | None,
-    port: int | None,
-    max_bytes: int | None,
-    up: str | None,
-) -> None:
-    """Show a page in a browser; reject options that have no effect on it."""
+def _check_web(ctx: typer.Context, a: Path | None) -> None:
+    """Reject options that have no effect on a page, or a missing scene."""
     for name in ctx.params:
-        if name not in _OF_PAGES and is_given(ctx, name):
+        if name not in _OF_PAGES | _OF_INSPECTION and is_given(ctx, name):
             raise gs_codec.GsCodecError(f"{typed_name(name)}: has no effect on --web")
     if a is None:
         raise gs_codec.GsCodecError("web: needs a scene")
+
+
+def _serve(
+    request: Request, sources: Sequence[Path], cameras: str, port: int | None, asks: bool
+) -> None:
+    """Show a page in a browser; `asks` says whether options of its inspection are given."""
     from viewer.served import serve
 
+    request.check_picture("page")
+    inspector = None
+    if asks:
+        check_installed("open3d", "inspection")
+    if is_available("open3d"):
+        from viewer.inspector import Inspector
+
+        inspector = Inspector(request)
     with progress_bar() as progress:
-        page = serve([a] if b is None else [a, b], cameras or "auto", port, max_bytes, progress, up)
+        if inspector is not None and asks:
+            inspector.open(progress)
+        page = serve(sources, cameras, port, request.max_bytes, progress, request.up, inspector)
     page.run()
 
 

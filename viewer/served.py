@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import secrets
@@ -16,19 +17,28 @@ from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import gs_codec
 from gs_codec.cameras.up import up_axis
+from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import print_text
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.report import Progress
+from viewer.inspected_page import with_inspection, with_second
+
+if TYPE_CHECKING:
+    from viewer.inspector import Inspector
 
 #: Address of this machine only.
 _HOST = "127.0.0.1"
 
 #: Maximum time without data on a connection, seconds.
 _SILENT = 10.0
+
+#: Maximum size of a call of the inspection, bytes.
+_CALL = 1 << 16
 
 #: Maximum number of connections; a browser opens six.
 _CONNECTIONS = 64
@@ -43,6 +53,8 @@ class Page(ThreadingHTTPServer):
         Files by name; `PAGE` is the page at the address itself.
     port : int
         Port; 0 selects a free one.
+    inspector : Inspector, optional
+        Answers the inspection of the page.
 
     Attributes
     ----------
@@ -52,11 +64,14 @@ class Page(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, files: dict[str, bytes], port: int = 0) -> None:
+    def __init__(
+        self, files: dict[str, bytes], port: int = 0, inspector: Inspector | None = None
+    ) -> None:
         super().__init__((_HOST, port), _Handler)
-        root = f"/{secrets.token_urlsafe(16)}/"
+        self.root = root = f"/{secrets.token_urlsafe(16)}/"
         self.contents = {root + quote(name): data for name, data in files.items()}
         self.contents[root] = self.contents.pop(root + PAGE)
+        self.inspector = inspector
         self.url = f"http://{_HOST}:{self.server_port}{root}"
         self._free = threading.BoundedSemaphore(_CONNECTIONS)
 
@@ -73,6 +88,20 @@ class Page(ThreadingHTTPServer):
         finally:
             self._free.release()
 
+    def find(self, path: str) -> bytes | None:
+        """The bytes at an address: a file, a trial encoding, or the page with one as B."""
+        found = re.fullmatch(
+            r"(?:trial-(\d{1,6})\.egs|\?b=(\d{1,6}))", path.removeprefix(self.root)
+        )
+        if found is None or self.inspector is None:
+            return self.contents.get(path)
+        tried = self.inspector.trial(int(found[1] or found[2]))
+        if tried is None:
+            return None
+        if found[1]:
+            return tried.path.read_bytes()
+        return with_second(self.contents[self.root], tried.name, f"trial-{tried.number}.egs")
+
     def run(self) -> None:
         """Print the address, open a browser if there is a screen, and serve until Ctrl-C."""
         print_text(f"{self.url}  (Ctrl-C stops the server)")
@@ -82,6 +111,8 @@ class Page(ThreadingHTTPServer):
             elif "SSH_CONNECTION" in os.environ:
                 port, there = self.server_port, "then open this address"
                 print_text(f"from another machine: ssh -L {port}:{_HOST}:{port} HOST, {there}")
+            if self.inspector is not None:
+                stack.callback(self.inspector.close)
             stack.callback(self.server_close)
             stack.enter_context(suppress(KeyboardInterrupt))
             self.serve_forever()
@@ -104,15 +135,40 @@ class _Handler(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         self._head()
 
+    def do_POST(self) -> None:
+        """Answer a call of the inspection."""
+        length = self.headers.get("Content-Length", "")
+        inspector = self.server.inspector if self._is_from_here else None
+        if inspector is None or self.path != f"{self.server.root}inspect":
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        if not re.fullmatch(r"\d{1,9}", length) or int(length) > _CALL:
+            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return
+        try:
+            answer = inspector.answer(json.loads(self.rfile.read(int(length))))
+            status = HTTPStatus.OK if answer else HTTPStatus.CONFLICT
+            kind, data, facts = answer or ("text/plain", b"", {})
+        except (gs_codec.GsCodecError, OSError, MemoryError, ValueError, RecursionError) as error:
+            status, facts = HTTPStatus.BAD_REQUEST, {}
+            kind, data = "text/plain; charset=utf-8", describe_error(error).encode()
+        told = {"Facts": json.dumps(facts)} if facts else {}
+        self._send(status, kind, len(data), told)
+        self.wfile.write(data)
+
+    @property
+    def _is_from_here(self) -> bool:
+        """Whether the request names this host; pages of other sites could send others."""
+        return self.headers.get("Host", "").partition(":")[0] in (_HOST, "localhost")
+
     def _head(self) -> bytes | None:
         """Send the response headers of a file or a range of one, and return its bytes."""
-        # Reject other host names, through which pages of other sites could send requests.
-        host = self.headers.get("Host", "").partition(":")[0]
-        data = self.server.contents.get(self.path) if host in (_HOST, "localhost") else None
+        data = self.server.find(self.path) if self._is_from_here else None
         if data is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return None
-        kind = "text/html; charset=utf-8" if self.path.endswith("/") else "application/octet-stream"
+        is_page = self.path.partition("?")[0] == self.server.root
+        kind = "text/html; charset=utf-8" if is_page else "application/octet-stream"
         whole = len(data)
         part = _range_of(self.headers.get("Range", ""), whole)
         if part is not None:
@@ -120,20 +176,26 @@ class _Handler(BaseHTTPRequestHandler):
             if not data:
                 self.send_error(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE)
                 return None
-        self.send_response(HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT)
+        status, told = HTTPStatus.OK, {"Accept-Ranges": "bytes"}
         if part is not None:
-            self.send_header("Content-Range", f"bytes {part.start}-{part.stop - 1}/{whole}")
+            status = HTTPStatus.PARTIAL_CONTENT
+            told["Content-Range"] = f"bytes {part.start}-{part.stop - 1}/{whole}"
+        self._send(status, kind, len(data), told)
+        return data
+
+    def _send(self, status: HTTPStatus, kind: str, length: int, told: dict[str, str]) -> None:
+        """Send the headers of a response."""
+        self.send_response(status)
         for name, value in (
             ("Content-Type", kind),
-            ("Content-Length", str(len(data))),
-            ("Accept-Ranges", "bytes"),
+            ("Content-Length", str(length)),
+            *told.items(),
             ("Cache-Control", "no-store"),
             ("Referrer-Policy", "no-referrer"),
             ("X-Content-Type-Options", "nosniff"),
         ):
             self.send_header(name, value)
         self.end_headers()
-        return data
 
     def log_message(self, *arguments: object) -> None:
         """Log no requests."""
@@ -170,8 +232,11 @@ def serve(
     max_bytes: int | None,
     progress: Progress | None,
     up: str | None = None,
+    inspector: Inspector | None = None,
 ) -> Page:
     """Make a server of a page that shows one or two scenes; see `gs_codec.files.sharing.share`.
+
+    With `inspector`, the page inspects them, unless it shows a sequence.
 
     Raises
     ------
@@ -182,9 +247,17 @@ def serve(
         raise gs_codec.GsCodecError(f"port {port}: expected 1 to 65535")
     if up is not None:
         up_axis(up)
-    files = page_of(sources, cameras, alone=False, progress=progress, max_bytes=max_bytes, up=up)[1]
+    shared, files = page_of(
+        sources, cameras, alone=False, progress=progress, max_bytes=max_bytes, up=up
+    )
+    if inspector is not None and not shared[0].frames:
+        files[PAGE] = with_inspection(files[PAGE], inspector.is_open)
+    elif inspector is not None and inspector.is_open:
+        raise gs_codec.GsCodecError("a sequence has no layers, photographs or report")
+    else:
+        inspector = None
     try:
-        return Page(files, port or 0)
+        return Page(files, port or 0, inspector)
     except OSError as error:
         raise gs_codec.GsCodecError(f"port {port}: {error.strerror or error}") from error
 

@@ -20,7 +20,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.inria import as_entry
 from gs_codec.cameras.up import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
 from gs_codec.cameras.widest import widest_view
-from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.config import EGS, LOSSLESS, Config
 from gs_codec.egs.egs_file import SectionId, described, read_file
 from gs_codec.egs.frame_sections import timeline_of
@@ -317,13 +317,17 @@ def _open(
         scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
         if file.format == EGS:
             info = inspect_bytes(file.data)
-            if info.profile != LOSSLESS and set(info.features) <= set(
-                (Feature.FAR | Feature.LOCAL_BASIS).labels
-            ):
+            if is_read_by_pages(info):
                 levels = len(info.levels)
                 return SharedScene(_name(path), bytes(data), False, levels, frames), scene
         with located(path):
             return _encoded(_name(path), scene, progress, streamed)
+
+
+def is_read_by_pages(info: Info) -> bool:
+    """Whether pages can read an `.egs` file directly."""
+    known = (Feature.FAR | Feature.LOCAL_BASIS).labels
+    return info.profile != LOSSLESS and set(info.features) <= set(known)
 
 
 def _first_frame(file: SceneFile) -> tuple[int, SceneFile]:

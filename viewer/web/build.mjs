@@ -1,5 +1,5 @@
 // Builds the page: page.html or a named file, all in one file, into which `gs-codec share` puts
-// scenes.
+// scenes; and inspect.js beside it, which `gs-viewer --web` adds to the page.
 import { createHash } from 'node:crypto';
 import { readFile, writeFile } from 'node:fs/promises';
 import { dirname, resolve } from 'node:path';
@@ -71,4 +71,6 @@ const parts = {
 };
 let text = await readFile(page('page.html'), 'utf8');
 for (const [name, part] of Object.entries(parts)) text = text.replace(`<!--${name}-->`, () => part);
-await writeFile(process.argv[2] ?? resolve(here, 'page.html'), text);
+const out = process.argv[2] ?? resolve(here, 'page.html');
+await writeFile(out, text);
+await writeFile(resolve(dirname(out), 'inspect.js'), await bundled(page('inspect.js'), 'esm'));

@@ -573,4 +573,6 @@ class Viewer extends EventTarget {
 
 // On phones, and in embedded pages, there is no room for both.
 document.getElementById('panel').open = innerWidth > (self === top ? 560 : 1000);
-new Viewer(JSON.parse(document.getElementById('scene-list').textContent)).run();
+const shown = JSON.parse(document.getElementById('scene-list').textContent);
+globalThis.viewer = new Viewer(shown); // for the script that gs-viewer adds
+globalThis.viewer.run();

@@ -1,5 +1,6 @@
 // The panel next to the picture, and the keys.
 import { hasHeadset } from './headset.js';
+import { slide } from './line.js';
 import { LANGUAGE, LANGUAGES, counted, number, say, translate } from './strings.js';
 
 const $ = (id) => document.getElementById(id);
@@ -77,25 +78,8 @@ export class Panel {
     $('full').hidden = !document.fullscreenEnabled;
     $('full').addEventListener('click', () => document.documentElement.requestFullscreen());
     $('shows').addEventListener('change', ({ target }) => viewer.set({ show: target.value }));
-    this.#listenToWipe();
+    slide($('wipe'), () => viewer.look.split, (split) => viewer.set({ split }));
     document.addEventListener('keydown', (event) => this.#key(event));
-  }
-
-  #listenToWipe() {
-    const { viewer } = this;
-    const line = $('wipe');
-    line.addEventListener('pointerdown', (event) => line.setPointerCapture(event.pointerId));
-    line.addEventListener('pointermove', (event) => {
-      if (!line.hasPointerCapture(event.pointerId)) return;
-      viewer.set({ split: Math.min(Math.max(event.clientX / innerWidth, 0), 1) });
-    });
-    line.addEventListener('keydown', (event) => {
-      const { split } = viewer.look;
-      const steps = { ArrowLeft: split - 0.02, ArrowRight: split + 0.02, Home: 0, End: 1 };
-      if (!(event.key in steps)) return;
-      event.preventDefault();
-      viewer.set({ split: Math.min(Math.max(steps[event.key], 0), 1) });
-    });
   }
 
   #key(event) {

@@ -1,0 +1,254 @@
+"""The inspection of a page that ``gs-viewer --web`` serves."""
+
+from __future__ import annotations
+
+import http.client
+import io
+import json
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import random_scene
+from web_pages import LENS, Job, decibels, drawn, in_browser, open_pages, seen
+
+import gs_codec
+from gs_codec.cameras.inria import as_camera
+from gs_codec.formats.ply.writer import write_ply
+from viewer.inspector import Inspector
+from viewer.scenes.view_request import Request
+from viewer.served import Page, serve
+
+#: A camera of `folder`.
+CAMERA = {
+    "img_name": "view",
+    "position": [0, 0, -5],
+    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "cx": 30,
+    "cy": 20,
+    **LENS,
+}
+
+#: What a page asks for a picture.
+ASKED = {
+    "call": "picture", "scene": 0, "trial": 0, "camera": CAMERA, "w": 60, "h": 40,
+    "layers": ["splats", "boxes"], "colouring": "colour", "scale": None, "depth": 6,
+    "cells": "occupancy", "degree": 3, "background": [0, 0, 0],
+}  # fmt: skip
+
+#: What it asks for an encoding.
+ENCODING = {"call": "encode", "profile": "m", "wish": "steps", "value": 2.0, "guided": False}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A scene, one with other colours, cameras and photographs."""
+    folder = tmp_path_factory.mktemp("inspected")
+    scene = random_scene(500, 1, seed=2)
+    write_ply(folder / "a.ply", scene)
+    write_ply(folder / "b.ply", replace(scene, f_dc=scene.f_dc + np.float32(0.3)))
+    cameras = [CAMERA | {"id": k, "img_name": f"view{k}"} for k in range(2)]
+    (folder / "cameras.json").write_text(json.dumps(cameras))
+    (folder / "images").mkdir()
+    Image.new("RGB", (60, 40), (200, 30, 30)).save(folder / "images" / "view0.png")
+    return folder
+
+
+@pytest.fixture
+def page(folder) -> Iterator[Page]:
+    cameras, scenes = str(folder / "cameras.json"), [folder / "a.ply", folder / "b.ply"]
+    inspector = Inspector(Request(*scenes, cameras=cameras, images=folder / "images"))
+    page = serve(scenes, cameras, None, None, None, None, inspector)
+    threading.Thread(target=page.serve_forever, daemon=True).start()
+    yield page
+    page.shutdown()
+    page.server_close()
+    inspector.close()
+
+
+def ask(page: Page, asked: object, path: str = "inspect", host: str = "127.0.0.1") -> tuple:
+    """Status, facts and body of the answer to a call."""
+    connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
+    body = asked if isinstance(asked, bytes) else json.dumps(asked).encode()
+    connection.request("POST", urlsplit(page.url).path + path, body, {"Host": host})
+    response = connection.getresponse()
+    return response.status, json.loads(response.getheader("Facts", "{}")), response.read()
+
+
+def get(page: Page, path: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
+    connection.request("GET", urlsplit(page.url).path + path)
+    response = connection.getresponse()
+    return response.status, response.read()
+
+
+def picture(page: Page, **changes: object) -> np.ndarray:
+    status, _, data = ask(page, ASKED | changes)
+    assert status == 200, data
+    return seen(io.BytesIO(data))
+
+
+def until_idle(page: Page) -> dict:
+    while True:
+        told = json.loads(ask(page, {"call": "progress"})[2])
+        if not told["doing"]:
+            return told
+        time.sleep(0.02)
+
+
+def test_pictures_are_those_of_the_window(page):
+    scene = random_scene(500, 1, seed=2)
+    assert decibels(picture(page), drawn(scene, as_camera(CAMERA))) > 35  # JPEG
+    status, facts, data = ask(page, ASKED | {"scene": 1, "layers": ["splats", "error"]})
+    assert status == 200
+    assert facts["remark"] == "B: b.ply, error against A"
+    assert [legend["title"] for legend in facts["legends"]] == ["error of a pixel, of 255"]
+    assert decibels(seen(io.BytesIO(data)), picture(page, scene=1)) < 30
+    grey = picture(page, layers=["centres"], background=[0.5, 0.5, 0.5])
+    assert np.abs(np.median(grey) - 0.5) < 0.02
+    told = json.loads(ask(page, {"call": "quality", "camera": CAMERA, "trial": 0})[2])
+    assert "dB, SSIM" in told["text"]
+
+
+def test_photographs_are_of_the_page_s_views(page):
+    status, _, data = ask(page, {"call": "photograph", "view": 0})
+    assert status == 200
+    assert np.allclose(
+        seen(io.BytesIO(data)).mean((0, 1)), np.array([200, 30, 30]) / 255, atol=0.01
+    )
+    assert ask(page, {"call": "photograph", "view": 1})[0] == 400  # there is no such file
+    assert ask(page, {"call": "photograph", "view": 2})[0] == 400
+
+
+def test_an_encoding_is_listed_served_and_shown_as_b(page, folder):
+    assert get(page, "trial-1.egs")[0] == get(page, "?b=1")[0] == 404
+    assert ask(page, ENCODING)[0] == 200
+    [told] = until_idle(page)["trials"]
+    status, data = get(page, "trial-1.egs")
+    cloud = gs_codec.read(folder / "a.ply")
+    assert (status, data) == (200, gs_codec.encode(cloud, gs_codec.Config("m", coarseness=2.0)))
+    assert (told["name"], told["bytes"], told["readable"]) == ("#1 m x2", len(data), True)
+    assert told["views"] == 2
+    assert "dB, SSIM" in told["mean"]
+    status, text = get(page, "?b=1")
+    assert status == 200
+    assert b'"name": "#1 m x2", "encoded": false, "levels": false, "url": "trial-1.egs"' in text
+    assert b"b.egs" in get(page, "")[1]
+    assert b"b.egs" not in text
+    assert decibels(picture(page, scene=1, trial=1), picture(page)) > 20
+    assert ask(page, ASKED | {"trial": 2})[0] == 400
+
+
+def test_a_cancelled_encoding_leaves_nothing(page, monkeypatch):
+    begun = threading.Event()
+
+    def encode(self: object, settings: object, progress) -> None:
+        begun.set()
+        while True:
+            progress("code", 1, 2)
+            time.sleep(0.01)
+
+    monkeypatch.setattr("viewer.scenes.trial_list.Trials.encode", encode)
+    ask(page, ENCODING)
+    assert begun.wait(60)
+    told = json.loads(ask(page, {"call": "cancel"})[2])
+    assert told == {"doing": None, "error": "", "trials": []}
+
+
+def test_the_latest_picture_of_a_kind_is_drawn(page):
+    page.inspector.open()
+    found: dict[int, int] = {}
+
+    def wait(number: int) -> None:
+        found[number] = ask(page, ASKED | {"w": 40 + number})[0]
+
+    with page.inspector._drawing:  # as if another picture were drawn
+        threads = []
+        for number in range(3):
+            threads.append(threading.Thread(target=wait, args=[number]))
+            threads[-1].start()
+            while page.inspector._newest["picture 0"] <= number:
+                time.sleep(0.01)
+    for thread in threads:
+        thread.join(60)
+    assert found == {0: 409, 1: 409, 2: 200}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"call": "open"},
+        {"call": ["picture"]},
+        {"scene": 2},
+        {"w": 1e5},
+        {"h": 0},
+        {"layers": ["/etc/passwd"]},
+        {"layers": "splats"},
+        {"colouring": 1},
+        {"scale": "cubic"},
+        {"depth": 99},
+        {"degree": 4},
+        {"background": [0, 0]},
+        {"trial": -1},
+        {"camera": None},
+        {"camera": CAMERA | {"fx": "inf"}},
+        {"call": "encode", "profile": "m", "wish": "steps", "value": -1},
+        {"call": "encode", "profile": "x", "wish": "steps", "value": 1},
+    ],
+    ids=str,
+)
+def test_calls_that_are_not_possible_are_refused(page, changes):
+    status, _, text = ask(page, ASKED | changes)
+    assert status == 400
+    assert 0 < len(text.decode().splitlines()) == 1
+
+
+def test_calls_from_elsewhere_or_without_the_address_are_refused(page):
+    assert ask(page, ASKED, host="example.org")[0] == 404
+    assert ask(page, ASKED, path="../inspect")[0] == 404
+    assert ask(page, b"{")[0] == 400
+    assert ask(page, b"[" * 60_000)[0] == 400
+    assert ask(page, b" " * 70_000)[0] == 413
+    assert get(page, "inspect")[0] == 404
+
+
+@pytest.mark.thorough
+@in_browser
+def test_a_browser_picks_the_error_encodes_and_shows_the_result(page, tmp_path):
+    here = "#inspect fieldset ~ fieldset"
+    job = Job(page.url, [("drawn",)], panel=True)
+    job.steps += [("click", "#inspect > summary"), ("until", "document.querySelector('.layers')")]
+    layers = "document.getElementById('layers')"
+    job.shot(str(tmp_path / "own.png"))
+    job.steps += [("click", "#inspect input[value=error]"), ("until", f"!{layers}.hidden")]
+    job.shot(str(tmp_path / "error.png"))
+    slide = f"""(() => {{
+        const slider = document.querySelector('{here} input[type=range]');
+        slider.value = 190;
+        slider.dispatchEvent(new Event('input'));
+        return slider.nextSibling.value;
+    }})()"""
+    job.steps += [("value", slide), ("click", f"{here} button")]
+    job.steps += [("until", "document.querySelector('#inspect li')?.textContent.includes('worst')")]
+    job.steps += [("value", "document.querySelector('#inspect li').textContent")]
+    job.steps += [("click", "#inspect li button"), ("until", "location.search === '?b=1'")]
+    job.steps += [("drawn",), ("until", f"!{layers}?.hidden")]
+    job.shot(str(tmp_path / "encoded.png"))
+    job.steps += [("value", "document.querySelector('#scenes').textContent")]
+    [told] = open_pages(job)
+    assert told.errors == []
+    own, error, encoded = (seen(tmp_path / f"{n}.png") for n in ("own", "error", "encoded"))
+    left = np.s_[:, : own.shape[1] // 2 - 20]
+    assert decibels(own[left], error[left]) > 30  # A, drawn by the server
+    assert decibels(own, error) < 25
+    assert decibels(error, encoded) < 35  # the errors of another B
+    texts = [value for value in told.values if isinstance(value, str)]
+    assert texts[0] == "3.48"
+    assert texts[1].startswith("#1 m x3.48")
+    assert "B: #1 m x3.48" in texts[2]

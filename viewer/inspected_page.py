@@ -1,0 +1,34 @@
+"""Put the script of the inspection into a page, and a second scene."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from pathlib import Path
+from urllib.parse import quote
+
+_SCENES = b'<script type="application/json" id="scene-list">'
+_POLICY = b"script-src '"
+_END = b"</body>"
+
+
+def with_inspection(page: bytes, is_open: bool) -> bytes:
+    """The page with the script, which its policy then allows; `is_open` shows it at once."""
+    script = Path(__file__).with_name("web").joinpath("inspect.js").read_bytes()
+    allowed = base64.b64encode(hashlib.sha256(script).digest())
+    page = page.replace(_POLICY, b"%b'sha256-%b' '" % (_POLICY[:-1], allowed), 1)
+    before, end, after = page.rpartition(_END)
+    start = b'<script type="module" id="inspection"%b>' % (b' data-open="1"' if is_open else b"")
+    return before + start + script + b"</script>\n" + end + after
+
+
+def with_second(page: bytes, name: str, file: str) -> bytes:
+    """The page with an `.egs` file of its folder as its second scene."""
+    before, start, rest = page.partition(_SCENES)
+    listed, end, after = rest.partition(b"</script>")
+    shown = json.loads(listed)
+    entry = {"name": name, "encoded": False, "levels": False, "url": quote(file)}
+    shown["scenes"] = [shown["scenes"][0], entry]
+    text = json.dumps(shown, allow_nan=False).replace("<", "\\u003c")
+    return before + start + text.encode() + end + after

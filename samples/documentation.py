@@ -43,6 +43,9 @@ PAGES = {
         "Batches and clusters": "samples/docs/batches",
         "In Python": "samples/docs/in_python",
         "In a trainer": "samples/docs/in_a_trainer",
+        "From Open3D": "samples/docs/from_open3d",
+        "From gsplat": "samples/docs/from_gsplat",
+        "From nerfstudio": "samples/docs/from_nerfstudio",
         "In a browser": "samples/docs/in_a_browser",
     },
     "Reference": {

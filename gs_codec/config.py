@@ -343,9 +343,10 @@ class Config:
         ``rotation``, ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
     nonfinite : {"error", "drop"}
         Handling of Gaussians with NaN or infinity. Default ``error``; ``lossless`` then keeps them.
-    extra : {"error", "keep", "drop"}
+    extra : {"auto", "keep", "drop", "error"}
         Handling of properties beyond the INRIA layout and of normals that are not all zero.
-        ``keep`` stores them bit-exactly. Default ``error``.
+        ``keep`` stores them bit-exactly, ``drop`` warns, ``error`` refuses them. Default ``auto``:
+        kept with ``lossless`` and in files of floats, otherwise dropped.
     threads : int or None
         Worker threads, 1-256; None means one per available processor, or a single one for fewer
         than 4096 Gaussians. The number never changes the bytes.

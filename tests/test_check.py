@@ -181,6 +181,32 @@ def test_needlessly_fine_steps_are_made_coarser(first, share, power, found):
     assert loss.remedy is None
 
 
+@pytest.mark.parametrize(
+    ("power", "found"), [(0.55, 1.0), (1.2, 0.063)], ids=["hardly helps", "helps"]
+)
+def test_finer_steps_must_come_halfway_to_the_aim(power, found):
+    config = Config()
+
+    def attempt(chosen):
+        loss = psnr_loss(40 * wanted_error(config) * chosen.coarseness**power)
+        return chosen, RenderedLoss(40.0, loss, loss, windows=64, views="likely")
+
+    chosen, loss = checked.encode_within_loss(attempt, config, config, check=None)
+    assert chosen.coarseness == pytest.approx(found, rel=0.05)
+    assert (loss.remedy is None) == (found == 1)
+
+
+def test_views_of_few_pixels_are_measured_in_smaller_windows(still_life, cameras, monkeypatch):
+    sides = {}
+    for most in (5000, 600):
+        for module in ("gs_codec.guidance.windows", "gs_codec.encoding.loss"):
+            monkeypatch.setattr(f"{module}.MOST_SHOWN", most)
+        given = Check.by_plan(still_life, Plan(cameras=cameras)).given
+        assert max(map(len, given.shown)) <= most
+        sides[most] = {window.width for window in given.windows}
+    assert sides == {5000: {32}, 600: {16}}
+
+
 def test_useless_finer_steps_are_reported(still_life, monkeypatch, caplog):
     def clipped(scene, config, times, *_, **__):
         """Like a format that cannot represent such colours."""

@@ -16,6 +16,7 @@ from gs_codec.guidance.windows import (
     ENOUGH,
     MOST_LEFT,
     MOST_SHOWN,
+    SIDES,
     Part,
     choose_windows,
     draw_parts,
@@ -79,6 +80,17 @@ def _look(
     return _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
 
 
+def _look_from(scene: Scene, cameras: Sequence[Camera]) -> _Seen | None:
+    """Windows of given cameras; smaller ones if views of few pixels show too many Gaussians."""
+    for side in SIDES:
+        windows = windows_of(cameras, side)
+        # Empty windows count as having no loss. From likely positions, they are holes.
+        seen = _look(scene, windows, find_shown(scene, windows), most_left=1.0)
+        if seen is not None:
+            return seen
+    return None
+
+
 @dataclass(frozen=True)
 class Check:
     """Windows on a scene, from likely camera positions and from given cameras if there are any.
@@ -93,16 +105,9 @@ class Check:
     telling: bool = True
 
     @classmethod
-    def of(cls, scene: Scene, likely: Sequence[Camera], given: Sequence[Camera] = ()) -> Check:
+    def of(cls, scene: Scene, likely: Sequence[Camera]) -> Check:
         """Render a finite scene in these windows."""
-        plain = replace(scene, extra={})
-        # Empty windows of given cameras count as having no loss. From likely positions, they are
-        # holes.
-        return cls(
-            plain,
-            _look(plain, likely, find_shown(plain, likely)),
-            _look(plain, given, find_shown(plain, given), most_left=1.0),
-        )
+        return cls.by_shown(replace(scene, extra={}), likely, find_shown(scene, likely))
 
     @classmethod
     def by_shown(
@@ -120,8 +125,8 @@ class Check:
             return cls.of(scene, windows.checking)
         from gs_codec.preparation.view_selection import checking_cameras
 
-        given = windows_of(checking_cameras(scene, plan))
-        return replace(cls.of(scene, windows.checking, given), telling=windows.telling)
+        check, cameras = cls.of(scene, windows.checking), checking_cameras(scene, plan)
+        return replace(check, given=_look_from(check.scene, cameras), telling=windows.telling)
 
     @property
     def covered(self) -> float:

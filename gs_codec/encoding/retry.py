@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
@@ -41,7 +42,8 @@ _ALLOWED_IF_UNSURE = 1.25
 #: becomes 13 % smaller.
 _WASTED = 0.5
 
-#: Finer steps must reduce the error to less than this share; otherwise they are discarded.
+#: Finer steps must reduce the error to less than this share, and at least halfway to the target on
+#: a logarithmic scale; otherwise they are discarded.
 _HELPS = 0.8
 
 #: Given cameras belong to another scene, scale or coordinate system if the error in likely views,
@@ -136,7 +138,7 @@ def encode_within_loss(
         wasted = calibrated and encodings == 1 and error < _WASTED * aim
         if error <= allowed * aim and not wasted:
             break
-        most = allowed * aim if wasted else _HELPS * error
+        most = allowed * aim if wasted else min(_HELPS * error, math.sqrt(aim * error))
         again = finer(chosen, aim / error)
         if again == chosen:
             break

@@ -44,8 +44,9 @@ _CHECKING = 64
 #: Number of windows for measuring the result from given cameras.
 _CHECKING_GIVEN = 128
 
-#: Side of a window, in pixels.
+#: Side of a window, in pixels; smaller ones are used if these show too many Gaussians.
 _SIDE = 32
+SIDES = (_SIDE, 16, 8, 4)
 
 #: Approximate number of Gaussians in a window.
 _SHOWN = 500
@@ -131,8 +132,8 @@ def _look(
     return _crop(look_at(seen.places[place], target, seen), points, count, rng)
 
 
-def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
-    """Random windows of given cameras, with their pixel size.
+def windows_of(cameras: Sequence[Camera], most: int = _SIDE) -> list[Camera]:
+    """Random windows of given cameras, with their pixel size; their sides are at most `most`.
 
     Every pixel is equally likely to be in a window, including the edges, where views lose most.
     """
@@ -140,7 +141,7 @@ def windows_of(cameras: Sequence[Camera]) -> list[Camera]:
     windows = []
     for _ in range(_CHECKING_GIVEN):
         view = cameras[int(rng.integers(len(cameras)))]
-        side = min(_SIDE, view.width, view.height)
+        side = min(most, view.width, view.height)
         room = np.array([view.width - side, view.height - side])
         corner = np.clip(rng.uniform(-side / 2, room + side / 2), 0, room)
         windows.append(_cut(view, np.rint(corner), side, side))

@@ -57,8 +57,8 @@ class Option:
         Accepted words; a mapping gives the value of each.
     keys : tuple of str
         Accepted keys, if the field is a mapping.
-    unit : {"bytes"}, optional
-        Sizes are typed with units: ``5MB``.
+    unit : {"bytes", "bit/s"}, optional
+        Values are typed with units: ``5MB``, ``20Mbit/s``.
     expert : bool
         Whether it is an expert option, which the help of most commands lists at its end.
     percent : bool
@@ -76,7 +76,7 @@ class Option:
     alone: int | None = None
     values: Mapping[str, Any] | tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
-    unit: Literal["bytes"] | None = None
+    unit: Literal["bytes", "bit/s"] | None = None
     expert: bool = True
     percent: bool = False
 
@@ -222,7 +222,7 @@ PROFILES_SHOWN = ", ".join(
 
 @dataclass(frozen=True)
 class RateTarget:
-    """A rate target: a file size, compression ratio, bits per Gaussian or PSNR loss to meet.
+    """A rate target: a file size, ratio, bits per Gaussian or second, or PSNR loss to meet.
 
     Files never exceed a size target, and are at most 2 % smaller unless the finest step sizes
     already fit.
@@ -240,6 +240,8 @@ class RateTarget:
         Maximum PSNR loss in dB, averaged over the views.
     allow_prune : bool
         Whether Gaussians may be pruned, which leaves more bits for the others. Default False.
+    bit_rate : int, optional
+        Maximum bits per second, for a sequence.
 
     Raises
     ------
@@ -249,7 +251,7 @@ class RateTarget:
     Examples
     --------
     >>> gs_codec.RateTarget(ratio=20)
-    RateTarget(size=None, ratio=20, bits=None, psnr_drop=None, allow_prune=False)
+    RateTarget(size=None, ratio=20, bits=None, psnr_drop=None, allow_prune=False, bit_rate=None)
     >>> gs_codec.RateTarget()
     Traceback (most recent call last):
         ...
@@ -277,6 +279,11 @@ class RateTarget:
     allow_prune: bool = option(
         False, "Allow a target to prune Gaussians that hardly affect views.", kind=bool
     )
+    bit_rate: int | None = option(
+        None,
+        "Maximum bits per second of a sequence (20Mbit/s, 800kbit/s).",
+        kind=int, name="target_bitrate", metavar="RATE", unit="bit/s",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -289,15 +296,21 @@ class RateTarget:
             if not 0 < value < math.inf:
                 raise InvalidInput(f"target {name} {value}: expected a number above 0")
 
-    def limit(self, count: int, ply_bytes: int) -> int | None:
-        """Maximum file size in bytes for a scene; None if the target is a PSNR loss."""
+    def limit(self, count: int, ply_bytes: int, seconds: float | None = None) -> int | None:
+        """Maximum file size in bytes of a scene, or of a sequence that takes some seconds.
+
+        None if the target is a PSNR loss. Raises InvalidInput if it is a bit rate, and `seconds` is
+        None.
+        """
         if self.size is not None:
             return int(self.size)
         if self.ratio is not None:
             return int(ply_bytes / self.ratio)
         if self.bits is not None:
             return int(self.bits * count / 8)
-        return None
+        if self.bit_rate is not None and seconds is None:
+            raise InvalidInput("target bit_rate: one scene, expected a sequence")
+        return None if self.bit_rate is None else int(self.bit_rate * (seconds or 0) / 8)
 
 
 def as_rate_target(target: RateTarget | Mapping[str, float] | None) -> RateTarget | None:

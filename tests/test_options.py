@@ -196,7 +196,7 @@ def test_encode_shows_at_most_18_options_and_batch_the_same():
     assert len(_options("encode", hidden=False)) <= 18
     assert _options("encode", hidden=False) <= _options("batch", hidden=False)
     # These are for a single scene or sequence, for stdin, or are shared by workers.
-    alone = {"--checkpoint", "--dask", "--input-format", "--fps", "--group"}
+    alone = {"--checkpoint", "--dask", "--input-format", "--fps", "--group", "--target-bitrate"}
     assert _options("encode", hidden=True) - alone == _options("batch", hidden=True)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,19 +11,26 @@ from command_line import Folder
 from moving_scenes import Given, coded, moving
 from scenes import SmallBlocks, assert_same_floats, random_scene
 
+from gs_codec.cameras.inria import as_camera
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.adaptive.moving_block import MovingBlock
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder, turns_between
+from gs_codec.codecs.encode import encode_parts
 from gs_codec.coding.axes import reordered, rotation_matrix, sort_axes
 from gs_codec.config import RateTarget
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.plan import Plan
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
+from gs_codec.sequences import frame_encoding, frame_targets
 from gs_codec.sequences.frame_decoding import opened_sequence
-from gs_codec.sequences.frame_encoding import encode_frames, encode_requested
+from gs_codec.sequences.frame_encoding import encode_frames
+from gs_codec.sequences.frame_sources import open_frames
+from gs_codec.sequences.frame_targets import encode_requested
+from samples.generate import orbit_cameras
 
 SMALL = SmallBlocks("m", block_size=600, threads=1)
 
@@ -137,16 +145,55 @@ def test_bytes_do_not_depend_on_threads(tmp_path):
     assert (tmp_path / "1.egs").read_bytes() == (tmp_path / "3.egs").read_bytes()
 
 
-def test_a_size_is_met(tmp_path):
+@pytest.mark.parametrize("wish", ["size", "bit_rate", "ratio"])
+def test_a_size_is_met(tmp_path, wish):
     scenes = moving(frames=3)
-    large = coded(tmp_path / "a.egs", scenes).file_bytes
-    limit = int(0.7 * large)
-    request = Request(SMALL, rate=RateTarget(limit))
+    large = coded(tmp_path / "a.egs", scenes)
+    limit = int(0.7 * large.file_bytes)
+    target = {
+        "size": RateTarget(limit),
+        "bit_rate": RateTarget(bit_rate=8 * limit * 25 // 3),
+        "ratio": RateTarget(ratio=large.float_bytes / limit),
+    }[wish]
+    request = Request(SMALL, rate=target)
     report = encode_requested(Given(scenes), tmp_path / "b.egs", request)
-    assert 0.9 * limit < report.file_bytes <= limit
+    assert 0.97 * limit < report.file_bytes <= limit
     assert (tmp_path / "b.egs").stat().st_size == report.file_bytes
+    assert report.encodings > 1
     assert len(decoded(tmp_path / "b.egs")) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.egs", "b.egs"]
+
+
+def test_one_scene_has_no_bit_rate():
+    with pytest.raises(InvalidInput, match="target bit_rate: one scene, expected a sequence"):
+        RateTarget(bit_rate=9).limit(20, 1)
+
+
+def test_a_loss_is_met_on_average(tmp_path, monkeypatch):
+    scenes = moving(300, frames=3)
+    monkeypatch.setattr(frame_targets, "_MEASURED", 2)
+    # Step sizes without cameras; the views of all frames are those of the first.
+    monkeypatch.setattr(
+        frame_encoding, "encode_prepared", lambda scene, request: encode_parts(scene, SMALL)
+    )
+    views = [replace(as_camera(camera), split="test") for camera in orbit_cameras(2, 48, 32)]
+    found = {}
+
+    def losing(report, path, measured):
+        assert [each.name for each in measured] == ["frame_0", "frame_2"]
+        assert [len(each.views.cameras) for each in measured] == [2, 2]
+        drops = with_loss(report, path, measured)
+        found[report.coarseness] = drops.psnr_drop
+        loss = 0.1 * report.coarseness**1.7  # the encoder above ignores it
+        return replace(drops, psnr_drop=loss)
+
+    with_loss = frame_targets._with_loss
+    monkeypatch.setattr(frame_targets, "_with_loss", losing)
+    request = Request(SMALL, Plan(cameras=views), RateTarget(psnr_drop=0.3))
+    report = encode_requested(Given(scenes), tmp_path / "a.egs", request)
+    assert 0.28 <= report.psnr_drop <= 0.3
+    assert report.worst_frame in ("frame_0", "frame_2")
+    assert 0 < min(found.values()) == max(found.values()) <= report.worst_drop
 
 
 def test_an_interrupted_run_goes_on(tmp_path):
@@ -243,8 +290,10 @@ def test_commands(folder, caplog):
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("encode frames a.egs --max-psnr-drop 1", "--max-psnr-drop has no effect on a sequence"),
-        ("encode frames a.egs --target-ratio 1000", "bytes at the coarsest step sizes"),
+        ("encode frames a.egs --target-bpg 9", "--target-bpg has no effect on a sequence"),
+        ("encode frames a.egs --target-ratio 1000", "target: unreachable, expected at least "),
+        ("encode frames a.egs --target-bitrate 9Mbit", "expected a bit rate, for example 20Mbit/s"),
+        ("encode frames/f9.ply a.egs --target-bitrate 9M", "--target-bitrate has no effect on"),
         ("encode frames a.egs --prune 10", "--prune has no effect on a sequence"),
         ("encode frames a.spz", "a.spz: frames are encoded to an .egs"),
         ("encode frames a.egs -p lossless", "a.egs: frames are encoded to an .egs by profile"),
@@ -257,6 +306,26 @@ def test_commands(folder, caplog):
 def test_refused(folder, typed, said):
     line = folder.refuse(*typed.replace("'", "").split())
     assert said in line
+
+
+def test_sequences_are_encoded_again(folder):
+    folder.run("encode", "frames", "a.egs", "--fps", "24", "--group", "3")
+    result = folder.run("encode", "a.egs", "b.egs", "--coarseness", "3", "--json")
+    shown = json.loads(result.out)
+    assert (shown["frames"], shown["fps"]) == (4, 24)
+    assert shown["input_bytes"] == (folder.path / "a.egs").stat().st_size
+    assert shown["output_bytes"] < 0.8 * shown["input_bytes"]
+    assert shown["ratio"] == shown["float_bytes"] / shown["output_bytes"]
+    [first, second] = ([s.positions for s in decoded(folder.path / f"{n}.egs")] for n in "ab")
+    for one, other in zip(first, second, strict=True):
+        assert 0 < np.abs(one.mean(axis=1) - other.mean(axis=1)).max() < 0.01
+    frames = open_frames(folder.path / "a.egs")
+    for number in (2, 3, 0):
+        assert np.array_equal(frames.read(number).positions, first[number])
+    said = folder.refuse("encode", "a.egs", "a.egs", "--overwrite")
+    assert "input and output are the same file" in said
+    said = folder.refuse("convert", "a.egs", "c")
+    assert "a.egs is a sequence: `decode` writes its frames to a folder" in said
 
 
 def test_compare_frames(folder):

@@ -46,7 +46,7 @@ from gs_codec.runtime.wording import counted
     "dask",
     "json",
     expert=EXPERT,
-    without=["checkpoint"],
+    without=["checkpoint", "target_bitrate"],
     actions=ACTIONS,
     actions_hidden=True,
 )

@@ -63,10 +63,9 @@ def command(
 
     Of a sequence, each may be an .egs, a folder, a pattern or a zip; views of frames are compared.
     """
-    from gs_codec.egs.frame_sections import is_sequence
     from gs_codec.sequences.frame_sources import has_frames
 
-    if any(is_sequence(each) or has_frames(each) for each in (first, second)):
+    if has_frames(first) or has_frames(second):
         from gs_codec.cli import sequence_commands
 
         drawn = {name: typed[name] for name in _OF_VIEWS}

@@ -81,6 +81,11 @@ def command(
 ) -> None:
     """Convert, merge and edit scenes in any format, and report every loss."""
     suffix = f".{typed['format']}" if is_stdout(target) else known_suffix(target)
+    if not suffix:
+        from gs_codec.egs.frame_sections import is_sequence
+
+        if moving := next(filter(is_sequence, sources), None):
+            raise InvalidInput(f"{moving} is a sequence: `decode` writes its frames to a folder")
     if suffix in PLAIN:
         refuse_coding(typed, suffix[1:], target)
     config, plan = config_of(typed, target), action_plan(typed)

@@ -67,7 +67,8 @@ def command(
 
             sequence_commands.encode(source, target, typed)
             return
-    typed.refuse(["fps", "group"], f"has no effect on {source}, expected frames of a sequence")
+    why = f"has no effect on {source}, expected frames of a sequence"
+    typed.refuse(["fps", "group", "target_bitrate"], why)
     request = request_of(typed, target, typed["dask"])
     config = request.config
     if request.dask is not None:

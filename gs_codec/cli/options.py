@@ -19,6 +19,11 @@ from gs_codec.presets import PRESETS
 from gs_codec.runtime.wording import listed
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
+_BIT_RATE = re.compile(r"(\d+(?:\.\d+)?) ?([kmg]?)(?:bit/s|bps|b/s)?")
+_WITH_UNITS = {
+    "bytes": (_SIZE, "a size, for example 5MB or 800kB"),
+    "bit/s": (_BIT_RATE, "a bit rate, for example 20Mbit/s or 800kbit/s"),
+}
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 
 #: Suffixes that scenes are encoded to, and all output suffixes.
@@ -145,9 +150,9 @@ def _read(described: Option, text: str, typed: str) -> Any:
     words = described.values
     pattern, expected = _NUMBERS.get(described.kind, ("(?s).+", "a value"))
     if described.unit:
-        if size := _SIZE.fullmatch(text.strip().lower()):
-            return int(float(size[1]) * _UNITS[size[2]])
-        expected = "a size, for example 5MB or 800kB"
+        form, expected = _WITH_UNITS[described.unit]
+        if found := form.fullmatch(text.strip().lower()):
+            return int(float(found[1]) * _UNITS[found[2]])
     elif isinstance(words, Mapping):
         if text in words:
             return words[text]

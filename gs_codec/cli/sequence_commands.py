@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.cli.documents import print_document
-from gs_codec.cli.output import bars, print_table, print_text, progress_bar
+from gs_codec.cli.output import bars, print_table, print_text, progress_bar, smaller
 from gs_codec.cli.typed import Typed
 from gs_codec.config import EGS
 from gs_codec.errors import InvalidInput
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 #: Options of `encode` without effect on a sequence.
 _WHOLE_SCENES = (
-    "preset", "gt_images", "refine", "prune", "gaussians", "target_bpg", "max_psnr_drop",
+    "preset", "gt_images", "refine", "prune", "gaussians", "target_bpg",
     "max_memory", "extra", "input_format", "lod", "allow_prune",
 )  # fmt: skip
 
@@ -37,7 +37,8 @@ _COLUMNS = 60
 def encode(source: Path, target: Path, typed: Typed) -> None:
     """Encode the frames of a folder, a pattern, a zip or an animation."""
     from gs_codec.cli.typed_request import request_of
-    from gs_codec.sequences.frame_encoding import GROUP, encode_requested
+    from gs_codec.sequences.frame_encoding import GROUP
+    from gs_codec.sequences.frame_targets import encode_requested
 
     typed.refuse(_WHOLE_SCENES, "has no effect on a sequence of frames")
     if typed.actions:
@@ -61,16 +62,23 @@ def encode(source: Path, target: Path, typed: Typed) -> None:
 
 
 def _tell_encoded(target: Path, done: SequenceReport) -> None:
-    ratio = done.input_bytes / done.file_bytes
     print_text(
         f"{target}: {counted(done.frames, 'frame')} at {done.fps:g} a second, "
-        f"{counted(done.count, 'Gaussian')}, {size_text(done.input_bytes)} -> "
-        f"{size_text(done.file_bytes)} ({ratio:.1f}x), {done.bits_per_second / 1e6:.2f} Mbit/s, "
-        f"{sum(done.seconds.values()):.2f} s"
+        f"{counted(done.count, 'Gaussian')}, "
+        f"{smaller(done.input_bytes, done.file_bytes, done.ratio)}, "
+        f"{done.bits_per_second / 1e6:.2f} Mbit/s, {sum(done.seconds.values()):.2f} s"
     )
     print_text(_keys_text(done.key_frames, done.frames, done.key_bytes / done.file_bytes))
     if done.coarseness != 1:
-        print_text(f"step sizes {done.coarseness:.2f}x those of the profile (chosen automatically)")
+        chosen = f"after {counted(done.encodings, 'encoding')}"
+        if done.encodings == 1:
+            chosen = "(chosen automatically)"
+        print_text(f"step sizes {done.coarseness:.2f}x those of the profile {chosen}")
+    if done.psnr_drop is not None:
+        print_text(
+            f"held-out views lose {done.psnr_drop:.3f} dB on average over measured frames; most in "
+            f"{done.worst_frame}: {done.worst_drop:.3f} dB"
+        )
 
 
 def _keys_text(keys: int, frames: int, share: float) -> str:

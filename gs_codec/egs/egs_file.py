@@ -281,7 +281,7 @@ def section_sizes(sized: Sequence[tuple[int, int]]) -> dict[str, int]:
 
     ``header`` includes the section table.
     """
-    sizes = Counter({"header": _header_size(len(sized))})
+    sizes = Counter({"header": head_size(len(sized))})
     for section_id, size in sized:
         sizes[SectionId(section_id).label] += _padded(size)
     return dict(sizes)
@@ -311,7 +311,8 @@ def _padded(size: int) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
 
-def _header_size(sections: int) -> int:
+def head_size(sections: int) -> int:
+    """Size of `file_head` with this many sections."""
     fixed = struct.calcsize(_START) + struct.calcsize("<" + FIELDS) + 4
     return fixed + sections * struct.calcsize(_ENTRY) + _CHECKSUM
 
@@ -349,7 +350,7 @@ def file_head(header: Header, table: Sequence[Listed]) -> bytes:
     """The start of a file, up to its first section; the table is in the order of the sections."""
     has_levels = any(entry.id == SectionId.LEVEL for entry in table)
     minor = MINOR_LEVELS if has_levels and header.version == 1 else MINOR
-    head = bytearray(struct.pack(_START, MAGIC, header.version, minor, _header_size(len(table))))
+    head = bytearray(struct.pack(_START, MAGIC, header.version, minor, head_size(len(table))))
     head += pack_header(header) + struct.pack("<I", len(table))
     for entry in table:
         head += struct.pack(_ENTRY, entry.id, entry.flags, *entry[1:4])
@@ -378,14 +379,14 @@ def read_file(data: bytes | Readable, wanted: Wanted | None = None) -> EgsFile:
     if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:
         found = looks_like(bytes(view[:LOOKED_AT]))
         raise CorruptStream(found or "not an .egs file (it does not begin with the EGS signature)")
-    start = view[: _header_size(0) - _CHECKSUM]
+    start = view[: head_size(0) - _CHECKSUM]
     reader = ByteReader(start, "header")
     _, version, _, header_size = reader.unpack(_START[1:])
     fields = reader.unpack(FIELDS)
     entries = reader.unpack("I")[0]
     if version > VERSION or version == 0:
         raise UnsupportedVersion(f"version {version} of the format, this reader knows 1 and 2")
-    if header_size != (expected := _header_size(entries)):
+    if header_size != (expected := head_size(entries)):
         raise CorruptStream(f"header: size {header_size}, expected {expected}")
     needed, left = expected - reader.position, len(view) - reader.position
     if left < needed:

@@ -158,7 +158,7 @@ _OF_ALL = ("extra", "nonfinite", "threads", "format")
 _OF_STEPS = ("profile", "coarseness")
 
 #: Options for the size or quality of a file.
-_TARGETS = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
+_TARGETS = ("target_size", "target_ratio", "target_bpg", "target_bitrate", "max_psnr_drop")
 
 _OF_VIEWS = ("views", "width", "background")
 

@@ -17,7 +17,8 @@ from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene
 from gs_codec.sequences.frame_decoding import opened_sequence
-from gs_codec.sequences.frame_encoding import GROUP, SequenceReport, encode_requested
+from gs_codec.sequences.frame_encoding import GROUP, SequenceReport
+from gs_codec.sequences.frame_targets import encode_requested
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -35,6 +36,10 @@ class _Clouds:
     def names(self) -> list[str]:
         """Numbers of the frames."""
         return [f"{number:04d}" for number in range(len(self.clouds))]
+
+    def ratio_bytes(self, float_bytes: int) -> int:
+        """Reference size for ratios: of the floats."""
+        return float_bytes
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -66,8 +71,8 @@ def encode_sequence(
     Parameters
     ----------
     source : str, Path or sequence of open3d.t.geometry.PointCloud
-        A folder, a pattern such as ``frames/*.ply``, a zip of frames, or an animation; or clouds as
-        in `encode`, of which only one is accessed at a time.
+        A folder, a pattern such as ``frames/*.ply``, a zip of frames, an animation, or an `.egs`
+        that is a sequence; or clouds as in `encode`, of which only one is accessed at a time.
     target : str or Path
         The `.egs` to write.
     config : Config or str, optional
@@ -75,7 +80,8 @@ def encode_sequence(
     plan : Plan, optional
         Cameras that guide step sizes; without other steps.
     rate : RateTarget or mapping, optional
-        A size or ratio to meet; the sequence is then encoded up to six times.
+        A size, ratio, bit rate or PSNR loss to meet; the sequence is then encoded several times. A
+        loss is the mean over the views of up to five frames.
     group : int
         Maximum number of frames that a key frame begins; default 30. To show a frame, a reader
         decodes its group.

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import os
 import secrets
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -18,7 +15,7 @@ import numpy as np
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.codecs.moving import FrameEncoder
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.config import Config
 from gs_codec.distributed.folder import Folder, identity_of, work_folder
 from gs_codec.egs.egs_file import (
     EgsFile,
@@ -27,37 +24,29 @@ from gs_codec.egs.egs_file import (
     SectionId,
     file_head,
     file_parts,
+    head_size,
     padded_parts,
     read_file,
 )
 from gs_codec.egs.frame_sections import sequence_header, timeline_section
+from gs_codec.egs.header import Header
 from gs_codec.egs.sections import read_extra
 from gs_codec.encoding.order import encode_prepared
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import check_target
 from gs_codec.report import Progress, StageTimes, step_counter
 from gs_codec.runtime.atomic import atomic_writer
-from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
-from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
-from gs_codec.sequences.frame_sources import open_frames
 
 #: Frames of a group, by default; a reader decodes at most one group to show a frame.
 GROUP = 30
 
-#: Maximum number of times that a sequence is encoded to meet a size.
-_TRIALS = 6
-
-#: Share of a target size that is aimed for, and the least that ends the search.
-_AIMED, _LEAST_FILLED = 0.99, 0.97
-
-#: Typical exponent of the size as a function of the step sizes.
-_SLOPE = -0.6
-
 #: Frames per second of sources that do not state them.
 FPS = 30.0
+
+#: Sections of frames by what is coded.
+_KINDS = {"key": SectionId.KEY_FRAME, "motion": SectionId.MOTION}
 
 #: Name of the property that remembers the order of a key frame's Gaussians while it is encoded.
 _ORDER = "order"
@@ -80,6 +69,9 @@ class Source(Protocol):
     @property
     def stored_bytes(self) -> int:
         """Size of all frames as they are stored."""
+
+    def ratio_bytes(self, float_bytes: int) -> int:
+        """Reference size for ratios, given the size of the floats of all frames."""
 
     def __len__(self) -> int: ...
 
@@ -105,10 +97,19 @@ class SequenceReport:
         Size of the file, of its key frames, and of the source.
     float_bytes : int
         Size of the floats of all frames.
+    ratio : float
+        Compression ratio relative to PLY frames, or to the floats of others.
     coarseness : float
         Factor on the step sizes of the profile.
     seconds : dict of str to float
         Wall time of each stage.
+    encodings : int
+        Number of times the sequence was encoded to meet a target.
+    psnr_drop : float or None
+        PSNR loss in dB if that is the target: mean over the views of the first, the last, and up to
+        three other frames.
+    worst_frame, worst_drop
+        Name of the frame that loses most of these, and its loss in dB.
 
     Examples
     --------
@@ -127,8 +128,13 @@ class SequenceReport:
     key_bytes: int
     input_bytes: int
     float_bytes: int
+    ratio: float
     coarseness: float
     seconds: dict[str, float]
+    encodings: int = 1
+    psnr_drop: float | None = None
+    worst_frame: str | None = None
+    worst_drop: float | None = None
 
     @property
     def bits_per_second(self) -> float:
@@ -143,6 +149,8 @@ def encode_frames(
     group: int = GROUP,
     progress: Progress | None = None,
     paths: Sequence[Path] = (),
+    *,
+    calibrates: bool = True,
 ) -> SequenceReport:
     """Encode a sequence; if it is interrupted, the next run with the same request goes on.
 
@@ -154,51 +162,49 @@ def encode_frames(
     target : path
         The `.egs` to write.
     request : Request
-        Of profile ``l``, ``m`` or ``s``, with cameras or without, but without other steps.
+        Of profile ``l``, ``m`` or ``s``, with cameras or without, but without other steps and
+        without a target.
     group : int
         Maximum number of frames that a key frame begins.
     progress : callable, optional
     paths : sequence of path
         Files of the source, by which an interrupted run is recognised; without them, none is.
+    calibrates : bool
+        Whether step sizes are chosen for the scene, if no cameras guide them.
     """
-    times = StageTimes()
+    times, config = StageTimes(), request.config
     settings = {"group": group, "names": list(source.names), "request": repr(request)}
     if not paths:
         # Nothing tells whether frames in memory are those of an earlier run.
         settings["run"] = secrets.token_hex(8)
     with (
-        using_threads(request.config.threads),
+        using_threads(config.threads),
         work_folder(Path(target), identity_of(paths, **settings)) as folder,
     ):
-        if not folder.has("steps"):
-            with times.stage("calibrate"):
-                config = _calibrated(source, request, progress)
-            folder.save("steps", {"coarseness": np.float64(config.coarseness)})
-        coarseness = float(folder.load("steps")["coarseness"])
-        config = replace(request.config, coarseness=coarseness)
-        done = replace(request, config=config)
+        if calibrates and request.plan is None:
+            if not folder.has("steps"):
+                with times.stage("calibrate"):
+                    coarseness = np.float64(_calibrated(source, config, progress))
+                folder.save("steps", {"coarseness": coarseness})
+            config = replace(config, coarseness=float(folder.load("steps")["coarseness"]))
         with times.stage("encode"):
-            _Groups(source, done, group, folder).encode(progress)
+            _Groups(source, replace(request, config=config), group, folder).encode(progress)
         with times.stage("write"):
-            return _assemble(source, Path(target), folder, coarseness, times)
+            return _assemble(source, Path(target), folder, config.coarseness, times)
 
 
-def _calibrated(source: Source, request: Request, progress: Progress | None) -> Config:
-    """The configuration with the finest step sizes that the first, middle and last frame need.
+def _calibrated(source: Source, config: Config, progress: Progress | None) -> float:
+    """The coarseness for the frame, of the first, middle and last one, that needs finest steps.
 
     All frames have the same, so that what does not move does not flicker.
     """
-    config = request.config
-    if request.plan is not None or not config.has_steps:
-        return config
     from gs_codec.guidance.calibrate import calibrated
 
     last = len(source) - 1
-    found = [
+    return min(
         calibrated(clean_scene(source.read(number), config)[0], config, progress).coarseness
         for number in sorted({0, last // 2, last})
-    ]
-    return replace(config, coarseness=min(found))
+    )
 
 
 class _Groups:
@@ -208,6 +214,7 @@ class _Groups:
         self._source, self._request, self._group = source, request, group
         self._folder = folder
         self._encoder: FrameEncoder | None = None
+        self._headers: list[Header] = []
         self._key = self._key_bytes = 0
         #: Frames that stay key frames because changes of one before were larger.
         self._wait = self._misses = 0
@@ -262,6 +269,8 @@ class _Groups:
         if file.header.count:
             extra = file.section(SectionId.EXTRA)
             found = read_extra(extra, file.header.count)[_ORDER]
+        self._headers = [*self._headers[:1], file.header]
+        sequence_header(self._headers)
         key = _without_extra(file)
         self._encoder = FrameEncoder(read_file(key), found, scene)
         self._key, self._key_bytes = number, len(key)
@@ -290,31 +299,38 @@ def _read_ahead(source: Source, first: int) -> Iterator[tuple[int, Scene]]:
             yield number, scene
 
 
-def _assemble(
-    source: Source, target: Path, folder: Folder, coarseness: float, times: StageTimes
-) -> SequenceReport:
-    """Write the file of all frames in a folder."""
-    count = len(source)
+def rate_of(source: Source) -> Fraction:
+    """Frames per second."""
     fps = FPS if source.fps is None else source.fps
     rate = Fraction(fps).limit_denominator(_RATE_LIMIT)
     if not 0 < rate < _RATE_LIMIT * _RATE_LIMIT:
         raise InvalidInput(f"{fps:g} frames per second, expected 0.001 to a million")
+    return rate
+
+
+def _assemble(
+    source: Source, target: Path, folder: Folder, coarseness: float, times: StageTimes
+) -> SequenceReport:
+    """Write the file of all frames in a folder."""
+    count, rate = len(source), rate_of(source)
     timeline = timeline_section((rate.numerator, rate.denominator), source.names, count)
-    listed, keys, key_bytes, floats = [Listed.of(timeline)], [], 0, 0
-    for number in range(count):
-        section = _section(folder, number)
-        listed.append(Listed.of(section))
-        floats += int(folder.load(f"{number:08d}", "float_bytes")["float_bytes"])
-        if section.id == SectionId.KEY_FRAME:
-            keys.append(read_file(section.data, lambda *_: False).header)
-            key_bytes += len(section.data)
-    header = sequence_header(keys)
+    listed, keys, key_bytes, floats = [Listed.of(timeline)], list[Header](), 0, 0
     with atomic_writer(target) as file:
-        file.write(file_head(header, listed))
+        file.seek(head_size(1 + count))
         file.writelines(padded_parts(timeline))
         for number in range(count):
-            file.writelines(padded_parts(_section(folder, number)))
-        size = file.tell()
+            found = folder.load(f"{number:08d}")
+            floats += int(found.pop("float_bytes"))
+            [(kind, data)] = found.items()
+            section = Section(_KINDS[kind], number, data.tobytes())
+            if kind == "key":
+                keys.append(read_file(section.data, lambda *_: False).header)
+                key_bytes += len(section.data)
+            listed.append(Listed.of(section))
+            file.writelines(padded_parts(section))
+        header, size = sequence_header(keys), file.tell()
+        file.seek(0)
+        file.write(file_head(header, listed))
     return SequenceReport(
         frames=count,
         key_frames=len(keys),
@@ -325,93 +341,7 @@ def _assemble(
         key_bytes=key_bytes,
         input_bytes=source.stored_bytes,
         float_bytes=floats,
+        ratio=source.ratio_bytes(floats) / size,
         coarseness=coarseness,
         seconds=times.seconds,
     )
-
-
-def _section(folder: Folder, number: int) -> Section:
-    """The section of a frame in a folder."""
-    found = folder.load(f"{number:08d}")
-    kind = SectionId.KEY_FRAME if "key" in found else SectionId.MOTION
-    return Section(kind, number, found["key" if "key" in found else "motion"].tobytes())
-
-
-def encode_requested(
-    source: str | Path | Source,
-    target: str | Path,
-    request: Request,
-    group: int = GROUP,
-    fps: float | None = None,
-    progress: Progress | None = None,
-    overwrite: bool = False,
-) -> SequenceReport:
-    """Encode frames as requested; see `encode_sequence` for the arguments."""
-    if group < 1:
-        raise InvalidInput(f"group: {group}, expected at least 1")
-    config = request.config
-    if config.format != EGS or config.profile not in ADAPTIVE_PROFILES or config.lod:
-        raise InvalidInput(
-            f"{target}: frames are encoded to an .egs by profile {', '.join(ADAPTIVE_PROFILES)}, "
-            "without levels of detail"
-        )
-    check_target([], target, (".egs",), overwrite)
-    encode = encode_frames if request.rate is None else _encode_to_size
-    if not isinstance(source, str | Path):
-        return encode(source, target, request, group, progress)
-    frames = open_frames(source, fps, "drop", request.max_bytes)
-    with located(source):
-        return encode(frames, target, request, group, progress, frames.paths)
-
-
-def _encode_to_size(
-    source: Source,
-    target: str | Path,
-    request: Request,
-    group: int,
-    progress: Progress | None = None,
-    paths: Sequence[Path] = (),
-) -> SequenceReport:
-    """Encode a sequence at the finest step sizes that meet a size, by trials.
-
-    Raises InvalidInput if the target is not a size or a ratio, or is out of reach.
-    """
-    assert request.rate is not None
-    if request.rate.size is None and request.rate.ratio is None:
-        raise InvalidInput("target: expected a size or a ratio for a sequence")
-    limit = request.rate.limit(0, source.stored_bytes)
-    assert limit is not None
-    factor, tried, times = 1.0, dict[float, SequenceReport](), dict[str, float]()
-    with tempfile.TemporaryDirectory(dir=Path(target).parent, prefix=".") as folder:
-        for number in range(_TRIALS):
-            coarseness = min(max(request.config.coarseness * factor, 1 / 64), 64.0)
-            config = replace(request.config, coarseness=coarseness)
-            own = replace(request, config=config, rate=None)
-            report = encode_frames(source, Path(folder, f"{number}.egs"), own, group, progress)
-            times = {name: times.get(name, 0) + took for name, took in report.seconds.items()}
-            tried[factor] = report
-            if _LEAST_FILLED * limit <= report.file_bytes <= limit:
-                break
-            factor = _next_factor({f: each.file_bytes for f, each in tried.items()}, limit)
-        fitting = [n for n, each in enumerate(tried.values()) if each.file_bytes <= limit]
-        reports = list(tried.values())
-        if not fitting:
-            least = min(each.file_bytes for each in reports)
-            raise InvalidInput(
-                f"target: {counted(least, 'byte')} at the coarsest step sizes that were tried"
-            )
-        best = max(fitting, key=lambda n: reports[n].file_bytes)
-        os.replace(Path(folder, f"{best}.egs"), target)
-    return replace(reports[best], seconds=times)
-
-
-def _next_factor(sizes: Mapping[float, int], limit: int) -> float:
-    """The factor on step sizes to try next, from the sizes with other factors."""
-    points = sorted((abs(math.log(size / limit)), f, size) for f, size in sizes.items())
-    slope = _SLOPE
-    if len(points) > 1:
-        (_, f, size), (_, other, other_size) = points[:2]
-        slope = min(math.log(size / other_size) / math.log(f / other), _SLOPE / 4)
-    _, f, size = points[0]
-    step = math.log(_AIMED * limit / size) / slope
-    return f * math.exp(min(max(step, -2.0), 2.0))

@@ -1,4 +1,4 @@
-"""Frames read from disk, one at a time: files, a zip of files, or an animation in one file."""
+"""Frames read from disk, one at a time: files, a zip of files, an animation, or a sequence."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
+from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.format_table import EGS, FORMATS, PLY, USD
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
@@ -27,6 +28,7 @@ from gs_codec.formats.usd.scene import frame_times, read_usd
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import Scene
+from gs_codec.sequences.frame_decoding import opened_sequence
 
 log = logging.getLogger(__name__)
 
@@ -59,6 +61,8 @@ class Frames:
         ``(number) -> Scene``, as it is stored; see `read`.
     paths : sequence of Path
         The files that hold them.
+    is_compressed : bool
+        Whether they are in a compressed format.
     """
 
     names: list[str]
@@ -66,6 +70,7 @@ class Frames:
     fps: float | None
     open_frame: Callable[[int], Scene]
     paths: Sequence[Path] = ()
+    is_compressed: bool = False
 
     def __len__(self) -> int:
         return len(self.names)
@@ -77,6 +82,10 @@ class Frames:
         """
         scene = self.open_frame(number)
         return scene if system_of(scene) == CONVENTION else turn_axes(scene)
+
+    def ratio_bytes(self, float_bytes: int) -> int:
+        """Reference size for ratios: of the files, or of the floats if they are compressed."""
+        return float_bytes if self.is_compressed else self.stored_bytes
 
     def __iter__(self) -> Iterator[Scene]:
         return map(self.read, range(len(self)))
@@ -91,7 +100,7 @@ def has_frames(source: str | Path) -> bool:
         if path.suffix.lower() == ZIP_SUFFIX:
             with opened_zip(path) as archive:
                 return sum(map(_is_frame, archive.names)) > 1
-        return len(_of_animation(path, "drop", None)) > 1
+        return is_sequence(path) or len(_of_animation(path, "drop", None)) > 1
     except GsCodecError:
         return False
 
@@ -108,8 +117,8 @@ def open_frames(
     ----------
     source : str or Path
         A folder; a pattern such as ``frames/*.ply``; a `.zip`; an animation in one file: of Brush
-        (`.ply`), or time samples of USD. Files are frames of one format, in natural order:
-        ``frame2`` before ``frame10``.
+        (`.ply`), or time samples of USD; an `.egs` that is a sequence. Files are frames of one
+        format, in natural order: ``frame2`` before ``frame10``.
     fps : float, optional
         Frames per second, above 0; by default, as stated in the source, if it is.
     extra : {"keep", "drop", "error"}
@@ -133,6 +142,8 @@ def open_frames(
         frames = _of_files(path, [each for each in matching if each.is_file()], *options)
     elif path.suffix.lower() == ZIP_SUFFIX:
         frames = _of_zip(path, *options)
+    elif is_sequence(path):
+        frames = _of_sequence(path, max_bytes)
     else:
         frames = _of_animation(path, *options)
     return frames if fps is None else replace(frames, fps=float(fps))
@@ -143,13 +154,13 @@ def _of_files(source: Path, paths: Sequence[Path], extra: Extra, max_bytes: int 
     stored = 0
     for path in paths:
         with open_scene(path) as file:
-            stored += file.stored_bytes
+            stored, compressed = stored + file.stored_bytes, file.is_compressed
 
     def read_file(number: int) -> Scene:
         with open_scene(paths[number]) as file:
             return file.scene(extra, max_bytes)
 
-    return Frames(names, stored, None, read_file, paths)
+    return Frames(names, stored, None, read_file, paths, compressed)
 
 
 def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
@@ -169,7 +180,7 @@ def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
             file.flush()
             return SceneFile(shown, FileBytes(shown, file.fileno())).scene(extra, max_bytes)
 
-    return Frames(names, stored, None, read_entry, [source])
+    return Frames(names, stored, None, read_entry, [source], _suffix(found[0]) != ".ply")
 
 
 def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
@@ -197,7 +208,29 @@ def _of_animation(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
                 scene = read_frame(file.ply, number, extra, max_bytes)
             return with_finite_ends(scene, source)
 
-    return Frames(names, stored, fps, read_in_file, [source])
+    return Frames(names, stored, fps, read_in_file, [source], bool(times))
+
+
+def _of_sequence(source: Path, max_bytes: int | None) -> Frames:
+    with opened_sequence(source) as sequence:
+        timeline, stored = sequence.timeline, len(sequence.file.data)
+    following, rest = 0, _decoded(source, 0, max_bytes)
+
+    def decode_frame(number: int) -> Scene:
+        nonlocal following, rest
+        if number != following:
+            rest = _decoded(source, number, max_bytes)
+        following = number + 1
+        return next(rest)
+
+    names = [timeline.name_of(number) for number in range(timeline.count)]
+    return Frames(names, stored, timeline.fps, decode_frame, [source], is_compressed=True)
+
+
+def _decoded(source: Path, first: int, max_bytes: int | None) -> Iterator[Scene]:
+    """The frames of a sequence from `first` on."""
+    with opened_sequence(source) as sequence:
+        yield from sequence.frames(first, max_bytes=max_bytes)
 
 
 def _is_frame(name: str) -> bool:

@@ -242,7 +242,8 @@ def encode_prepared(
 ) -> Encoded:
     """Encode a prepared scene guided by its plan's views; camera-free if no views fit.
 
-    `references` are these views, if already known.
+    `references` are these views, if already known. With a target, the loss is not measured, and
+    step sizes stay as they are.
     """
     views = _guiding_views(scene, request, progress, references)
     with using_threads(request.config.threads):
@@ -306,12 +307,15 @@ def _encode_by(
         guidance = _guide(clean, config, views, times, progress)
         if guidance is None:
             return None
+    code = partial(_code, clean, guidance, times, progress)
+    if request.rate is not None:  # a trial, measured by its caller
+        parts, report = code(chosen, None)
+        return parts, replace(report, **changed, seconds=times.seconds)
     with times.stage("measure"):
         if windows is not None:
             check = Check.of(clean, windows.checking)
         else:
             check = Check.by_plan(clean, request.plan)
-    code = partial(_code, clean, guidance, times, progress)
     attempt = measuring(code, config, check, times)
     origin = None if views is None else views.origin
     found = encode_within_loss(attempt, config, chosen, check, origin)

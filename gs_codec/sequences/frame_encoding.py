@@ -162,8 +162,8 @@ def encode_frames(
     target : path
         The `.egs` to write.
     request : Request
-        Of profile ``l``, ``m`` or ``s``, with cameras or without, but without other steps and
-        without a target.
+        Of profile ``l``, ``m`` or ``s``, with cameras or without, but without other steps. With a
+        target, its step sizes are a trial.
     group : int
         Maximum number of frames that a key frame begins.
     progress : callable, optional

@@ -213,7 +213,7 @@ def test_steps_are_written_as_options(folder, run_codec, step):
 
 def test_clouds_have_no_command(folder):
     edits = Edits(Opened("cloud", to_cloud(random_scene(9, 0))))
-    with pytest.raises(gs_codec.GsCodecError, match="a cloud, expected files"):
+    with pytest.raises(gs_codec.GsCodecError, match="a cloud or a frame"):
         command_of(edits, Path())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from glob import has_magic
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -93,6 +94,14 @@ def command(
             metavar="N",
             help="Maximum size of a scene's floats, bytes; by default 1 GiB, or 1000x the file.",
             rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    frame: Annotated[
+        int | None,
+        typer.Option(
+            metavar="K",
+            help="First frame to show of a sequence, counted from 0.",
+            rich_help_panel=_SHOWN,
         ),
     ] = None,
     watch: Annotated[
@@ -269,6 +278,7 @@ def command(
         OctreeChoice(octree_depth, octree_colour),
         colour_scale,
         watch,
+        frame,
     )
     if web:
         asks = any(is_given(ctx, name) for name in _OF_INSPECTION)
@@ -287,7 +297,8 @@ def command(
             print_status(f"gs-viewer: no photograph of {missing}")
         return
     for source in filter(None, (a, b)):
-        source.stat()  # report a missing scene before looking for a display
+        if not has_magic(str(source)):
+            source.stat()  # report a missing scene before looking for a display
     from viewer.window.display import find_device
 
     device = find_device()

@@ -15,6 +15,15 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
     if scene.whole is not None:
         rows.append(("  of the file", f"{scene.file_count:,}"))
     rows.append(("SH degree", str(scene.sh_degree)))
+    if scene.moment is not None:
+        clip = scene.moment.clip
+        bits = 8 * clip.stored_bytes / (clip.count * clip.seconds)
+        rows += [
+            ("frame", f"{scene.moment.number} of 0-{clip.count - 1}"),
+            ("frames / s", f"{1 / clip.seconds:g}" + ("" if clip.fps else " assumed")),
+            ("all frames", size_text(clip.stored_bytes)),
+            ("per second", f"{bits / 1e6:.2f} Mbit"),
+        ]
     if scene.file_bytes is not None:
         bits, raw = (
             8 * scene.file_bytes / max(scene.file_count, 1),

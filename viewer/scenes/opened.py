@@ -34,6 +34,7 @@ from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.preparation.prepare_report import centres_checksum
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
+from viewer.scenes.clip import Moment
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -89,6 +90,8 @@ class Opened:
         Mask of those that are hidden at first.
     sources : tuple of Source
         The files of a scene that joins several; `path` is that of the first.
+    moment : Moment or None
+        For a frame of a sequence; `path` is that of the sequence.
     """
 
     name: str
@@ -105,11 +108,13 @@ class Opened:
     moves: tuple[Move, ...] = ()
     hidden: NDArray[np.bool_] | None = None
     sources: tuple[Source, ...] = ()
+    moment: Moment | None = None
 
     @property
     def parts(self) -> tuple[Source, ...]:
-        """Its files."""
-        return self.sources or (Source(self.path, self.name, self.file_count),)
+        """Its files; a cloud or frame has no path."""
+        path = self.path if self.moment is None else Path()
+        return self.sources or (Source(path, self.name, self.file_count),)
 
     @property
     def title(self) -> str:
@@ -121,7 +126,12 @@ class Opened:
     def is_stored(self) -> bool:
         """Whether the scene equals its file: neither edited nor turned."""
         changed = self.whole is not None or self.system_given or len(self.sources) > 1
-        return self.path != Path() and not changed
+        return self.is_file and not changed
+
+    @property
+    def is_file(self) -> bool:
+        """Whether its Gaussians are those of files, not of clouds or frames."""
+        return all(part.path != Path() for part in self.parts)
 
     @property
     def count(self) -> int:

@@ -24,6 +24,7 @@ from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted, size_text
 from viewer.scenes.edits import Edits
+from viewer.scenes.frame_scenes import open_clip, open_frame
 from viewer.scenes.opened import Opened, Progress, joined, keep, open_scene
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def save_scene(
     gs_codec.GsCodecError
         If it cannot be written, or the file of the scene has changed since it was opened.
     """
-    if any(part.path == Path() for part in scene.parts):
+    if not scene.is_file:
         check_target([], path)
         lost, _ = write_scene(path, from_cloud(scene.cloud, "keep"), _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]
@@ -87,7 +88,16 @@ def _written(path: Path, count: int, size: int) -> str:
 
 
 def save_project(edits: Edits, path: Path) -> None:
-    """Write the scenes and edits as a project; raises OSError if it cannot be written."""
+    """Write the scenes and edits as a project.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    gs_codec.GsCodecError
+        If a scene is not a file.
+    """
+    _check_files(edits)
     with atomic_writer(path) as file:
         file.write(project_text(edits.project, path.absolute().parent).encode())
 
@@ -101,9 +111,8 @@ def command_of(edits: Edits, project: Path) -> str:
         If a scene is not a file.
     """
     whole = edits.whole
+    _check_files(edits)
     paths = [_short(part.path) for part in edits.project.sources]
-    if "" in paths:
-        raise gs_codec.GsCodecError("a cloud, expected files")
     first = Path(paths[0])
     suffix = first.suffix if first.suffix in WRITTEN else ".ply"
     options = (f"--edits={_short(project)}",) if edits.options is None else edits.options
@@ -113,10 +122,15 @@ def command_of(edits: Edits, project: Path) -> str:
     return shlex.join(["gs-codec", "convert", *paths, str(target), *options])
 
 
+def _check_files(edits: Edits) -> None:
+    if not edits.whole.is_file:
+        raise gs_codec.GsCodecError(
+            "a cloud or a frame of a sequence, expected files; save the scene instead"
+        )
+
+
 def _short(path: Path) -> str:
-    """A path as text, relative to the working directory if it is inside; empty for no path."""
-    if path == Path():
-        return ""
+    """A path as text, relative to the working directory if it is inside."""
     here = Path.cwd()
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
@@ -126,7 +140,7 @@ def open_file(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> Opened:
-    """Open a scene as `open_scene` does, or the scenes of a project as one edited scene.
+    """Open a scene, the first frame of a sequence, or a project as one edited scene.
 
     Raises
     ------
@@ -134,6 +148,9 @@ def open_file(
         Also if a scene of a project has another number of Gaussians.
     """
     if not isinstance(source, str | Path) or Path(source).suffix != SUFFIX:
+        clip = open_clip(source, max_bytes)
+        if clip is not None:
+            return open_frame(clip, 0, progress)
         return open_scene(source, progress=progress, max_bytes=max_bytes)
     with located(source):
         project = read_project(source)

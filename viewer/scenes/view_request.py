@@ -23,6 +23,7 @@ from viewer.scenes.choice import (
     SCALES,
     OctreeChoice,
 )
+from viewer.scenes.frame_scenes import at_moment, first_moment
 from viewer.scenes.opened import Opened, Progress, Pruned, read_pruned
 from viewer.scenes.saving import open_file
 from viewer.scenes.viewpoints import Views, choose_views, given_views
@@ -63,6 +64,8 @@ class Request:
         One of `SCALES`, for the colours of centres; None is the quantity's default.
     watch : bool
         Whether to reload files that change.
+    frame : int or None
+        Number, from 0, of the first frame of a sequence to show; of A, if both are sequences.
     """
 
     a: PointCloud | str | Path | None = None
@@ -80,6 +83,7 @@ class Request:
     octree: OctreeChoice = field(default_factory=OctreeChoice)
     scale: str | None = None
     watch: bool = False
+    frame: int | None = None
 
     def check(self) -> None:
         """Run all checks that do not need a file opened.
@@ -114,7 +118,8 @@ class Request:
             raise gs_codec.GsCodecError("gt-images: need cameras from a file")
         if self.images is not None and not self.images.is_dir():
             raise gs_codec.GsCodecError(f"{self.images}: no such folder, expected images")
-        if self.a is None and (self.pruned is not None or self.cameras is not None):
+        of_scene = self.pruned, self.cameras, self.frame
+        if self.a is None and any(each is not None for each in of_scene):
             raise gs_codec.GsCodecError("no scene to show")
 
     def check_picture(self, name: str) -> None:
@@ -156,6 +161,7 @@ class Request:
             )
 
         scenes = [open_file(source, part(k), self.max_bytes) for k, source in enumerate(sources)]
+        scenes = self._at_moment(scenes)
         wanted = {"octree-colour": self.octree.colouring, "colour": self.colouring}
         for option, colouring in wanted.items():
             reasons = [scene.unknown(colouring) for scene in scenes]
@@ -163,6 +169,15 @@ class Request:
                 message = f"{option} {colouring}: {scenes[-1].name} is {reasons[-1]}"
                 raise gs_codec.GsCodecError(message)
         return scenes
+
+    def _at_moment(self, scenes: list[Opened]) -> list[Opened]:
+        """Go to the frame wanted; see `scenes`."""
+        if first_moment(scenes) is None:
+            if self.frame is not None:
+                raise gs_codec.GsCodecError("frame: expected a sequence")
+        elif self.watch:
+            raise gs_codec.GsCodecError("watch: has no effect on a sequence")
+        return scenes if self.frame is None else at_moment(scenes, self.frame)
 
 
 def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:

@@ -76,6 +76,11 @@ class Encoding(TrialJobs):
         shown = [self._opened.get(scene) for scene in self._viewer.stage.scenes]
         return "".join(letter for letter, k in zip("AB", shown, strict=False) if k == number)
 
+    def is_trial(self, scene: Opened) -> bool:
+        """Whether a scene is a trial of a frame of a sequence."""
+        source = self.trials and self.trials.source.moment
+        return source is not None and scene.moment is None and scene in self._opened
+
     def show(self, number: int, pane: int) -> None:
         """Show one of `scenes` as A or B (0 or 1)."""
         viewer, chosen = self._viewer, self.scenes[number]

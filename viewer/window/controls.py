@@ -17,6 +17,7 @@ from viewer.window.measuring import Measuring
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.picking import Picking
 from viewer.window.placing import Placing
+from viewer.window.player import Player
 from viewer.window.shared import Host
 from viewer.window.timeline import Timeline
 from viewer.window.visits import Visits
@@ -37,11 +38,19 @@ class Controls(Host, Protocol):
     picking: Picking
     editor: Editor
     placing: Placing
+    player: Player
     encoding: Encoding
     dock: Dock
 
     def help(self) -> None:
         """Show the list of keys."""
+
+    def play(self) -> None:
+        """Play the sequence or, without one, fly along the camera path; stop if that goes on."""
+        if self.player.moment is None:
+            self.timeline.fly()
+        else:
+            self.player.toggle()
 
     # Display settings
 

@@ -28,6 +28,7 @@ from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
 from viewer.window.picking import Picking
 from viewer.window.placing import Placing
+from viewer.window.player import Player
 from viewer.window.stage import Stage
 from viewer.window.start import Start
 from viewer.window.timeline import Timeline
@@ -65,6 +66,7 @@ class Viewer(Controls):
     dock : Dock
     editor : Editor
     placing : Placing
+    player : Player
     keys : Keys
     notice : Notice
     modal : Modal
@@ -108,6 +110,7 @@ class Viewer(Controls):
         self.watching = Watching(self, self.loading, self.editor)
         self.start = Start(self, self.loading)
         self.encoding = Encoding(self, self.visits, self.loading, self._encoding_changed)
+        self.player = Player(self, self.visits, self.editor, self.loading, self.encoding)
         self.panel: Panel = Panel(self, font)
         self.keys, self.notice = Keys(self), Notice(self)
         self._ticked = time.monotonic()
@@ -165,6 +168,7 @@ class Viewer(Controls):
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
         flown = self.timeline.tick()
+        self.player.tick()
         worked = self.modal.tick() | self.notice.tick() | self.measuring.tick()
         drawn = self.stage.tick()
         self.panel.show_speed(self.stage.painter.seconds)
@@ -176,7 +180,7 @@ class Viewer(Controls):
     def busy(self) -> bool:
         """Whether the window is still loading or drawing."""
         working = self.worker.busy or self.editor.worker.busy
-        drawing = self.timeline.flying or not self.stage.resting
+        drawing = self.timeline.flying or self.player.busy or not self.stage.resting
         return working or drawing or self.notice.compiles
 
     def _lay_out(self, context: gui.LayoutContext) -> None:
@@ -185,9 +189,12 @@ class Viewer(Controls):
         side = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
         self.panel.lay_out(side, context)
         below = min(self.dock.height, rect.height // 2)
-        space = gui.Rect(rect.x, rect.y, rect.width - wide, rect.height - below)
+        bar = self.player.bar.height
+        space = gui.Rect(rect.x, rect.y, rect.width - wide, rect.height - below - bar)
         hidden = gui.Rect(side.x + wide // 2, rect.y, 1, 1)
-        self.dock.lay_out(gui.Rect(space.x, space.get_bottom(), space.width, below), hidden)
+        self.player.bar.lay_out(gui.Rect(space.x, space.get_bottom(), space.width, bar), hidden)
+        top = space.get_bottom() + bar
+        self.dock.lay_out(gui.Rect(space.x, top, space.width, below), hidden)
         panes = 1 if self.choice.mode == "wipe" else max(len(self.stage.visible), 1)
         width = self.visits.lay_out(space, panes, self.stage.caption_height, hidden)
         self.stage.lay_out(space.x, space.y, width, space.height)

@@ -92,6 +92,11 @@ class Pace:
         """Whether the full picture is done, or there is nothing to draw."""
         return self._filled and self._drawing is None
 
+    @property
+    def drafted(self) -> bool:
+        """Whether a picture of the last motion is done."""
+        return self._drafted and (self._drawing is None or self._drawing.full)
+
     def next(self, now: float) -> Step | None:
         """The step to start drawing now; None if there is none."""
         if self._drawing is not None and (not self._drawing.full or self._filled):

@@ -92,6 +92,11 @@ class Painter:
         self._pace.put(sum(scene.count for scene in scenes))
         self._measured, self._painted = (None, ""), False
 
+    def follow(self) -> None:
+        """Draw other frames of the same scenes; the pictures stay until then."""
+        self._stage.worker.cancel("measure")
+        self._measured = (None, "")
+
     def move(self) -> None:
         """Redraw; more motion may follow."""
         self._moved = time.monotonic()
@@ -110,6 +115,11 @@ class Painter:
     def resting(self) -> bool:
         """Whether the panes show full pictures."""
         return self._pace.resting and not self.waits
+
+    @property
+    def drafted(self) -> bool:
+        """Whether the panes show at least drafts."""
+        return self._pace.drafted and not self.waits
 
     @property
     def leads(self) -> bool:

@@ -131,6 +131,7 @@ class Stage:
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
         before = self._keep(scenes)
+        self.painter.put(scenes)
         self.panes = self._both[: len(scenes)]
         for number, scene in enumerate(scenes):
             if before[number : number + 1] != [scene]:
@@ -149,10 +150,22 @@ class Stage:
     def replace(self, number: int, scene: Opened) -> None:
         """Replace a scene by its edited version, from the same pose."""
         self._keep([*self.scenes[:number], scene, *self.scenes[number + 1 :]])
+        self.painter.put(self.scenes)
         self.panes[number].put(scene)
         self._octree.put(self.panes, _CUBES[self.device], self._most)
         self.put_pruned(self.pruned)
         self.refresh()
+
+    def exchange(self, scenes: list[Opened]) -> None:
+        """Show other frames of the same scenes, from the same pose; more may follow."""
+        self._keep(scenes)
+        self.painter.follow()
+        for pane, scene in zip(self.panes, scenes, strict=True):
+            if pane.scene is not scene:
+                pane.put(scene)
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.refresh()
+        self.painter.move()
 
     def _keep(self, scenes: list[Opened]) -> list[Opened]:
         """Stop and forget drawers of scenes other than these; return the previous scenes."""
@@ -163,7 +176,6 @@ class Stage:
         self.drawn = {each: self.drawn[each] for each in scenes if each in self.drawn}
         self.views = {each: self.views[each] for each in scenes if each in self.views}
         self._coloured = self._marked = None
-        self.painter.put(scenes)
         self._octree.show(None)
         return before
 

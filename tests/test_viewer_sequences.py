@@ -1,0 +1,136 @@
+"""Sequences in the viewer: frames as scenes, and a window that plays them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving_scenes import coded, moving
+from windows import drive, needs_display
+
+import gs_codec
+from gs_codec.formats.ply.writer import write_ply
+from gs_codec.sequences.frame_decoding import opened_sequence
+from viewer.scenes.clip import Clip
+from viewer.scenes.frame_scenes import at_moment, open_frame
+from viewer.scenes.pose import look_at
+from viewer.scenes.view_request import Request
+
+GROUP, FRAMES = 3, 6
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A sequence in one file and in a folder, and a scene."""
+    folder = tmp_path_factory.mktemp("sequence")
+    scenes = moving(1200, FRAMES, 1)
+    coded(folder / "moving.egs", scenes, group=GROUP)
+    (folder / "frames").mkdir()
+    for number, scene in enumerate(scenes):
+        write_ply(folder / "frames" / f"{number}.ply", scene)
+    write_ply(folder / "a.ply", scenes[0])
+    camera = look_at(np.array([0.0, 0.0, -4.0]), np.zeros(3)).camera(200, 150)
+    (folder / "cameras.json").write_text(json.dumps([camera | {"img_name": "front"}]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(display, folder) -> dict:
+    return drive("drive_play.py", display, folder)
+
+
+def test_frames_are_the_decoded_ones_in_any_order(folder):
+    with opened_sequence(folder / "moving.egs") as sequence:
+        expected = [scene.positions.T for scene in sequence.frames()]
+    clip = Clip(folder / "moving.egs")
+    for number in (4, 0, 5, 5, 2, 1, 3):
+        frame = open_frame(clip, number)
+        np.testing.assert_array_equal(frame.positions, expected[number])
+        assert frame.name == f"moving.egs, frame {number}"
+        assert not frame.is_stored
+    assert len(clip._groups) == 2
+
+
+def test_a_frame_that_cannot_be_read_leaves_the_others(folder, tmp_path):
+    data = bytearray((folder / "moving.egs").read_bytes())
+    data[-9] ^= 1
+    (tmp_path / "damaged.egs").write_bytes(data)
+    clip = Clip(tmp_path / "damaged.egs")
+    for _ in range(2):
+        with pytest.raises(gs_codec.CorruptStream):
+            clip.read(FRAMES - 1)
+        assert clip.read(0).count == 1200
+
+
+@pytest.mark.parametrize(
+    ("fps", "expected"), [((None, 25.0), [3, 3]), ((25.0, 50.0), [3, 5]), ((50.0, 25.0), [3, 1])]
+)
+def test_sequences_are_shown_at_the_same_moment(folder, fps, expected):
+    clips = [Clip(folder / "frames") for _ in fps]
+    for clip, each in zip(clips, fps, strict=True):
+        clip.fps = each
+    found = at_moment([open_frame(clip, 0) for clip in clips], 3)
+    assert [scene.moment.number for scene in found] == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["a.ply", "--frame", "1"], "frame: expected a sequence"),
+        (["moving.egs", "--frame", "6"], "frame 6: expected 0 to 5"),
+        (["moving.egs", "--frame", "-1"], "frame -1: expected 0 to 5"),
+        (["frames/*.ply", "moving.egs", "--frame", "9"], "frame 9: expected 0 to 5"),
+        (["--frame", "0"], "no scene to show"),
+    ],
+)
+def test_frames_that_do_not_exist_are_refused(
+    folder, tmp_path, run_viewer, monkeypatch, arguments, said
+):
+    monkeypatch.chdir(folder)
+    out = tmp_path / "out.png"
+    result = run_viewer(*arguments, "--screenshot", str(out))
+    assert result.status == 2
+    assert said in result.err.splitlines()[-1]
+    assert not out.exists()
+
+
+def test_pictures_of_a_frame(folder, tmp_path, run_viewer):
+    for number in (0, 5):
+        out = tmp_path / f"{number}.png"
+        given = "moving.egs", "--frame", str(number), "--screenshot", str(out), "--width", "200"
+        assert run_viewer(str(folder / given[0]), *given[1:]).status == 0
+    assert (tmp_path / "0.png").read_bytes() != (tmp_path / "5.png").read_bytes()
+
+
+def test_watching_a_sequence_is_refused(folder):
+    with pytest.raises(gs_codec.GsCodecError, match="watch: has no effect on a sequence"):
+        Request(folder / "moving.egs", watch=True).scenes()
+
+
+@needs_display
+@pytest.mark.slow
+class TestWindow:
+    def test_both_sequences_show_the_frame_that_the_slider_names(self, found):
+        assert found["at first"] == [1, 1, 1]
+        assert found["dragged"] == [[5, 5, 5], [3, 3, 3]]
+        assert len(set(found["pictures"])) == 3
+        assert found["names"] == [" A: moving.egs, frame 3", " B: frames, frame 3"]
+
+    def test_it_plays_to_the_end_or_in_a_loop(self, found):
+        assert found["played"] == [5, 5, 5]
+        assert len(set(found["stopped"])) == 1
+        assert found["stopped"] != [5, 5, 5]
+
+    def test_an_edited_frame_is_saved_and_asked_about(self, found, folder):
+        saved = gs_codec.read(folder / "frame.ply")
+        assert len(saved.point.positions) == found["saved"] < 1200
+        assert "a frame of a sequence, expected files" in found["command"][1]
+        assert found["asked"] == [2, 2, 2]
+        assert found["left"] == [3, 3]
+
+    def test_a_trial_of_a_frame_goes_with_it(self, found):
+        assert found["trial"] == [3, None]
+        assert found["trial left"] == [4]
+        assert found["bar"] == 0

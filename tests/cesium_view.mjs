@@ -87,7 +87,9 @@ async function draw(views) {
     for (let turn = 0, quiet = 0; turn < 4000 && quiet < 30; turn++) {
       widget.render();
       const primitive = tileset.gaussianSplatPrimitive;
-      const shown = primitive?._numSplats > 0 && primitive.isStable && tileset.tilesLoaded;
+      // A moved camera sorts the splats again, which `isStable` leaves out; 0 is idle.
+      const sorted = primitive?.isStable && primitive._sorterState === 0;
+      const shown = sorted && primitive._numSplats > 0 && tileset.tilesLoaded;
       const changed = JSON.stringify(uris()) !== JSON.stringify(drawn.at(-1));
       if (changed) drawn.push(uris());
       if (shown && !pictures.first) {

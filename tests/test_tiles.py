@@ -167,6 +167,23 @@ def test_centres_far_from_the_origin_keep_their_details(tmp_path):
     assert min(abs(value) for value in node["matrix"][12:15]) > 2000
 
 
+def test_the_finest_tiles_of_an_spz_keep_its_values_and_its_size(tmp_path, scene):
+    """So cameras and targets that shape an `.spz` also shape tiles made from it."""
+    write_ply(tmp_path / "a.ply", scene)
+    fine = Config("m", format="spz", coarseness=0.3)
+    encode_file(tmp_path / "a.ply", tmp_path / "a.spz", fine)
+    convert_file(tmp_path / "a.spz", tmp_path / "tiles" / TILESET)
+    first, second = (
+        back.take(np.lexsort(np.vstack([back.f_dc, back.f_rest])))
+        for back in map(read_scene, (tmp_path / "a.spz", tmp_path / "tiles" / TILESET))
+    )
+    for group in ("f_dc", "f_rest", "opacity", "log_scale"):
+        np.testing.assert_array_equal(getattr(second, group), getattr(first, group))
+    np.testing.assert_allclose(second.positions, first.positions, atol=1e-4)
+    size = (tmp_path / "a.spz").stat().st_size
+    assert (tmp_path / "tiles/tiles/0/0.glb").stat().st_size < 1.05 * size + 1500  # of JSON
+
+
 def test_levels_of_an_egs_are_used(tmp_path, monkeypatch):
     scene = random_scene(900, 1)
     write_ply(tmp_path / "a.ply", scene)

@@ -61,6 +61,7 @@ PAGES = {
         "The .egs format": "gs_codec/egs/FORMAT",
     },
     "Background": {
+        "Results": "gs_codec/bench/RESULTS",
         "Lab notebook": "gs_codec/bench/LAB_NOTEBOOK",
         "Findings": "gs_codec/analysis/FINDINGS",
         "The paper": "gs_codec/PAPER",

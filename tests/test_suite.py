@@ -281,8 +281,8 @@ def test_the_report_is_written(suite):
         "third: get it",
     ):
         assert text in page
-    table = (out / "headline.md").read_text()
-    assert "plain (400, 1)" in table
+    table = (out / "answers.md").read_text()
+    assert "plain, " in table
     for picture in ("rate-shot", "time-plain", "frontier-plain", "scaling"):
         assert (out / f"{picture}.png").stat().st_size > 1000
 

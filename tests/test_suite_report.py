@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gs_codec.bench.suite.answers import answers
 from gs_codec.bench.suite.results import Results
 from gs_codec.bench.suite.suite_report import write_report
-from gs_codec.bench.suite.suite_tables import headline
 from gs_codec.errors import InvalidInput, MissingTool
 
 pytestmark = pytest.mark.slow
@@ -46,7 +46,8 @@ def beside(scene: str, photographs: bool, codec: tuple) -> Line:
     line = {
         "kind": "beside", "scene": scene, "codec": name, "version": "1",
         "own_process": name == "slow", "gaussians": 1000,
-        "input_bytes": 248000, "ratio": 1984 / bits, "bits_per_gaussian": bits,
+        "input_bytes": 248000, "output_bytes": 125 * bits, "ratio": 1984 / bits,
+        "bits_per_gaussian": bits,
         "mean": {"psnr": psnr, "ssim": 0.99}, "worst_psnr": psnr,
         "encode_seconds": {"median": encode, "min": 0.9 * encode, "max": 1.2 * encode},
         "decode_seconds": {"median": decode, "min": 0.9 * decode, "max": 1.2 * decode},
@@ -99,7 +100,8 @@ def lines_of_all() -> list[Line]:
     for count in (100_000, 1_000_000):
         used = {"seconds": count / 1e6, "cpu_seconds": count / 5e5, "peak_bytes": 400 * count}
         known = {"scene": "bonsai", "profile": "m", "gaussians": count}
-        known |= {"float_bytes": 236 * count, "encode": used, "decode": used}
+        known |= {"float_bytes": 236 * count, "output_bytes": 12 * count}
+        known |= {"encode": used, "decode": used}
         lines.append({"kind": "scaling", **known})
     return lines
 
@@ -126,7 +128,7 @@ def test_pictures_are_next_to_the_page_and_shown(written: Path) -> None:
     pictures = [f"{name}-{scene}" for scene in ("bonsai", "sample") for name in pictures]
     files = [f"{name}.png" for name in [*pictures, "scaling"]]
     names = sorted(path.name for path in written.iterdir())
-    assert names == sorted([*files, "headline.md", "report.md"])
+    assert names == sorted([*files, "answers.md", "report.md"])
     shown = re.findall(r"^!\[.+\]\((.*)\)$", (written / "report.md").read_text(), re.MULTILINE)
     assert shown == files
     for file in files:
@@ -170,11 +172,12 @@ def test_lines_of_one_kind_are_enough(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize(
-    ("kind", "start"), [("beside", "\n"), ("scene", "| codec"), ("point", "| codec")]
+    ("kind", "start"),
+    [("beside", "## Against the paper?"), ("scene", "## How small?"), ("point", "## How small?")],
 )
 def test_lines_without_one_kind_are_enough(kind: str, start: str, tmp_path: Path) -> None:
     write_report([line for line in lines_of("bonsai", True) if line["kind"] != kind], tmp_path)
-    assert (tmp_path / "headline.md").read_text().startswith(start)
+    assert (tmp_path / "answers.md").read_text().startswith(start)
 
 
 def test_no_lines_make_an_empty_report(tmp_path: Path) -> None:
@@ -197,11 +200,12 @@ def test_names_are_escaped(name: str, tmp_path: Path) -> None:
     machine = {"kind": "machine", "command": f"gs-codec bench suite {name}"}
     write_report([machine, *lines, lines_of(name, photographs=False)[0]], tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    for file in ("report.md", "headline.md"):
+    for file in ("report.md", "answers.md"):
         text = (tmp_path / "out" / file).read_text()
         assert "<b" not in text
         assert "[a](b)" not in text
-    rows = (tmp_path / "out" / "headline.md").read_text().splitlines()
+    rows = re.findall(r"^\|.*$", (tmp_path / "out" / "answers.md").read_text(), re.MULTILINE)
+    assert len(rows) > 3
     assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
 
 
@@ -221,7 +225,7 @@ def test_equal_views_have_no_psnr(tmp_path: Path) -> None:
     page = (tmp_path / "report.md").read_text()
     assert "| exact | 1.53x | 1300.0 | equal |" in page
     assert "nan" not in page
-    assert "| exact | 1.53x, equal |" in (tmp_path / "headline.md").read_text()
+    assert "| exact | 1.53x, equal |" in (tmp_path / "answers.md").read_text()
 
 
 def test_a_coarse_clock_is_not_an_error(tmp_path: Path) -> None:
@@ -242,21 +246,24 @@ def test_bits_at_equal_quality_end_with_the_curve() -> None:
     assert results.bits_at_quality(beside("bonsai", True, exactly), "camera-free") == "113.5"
 
 
-def test_headline_is_the_table_of_results() -> None:
-    found = headline([*lines_of_all(), beside("sample", False, ("zstd, PLY", 9.0, None, 0, 1, 1))])
-    assert found.markdown().splitlines() == [
-        "| codec | bonsai (1,000, 3) | sample (1,000, 3) | encode | decode |",
-        "| --- | ---: | ---: | ---: | ---: |",
-        "| `m` | 17.5x, -0.05 dB | 17.5x, 49.7 dB | 0.36 s | 0.16 s |",
-        "| `m`, camera-guided | 24.6x, -0.04 dB | 24.6x, 51.7 dB | 55 s | 0.12 s |",
-        "| `m`, 60x refined, renders | 60.1x, -0.20 dB |  | 3.8 min | 0.10 s |",
-        "| `m`, 60x refined | 60.1x, +0.03 dB |  | 4.0 min | 0.09 s |",
-        "| `lossless` | 1.58x, equal | 1.58x, equal | 0.96 s | 0.12 s |",
-        "| `paper-m`: EntropyGS | 12.2x, -0.09 dB | 12.2x, 47.0 dB | 0.30 s | 0.11 s |",
-        "| spz v4 | 12.3x, -0.76 dB | 12.3x, 38.0 dB | 0.43 s | 0.05 s |",
-        "| pcodec, columns | 1.49x, equal | 1.49x, equal | 0.22 s | 0.03 s |",
-        r"| slow \* | 11.7x, -0.80 dB | 11.7x, 38.0 dB | 2.00 s | 1.00 s |",
+def test_questions_are_answered_by_tables() -> None:
+    found = answers(Results(lines_of_all()))
+    assert found["How small?"].markdown().splitlines()[:5] == [
+        "|  | bonsai, 0.2 MB | sample, 0.2 MB |",
+        "| --- | ---: | ---: |",
+        "| from the PLY alone: `m` | 0.01 MB, 17.5x, -0.05 dB | 0.01 MB, 17.5x, 49.7 dB |",
+        "| with its cameras: `m --cameras` | 0.01 MB, 24.6x, -0.04 dB | 0.01 MB, 24.6x, 51.7 dB |",
+        # To photographs where there are any.
+        "| refined: `--refine --target-ratio 60` | 0.00 MB, 60.1x, +0.03 dB |  |",
     ]
+    assert found["How fast?"].rows[0] == ["from the PLY alone: `m`", *["0.36 s / 0.16 s"] * 2]
+    against = [row[:2] for row in found["Against other programs?"].rows]
+    assert ["spz v4", "161.3 / ≤ 58.0 / ≤ 58.5"] in against
+    assert ["pcodec, columns", "1333.1 / 1252.5"] in against
+    assert found["How large?"].rows[1][:4] == [
+        "1,000,000", "236.0 MB", "12.0 MB", "2.0 s, 0.40 GB",
+    ]  # fmt: skip
+    assert {question for question, table in found.items() if table.rows} == set(found)
 
 
 def test_without_matplotlib_nothing_is_written(

@@ -119,7 +119,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
     }
     assert {name for name in names if not name.startswith(metadata)} == expected
     assert names >= {"gs_codec/py.typed", "viewer/py.typed"}
-    documents = "egs/FORMAT.md", "TRUST.md", "cli/COMMANDS.md", "bench/LAB_NOTEBOOK.md"
+    documents = "egs/FORMAT.md", "TRUST.md", "cli/COMMANDS.md", "bench/RESULTS.md"
     assert names >= {f"gs_codec/{name}" for name in documents}
     assert metadata + "licenses/LICENSE" in names
     assert not any(name.split("/")[0] in ("tests", "samples") for name in names)

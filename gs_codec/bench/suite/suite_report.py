@@ -1,4 +1,4 @@
-"""The report of the suite: a Markdown file with plots, and the README's table."""
+"""The report of the suite: Markdown with plots, and short answers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gs_codec.bench.side_by_side import is_ours
 from gs_codec.bench.suite import suite_plots, suite_tables
+from gs_codec.bench.suite.answers import answers
 from gs_codec.bench.suite.datasets import DATASETS, dataset_table, introduction, survey_files
 from gs_codec.bench.suite.results import Results
 from gs_codec.pages.figures import png_of
@@ -46,7 +47,7 @@ _DEVICE = (
 
 
 def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
-    """Write ``report.md``, its plots as PNG files, and ``headline.md`` into a folder.
+    """Write ``report.md``, its plots as PNG files, and ``answers.md`` into a folder.
 
     Results of a dataset are also written as the survey's files, in ``results``. `lines` are all or
     some result lines of the suite; sections without lines are omitted. Raises MissingTool if
@@ -76,14 +77,15 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     if results.of("device"):
         parts += ["## On a CUDA device", _DEVICE, suite_tables.device_table(results).markdown()]
     parts += _circumstances(results)
-    headline = suite_tables.headline(lines).markdown() + "\n"
+    answered = {q: table.markdown() for q, table in answers(results).items() if table.rows}
+    short = "".join(f"## {question}\n\n{table}\n\n" for question, table in answered.items())
     text = "\n\n".join(part for part in parts if part) + "\n"
     write_files(
         folder,
         {
             **pictures,
             **(survey_files(results, dataset) if dataset else {}),
-            "headline.md": headline.encode("utf-8", "backslashreplace"),
+            "answers.md": short.encode("utf-8", "backslashreplace"),
             "report.md": text.encode("utf-8", "backslashreplace"),
         },
     )

@@ -1,10 +1,8 @@
-"""Markdown tables of the suite's results, for its report and for RESULTS.md."""
+"""Markdown tables of the suite's results, for its report."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from gs_codec.bench.side_by_side import BY_RENDERS, ESTIMATED, GUIDED, OURS_AS, REFINED, is_ours
+from gs_codec.bench.side_by_side import ESTIMATED, GUIDED, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.config import LOSSLESS
@@ -12,43 +10,6 @@ from gs_codec.pages.tables import Table, escaped, number
 from gs_codec.runtime.wording import counted
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
-
-#: Our codecs in the headline, by effort, and the other codecs omitted from it.
-_SHOWN = (
-    "m",
-    f"m{ESTIMATED}",
-    *(f"{profile}{GUIDED}" for profile in ("m", "s")),
-    *(f"m, 60{how}" for how in (BY_RENDERS, REFINED)),
-    f"m, 100{REFINED}",
-    LOSSLESS,
-    "paper-m",
-    *(f"{OURS_AS}{name}, m{GUIDED}" for name in ("spz v4", "sog")),
-)
-_LEFT_OUT = {"splat-transform, spz", "zstd, PLY"}
-
-
-def headline(lines: Sequence[Line]) -> Table:
-    """Codecs by effort, with ratio and quality for each scene; the README has some of its rows.
-
-    Quality is delta-PSNR, or PSNR against the scene's own views; times are from the first scene
-    with that codec.
-    """
-    results = Results(lines)
-    scenes = {scene: {x["codec"]: x for x in in_order(results, scene)} for scene in results.scenes}
-    found = dict.fromkeys(codec for known in scenes.values() for codec in known)
-    others = [
-        codec
-        for codec in found
-        if codec not in _LEFT_OUT and not (is_ours(codec) or codec.startswith(OURS_AS))
-    ]
-    rows = []
-    for codec in [*(codec for codec in _SHOWN if codec in found), *others]:
-        measured = {scene: known[codec] for scene, known in scenes.items() if codec in known}
-        cells = [_ratio_and_quality(results, measured.get(scene)) for scene in scenes]
-        first = next(iter(measured.values()))
-        rows.append([_name(first), *cells, *_times(first)])
-    titles = [scene_title(results, scene) for scene in scenes]
-    return Table(["codec", *titles, "encode", "decode"], rows)
 
 
 def codec_table(results: Results, scene: str) -> Table:
@@ -66,7 +27,7 @@ def codec_table(results: Results, scene: str) -> Table:
         cells = [*_size(line), psnr, number(worst, ".2f"), number(delta_of(line), "+.3f")]
         memory = [known.get(f"{way}_peak_bytes") for way in ("encode", "decode")]
         megabytes = [number(x and x / 1e6, ".0f") for x in memory]
-        rows.append([*cells, *_times(line), *megabytes, *_ours(results, line)])
+        rows.append([*cells, *times_text(line), *megabytes, *_ours(results, line)])
     columns += _OURS
     used = [i for i in range(len(columns)) if any(row[i] for row in rows)]
     return Table([columns[i] for i in used], [[row[i] for i in used] for row in rows])
@@ -147,10 +108,10 @@ def in_order(results: Results, scene: str) -> list[Line]:
 
 
 def _size(line: Line) -> list[str]:
-    return [_name(line), _ratio(line), f"{line['bits_per_gaussian']:.1f}"]
+    return [name_of(line), ratio_text(line), f"{line['bits_per_gaussian']:.1f}"]
 
 
-def _name(line: Line) -> str:
+def name_of(line: Line) -> str:
     """Name of a codec, with a ``*`` if its times include the start of a program."""
     profile, comma, how = line["codec"].partition(",")
     name = f"`{profile}`{comma}{how}" if is_ours(profile) else escaped(line["codec"])
@@ -159,23 +120,23 @@ def _name(line: Line) -> str:
     )
 
 
-def _ratio(line: Line) -> str:
+def ratio_text(line: Line) -> str:
+    """Compression ratio relative to the PLY."""
     return f"{line['ratio']:.1f}x" if line["ratio"] >= 10 else f"{line['ratio']:.2f}x"
 
 
-def _ratio_and_quality(results: Results, line: Line | None) -> str:
-    """Compression ratio, and the known quality; empty for a codec that was not measured."""
-    if line is None:
-        return ""
+def quality_text(line: Line) -> list[str]:
+    """Delta-PSNR, or PSNR against the scene's own views, if it is known."""
     delta, psnr = delta_of(line), psnr_of(line)
     if is_exact(line):
-        return f"{_ratio(line)}, equal"
+        return ["equal"]
     if delta is not None:
-        return f"{_ratio(line)}, {round(delta, 2) or 0.0:+.2f} dB".replace("+0.00", "0.00")
-    return _ratio(line) + ("" if psnr is None else f", {psnr:.1f} dB")
+        return [f"{round(delta, 2) or 0.0:+.2f} dB".replace("+0.00", "0.00")]
+    return [] if psnr is None else [f"{psnr:.1f} dB"]
 
 
-def _times(line: Line) -> list[str]:
+def times_text(line: Line) -> list[str]:
+    """Median times to encode and to decode."""
     return [_seconds(line[f"{way}_seconds"]["median"]) for way in ("encode", "decode")]
 
 

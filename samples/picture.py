@@ -1,123 +1,76 @@
-"""The README's picture: a render before and after coding, their difference, and the bits.
+"""The README's pictures: a view before and after coding, and a wipe from one to the other.
 
-    python samples/picture.py samples/picture.png
+    python samples/picture.py scene.ply cameras.json 0015 samples    # picture.jpg and wipe.webp
 
-Needs matplotlib (extra ``test``).
+The scene is encoded with profile `m`, guided by all cameras.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import gs_codec
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras
-from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.config import Config
-from gs_codec.metrics.image_quality import compare_images
-from gs_codec.metrics.views import DIFFERENCE_GAIN
-from gs_codec.rendering.renderer import render
-from gs_codec.scene import Scene
-from samples.generate import generate, orbit_cameras
 
-_COUNT = 600_000
-_WIDTH = 420
-_HEIGHT = 300
-_PROFILE = "s"
-
-#: Streams of each bar segment; colours of Okabe and Ito, also distinct for the colour-blind.
-_PARTS = {
-    "positions": (("geometry", "low-bits"), "#000000"),
-    "SH-DC": (("sh-dc",), "#e69f00"),
-    "opacity": (("opacity",), "#56b4e9"),
-    "scaling": (("scaling",), "#009e73"),
-    "rotation": (("rotation",), "#f0e442"),
-    "SH-AC": (("sh1", "sh2", "sh3"), "#d55e00"),
-}
-_SHOWN = ("paper-s", "s", "paper-m", "m")
+_WIDTH = 600
+_FRAMES = 30
+_FRAME_MS = 70
+_MARGIN = 10
 
 
-def view() -> Camera:
-    """The camera of the picture."""
-    entry = orbit_cameras(24, _WIDTH, _HEIGHT)[2]
-    entry["fx"] = entry["fy"] = 1.2 * entry["fx"]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "cameras.json"
-        path.write_text(json.dumps([entry]))
-        return read_cameras(path)[0]
-
-
-def main(target: str) -> None:
-    """Draw before, after, difference, and the bits of each profile."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    scene = generate(_COUNT, 3, 1)
-    data, _ = encode_scene(scene, Config(_PROFILE))
-    before, after = _draw(scene), _draw(decode_scene(data))
-    quality = compare_images(before, after)
-    panels = {
-        f"before: {scene.float_bytes / 1e6:.0f} MB ({_COUNT:,} splats)": before,
-        f"after: {len(data) / 1e6:.1f} MB (profile {_PROFILE})": after,
-        f"difference, {DIFFERENCE_GAIN} times as strong: {quality.psnr:.1f} dB": (
-            DIFFERENCE_GAIN * np.abs(before - after)
-        ),
-    }
-    figure = plt.figure(figsize=(18, 4.0), dpi=80)
-    for place, (title, image) in enumerate(panels.items()):
-        axis = figure.add_axes((0.25 * place, 0.0, 0.247, 0.92))
-        show(axis, np.clip(image, 0, 1), title)
-    _draw_bits(figure.add_axes((0.805, 0.16, 0.19, 0.56)), scene, before)
-    figure.savefig(target)
-
-
-def show(axis, image: NDArray, title: str, interpolation: str | None = None) -> None:
-    """Show an image below its title."""
-    axis.imshow(image, interpolation=interpolation)
-    axis.set_title(title, fontsize=15)
-    axis.axis("off")
-
-
-def drawn(scene: Scene, camera: Camera) -> NDArray:
-    """Render of a scene, 0-1."""
-    return np.clip(render(scene, camera, device="cpu").colour, 0, 1)
-
-
-def _draw(scene: Scene) -> NDArray:
-    return drawn(scene, view())
-
-
-def _draw_bits(axis, scene: Scene, before: NDArray) -> None:
-    """Draw stacked bits per Gaussian by attribute for each profile, and the loss of the view."""
-    for row, profile in enumerate(_SHOWN):
-        data, report = encode_scene(scene, Config(profile))
-        sizes = report.section_bytes
-        quality = compare_images(before, _draw(decode_scene(data)))
-        left = 0.0
-        for part, (streams, colour) in _PARTS.items():
-            bits = 8 * sum(sizes.get(stream, 0) for stream in streams) / scene.count
-            label = None if row else part
-            axis.barh(row, bits, left=left, color=colour, label=label, edgecolor="white")
-            left += bits
-        axis.text(left + 3, row, f"{left:.0f}: {quality.psnr:.1f} dB", va="center", fontsize=12)
-    axis.set_yticks(range(len(_SHOWN)), _SHOWN, fontsize=12)
-    axis.invert_yaxis()
-    axis.set_xlim(0, 245)
-    axis.set_xlabel("bits per Gaussian (1888 as floats)", fontsize=12)
-    axis.legend(
-        ncols=3, fontsize=11, loc="lower center", bbox_to_anchor=(0.42, 1.0), frameon=False,
-        columnspacing=1.0, handlelength=1.2,
+def main(scene: str, cameras: str, name: str, folder: str) -> None:
+    """Encode the scene, and draw one of its cameras before and after."""
+    camera = next(x for x in read_cameras(Path(cameras)) if x.name == name)
+    camera = camera.resized(_WIDTH, round(_WIDTH * camera.height / camera.width))
+    with tempfile.TemporaryDirectory() as work:
+        small = Path(work) / "small.egs"
+        gs_codec.encode_file(scene, small, "m", gs_codec.Plan(cameras=cameras))
+        before, after = (_drawn(path, camera) for path in (scene, small))
+        texts = [f"{Path(path).stat().st_size / 1e6:.1f} MB" for path in (scene, small)]
+    picture = Image.new("RGB", (2 * before.width + _MARGIN, before.height), "white")
+    picture.paste(_labelled(before, f"before: {texts[0]}", "left"), (0, 0))
+    picture.paste(_labelled(after, f"after: {texts[1]}", "right"), (before.width + _MARGIN, 0))
+    picture.save(Path(folder) / "picture.jpg", quality=90)
+    both = [_labelled(before, texts[0], "left"), _labelled(after, texts[1], "right")]
+    there = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, _FRAMES))
+    frames = [_wiped(*both, round(_WIDTH * (0.02 + 0.96 * x))) for x in (*there, *there[-2:0:-1])]
+    frames[0].save(
+        Path(folder) / "wipe.webp", save_all=True, append_images=frames[1:], duration=_FRAME_MS,
+        loop=0, quality=80, method=6,
     )  # fmt: skip
-    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _drawn(path: Path | str, camera: Camera) -> Image.Image:
+    ((_, rendering),) = gs_codec.render(path, [camera])
+    return Image.fromarray(np.rint(255 * np.clip(rendering.colour, 0, 1)).astype(np.uint8))
+
+
+def _labelled(image: Image.Image, text: str, side: str) -> Image.Image:
+    """White text on a dark field in an upper corner."""
+    image = image.copy()
+    draw, font = ImageDraw.Draw(image, "RGBA"), ImageFont.load_default(22)
+    width = draw.textlength(text, font) + 2 * _MARGIN
+    left = 0 if side == "left" else image.width - width
+    draw.rectangle((left, 0, left + width, 40), fill=(0, 0, 0, 150))
+    draw.text((left + _MARGIN, 6), text, "white", font)
+    return image
+
+
+def _wiped(before: Image.Image, after: Image.Image, column: int) -> Image.Image:
+    """The scene before coding left of a line, and after coding right of it."""
+    image = after.copy()
+    image.paste(before.crop((0, 0, column, before.height)), (0, 0))
+    ImageDraw.Draw(image).line((column, 0, column, image.height), "white", 2)
+    return image
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

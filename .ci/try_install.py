@@ -1,6 +1,6 @@
 """Install a wheel or source distribution into a new environment, and use it there.
 
-python .ci/try_install.py dist/gs_codec-1.0.0-py3-none-any.whl
+python .ci/try_install.py dist/gs_codec-1.1.0-py3-none-any.whl
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from gs_codec.runtime.lazy import lazy_names
 
-__version__ = "1.0.0"
+__version__ = "1.1.0"
 
 #: Modules and their public names.
 _PUBLIC = {

@@ -13,12 +13,14 @@ import gs_codec
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
+from viewer.pictures.screenshot import shown_of
 from viewer.scenes.edits import Edits
 from viewer.scenes.gizmo import _RING, Gizmo, about
 from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import look_at
 from viewer.scenes.saving import command_of, open_file, save_project, save_scene
 from viewer.scenes.selecting import by_rule, in_range, inside_box, range_options, rule_options
+from viewer.scenes.view_request import Request
 
 
 @pytest.fixture
@@ -99,6 +101,17 @@ def test_a_selection_is_moved_alone_and_saved_by_a_project(folder, run_codec):
     assert_same_floats(from_cloud(again.scene.cloud), from_cloud(edits.scene.cloud))
     np.testing.assert_array_equal(again.drawn, edits.drawn)
     assert again.project.moves[0].matrix.tolist() == TURN.tolist()
+
+
+def test_pictures_of_a_project_lack_what_is_hidden(folder):
+    edits = Edits(open_scene("a.ply"))
+    edits.select(np.arange(300) < 200)
+    edits.hide()
+    save_project(edits, folder / "p.gsproj")
+    request = Request("p.gsproj")
+    scenes = request.scenes()
+    shown = shown_of(request, scenes)
+    np.testing.assert_array_equal(shown.look(scenes[0]).drawn, edits.drawn)
 
 
 def test_shears_are_refused_and_change_nothing(folder):

@@ -28,6 +28,7 @@ from viewer.pictures.picture import (
     wiped,
     write_reasons,
 )
+from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.view_request import Request, find_pruned, find_views, first_view
@@ -66,9 +67,11 @@ def save_picture(picture: Image.Image, path: Path) -> None:
 def shown_of(request: Request, scenes: Sequence[Opened]) -> Shown:
     """Drawing settings of a request whose scenes are open."""
     pruned, scale = find_pruned(request, scenes[0]), request.scale
+    drawn = {scene: Edits(scene).drawn for scene in scenes if scene.hidden is not None}
     return Shown(
-        request.layers, request.colouring, tuple(scenes), pruned, request.octree, scale=scale
-    )
+        request.layers, request.colouring, tuple(scenes), pruned, request.octree, scale=scale,
+        drawn={scene: mask for scene, mask in drawn.items() if mask is not None},
+    )  # fmt: skip
 
 
 def draw_request(request: Request) -> tuple[Image.Image, str]:

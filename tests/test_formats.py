@@ -1004,6 +1004,7 @@ IMPOSTERS = {
     "page": (page(96), "an HTML page"),
     "page after a mark": (b"\xef\xbb\xbf\r\n" + page(91), "an HTML page"),
     "document": (b'<?xml version="1.0"?>'.ljust(64), "an XML document"),
+    "project": (b'{\n "project": 1,'.ljust(64), "a project of the viewer"),
     "image": (b"\x89PNG\r\n\x1a\n" + bytes(56), "a PNG image"),
 }
 

@@ -17,6 +17,7 @@ _TEXTS = {
     b"<html": _HTML,
     b"<head": _HTML,
     b"<?xml": "an XML document, not a scene",
+    b'{\n "project": ': "a project of the viewer, not a scene (its edits apply to its scenes)",
 }
 _SIGNATURES = {
     b"\x89PNG\r\n\x1a\n": "a PNG image, not a scene",

@@ -42,8 +42,8 @@ _ALLOWED_IF_UNSURE = 1.25
 #: becomes 13 % smaller.
 _WASTED = 0.5
 
-#: Finer steps must reduce the error to less than this share, and at least halfway to the target on
-#: a logarithmic scale; otherwise they are discarded.
+#: Finer steps are discarded unless they reduce the error to what is allowed, or to less than this
+#: share and at least halfway to the target on a logarithmic scale.
 _HELPS = 0.8
 
 #: Given cameras belong to another scene, scale or coordinate system if the error in likely views,
@@ -138,7 +138,9 @@ def encode_within_loss(
         wasted = calibrated and encodings == 1 and error < _WASTED * aim
         if error <= allowed * aim and not wasted:
             break
-        most = allowed * aim if wasted else min(_HELPS * error, math.sqrt(aim * error))
+        most = allowed * aim
+        if not wasted:
+            most = max(most, min(_HELPS * error, math.sqrt(aim * error)))
         again = finer(chosen, aim / error)
         if again == chosen:
             break

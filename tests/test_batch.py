@@ -134,9 +134,9 @@ def test_options_equal_those_of_encode(folder):
 def test_batch_has_the_options_of_encode():
     of_encode, of_batch = (signature(x.command).parameters.keys() for x in (encode, batch))
     # These are for a single scene or sequence, or for stdin.
-    assert of_encode - {"checkpoint", "input_format", "fps", "group"} <= of_batch
+    assert of_encode - {"checkpoint", "input_format", "fps", "group", "target_bitrate"} <= of_batch
     # `--dask` is not an expert option of batch.
-    options = "checkpoint FILE|dask ADDRESS|input-format NAME|fps X|group N"
+    options = "checkpoint FILE|dask ADDRESS|input-format NAME|fps X|group N|target-bitrate RATE"
     own = re.compile(rf"\n--({options}) .*?(?=\n--|\n\n)", re.DOTALL)
     without = own.sub("", encode.command.epilog)
     assert "--crop-box X,Y,Z,X,Y,Z " in without

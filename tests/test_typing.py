@@ -28,7 +28,7 @@ def test_help_and_its_other_name_are_the_same(folder, name):
     assert shown.status == 0
     assert f"Usage: gs-codec {name} " in shown.out
     for word in ("<bool>", "<int>", "{", "python -m"):
-        assert word not in shown.out
+        assert word not in shown.out.replace("{in}", "").replace("{out}", "")
     if name != "bench":
         assert {"--quiet", "--verbose"} <= {o for p in commands()[name].params for o in p.opts}
 

@@ -109,6 +109,7 @@ def test_watching_a_sequence_is_refused(folder):
         Request(folder / "moving.egs", watch=True).scenes()
 
 
+@pytest.mark.thorough
 @needs_display
 @pytest.mark.slow
 class TestWindow:

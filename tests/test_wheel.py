@@ -148,7 +148,7 @@ def test_the_readme_in_metadata_shows_its_pictures_anywhere(wheel):
     for there, here in zip(
         re.findall(links, shown), re.findall(links, (ROOT / "README.md").read_text()), strict=True
     ):
-        kind = "raw" if here.endswith((".png", ".jpg")) else "blob"
+        kind = "raw" if here.endswith((".png", ".jpg", ".webp")) else "blob"
         whole = f"{url}/{kind}/v{gs_codec.__version__}/{here}"
         assert there == (here if here.startswith("http") else whole)
 

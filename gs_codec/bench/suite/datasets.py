@@ -21,6 +21,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.errors import InvalidInput
 from gs_codec.pages.tables import Table, escaped, number
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
 
@@ -185,7 +186,7 @@ def introduction(results: Results, dataset: Dataset) -> str:
 
 
 def _scenes(results: Results, dataset: Dataset) -> str:
-    return f"mean of {len(results.scenes)} of {len(dataset.scenes)} scenes"
+    return f"mean of {len(results.scenes)} of {counted(len(dataset.scenes), 'scene')}"
 
 
 def published(dataset: Dataset) -> list[dict[str, str]]:

@@ -42,8 +42,8 @@ _ALLOWED_IF_UNSURE = 1.25
 #: becomes 13 % smaller.
 _WASTED = 0.5
 
-#: Finer steps are discarded unless they reduce the error to what is allowed, or to less than this
-#: share and at least halfway to the target on a logarithmic scale.
+#: Finer steps must reduce the error to less than this share, and to what is allowed or at least
+#: halfway to the target on a logarithmic scale; otherwise they are discarded.
 _HELPS = 0.8
 
 #: Given cameras belong to another scene, scale or coordinate system if the error in likely views,
@@ -140,7 +140,7 @@ def encode_within_loss(
             break
         most = allowed * aim
         if not wasted:
-            most = max(most, min(_HELPS * error, math.sqrt(aim * error)))
+            most = min(_HELPS * error, max(most, math.sqrt(aim * error)))
         again = finer(chosen, aim / error)
         if again == chosen:
             break

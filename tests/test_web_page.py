@@ -770,6 +770,7 @@ def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_pat
     job = Job(pages["two"].as_uri(), [("drawn",), ("value", cells), ("key", "1")], panel=True)
     job.steps += [("drawn",), ("saved", "#save", str(tmp_path / "saved.png"))]
     unnamed = """[...document.querySelectorAll('select, button, input, canvas, [tabindex]')]
+        .filter((e) => !e.closest('[hidden]'))
         .filter((e) => !(e.labels?.length || e.ariaLabel || e.textContent.trim()))
         .map((e) => e.outerHTML)"""
     job.steps.append(("value", unnamed))

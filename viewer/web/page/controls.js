@@ -97,9 +97,8 @@ export function control(element, viewer) {
   const isAtRest = () => held.size === 0 && !stick.some(Boolean);
   let last = 0;
   let isFast = false;
-  const step = (now) => {
-    if (isAtRest()) return;
-    const seconds = Math.min((now - last) / 1000, 0.1);
+  const advance = (now) => {
+    const seconds = Math.min(Math.max(now - last, 0) / 1000, 0.1);
     last = now;
     const sum = [0, 0, stick[0] * seconds, 0, stick[1] * seconds, 0];
     for (const movement of held.values()) {
@@ -111,6 +110,10 @@ export function control(element, viewer) {
     pose.move(...sum.slice(2, 5).map((value) => value * pace));
     pose.zoom(Math.exp(-sum[5] * ANGLE));
     viewer.moved();
+  };
+  const step = (now) => {
+    if (isAtRest()) return;
+    advance(now);
     requestAnimationFrame(step);
   };
   const begin = () => {
@@ -134,6 +137,8 @@ export function control(element, viewer) {
     held.set(code, movement);
   });
   document.addEventListener('keyup', ({ code, shiftKey }) => {
+    // A key may come and go between two frames.
+    if (held.has(code)) advance(performance.now());
     isFast = shiftKey;
     held.delete(code);
   });

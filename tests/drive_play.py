@@ -53,7 +53,7 @@ def slide(driver: Driver, found: dict) -> None:
     driver.click(player.bar.loop)
     driver.wait(lambda: not player.loop)
     driver.key("space")
-    driver.wait(lambda: player.playing)
+    driver.wait(lambda: player.wanted == 5 and not player.playing)
     driver.rest()
     found["played"] = [player.wanted, *numbers(driver)]
     driver.click(player.bar.loop)

@@ -91,10 +91,9 @@ def flights(driver: Driver, found: dict) -> None:
     timeline.set_fps(5)
     viewer.visits.overview()
     driver.rest()
+    begun = driver.models()
     driver.key("space")
     driver.wait(lambda: timeline.flying)
-    driver.tick(5)
-    begun = driver.models()
     driver.rest()
     ends = [np.abs(viewer.stage.pose.position - pose.position).max() for pose in path.poses]
     found["ends"], found["flown"] = ends, driver.models() != begun
@@ -146,8 +145,17 @@ def measure(driver: Driver, found: dict) -> None:
     driver.key("r")
     found["drawn"] = int((np.abs(driver.scenes(driver.rest()) - before).max(axis=2) > 60).sum())
     found["measured"] = [measuring._label.text, viewer.panel.pick.measure._said.text]
-    driver.key("Escape")
+    centres, tab = viewer.stage.scenes[0].positions, viewer.panel.pick.measure
+    viewer.editor.do(lambda edits: edits.select(np.arange(len(centres)) == 0))
+    driver.click(tab.scale)
     driver.wait(lambda: not measuring.points)
+    scaled = viewer.stage.scenes[0].positions
+    found["scaled"] = [float(np.abs(scaled - 2 * centres).max()), viewer.editor.edits.options[-1]]
+    found["after scaling"] = [measuring.unit, viewer.panel.status.text]
+    driver.key("ctrl+z")
+    driver.wait(lambda: viewer.stage.scenes[0].positions is centres)
+    viewer.editor.do(Edits.select_none)
+    viewer.visits.go_to(1)
     driver.key("Escape")
     driver.wait(lambda: not measuring.on)
     found["left"] = int(np.abs(driver.scenes(driver.rest()) - before).max())

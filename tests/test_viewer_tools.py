@@ -74,6 +74,8 @@ def test_distances_are_measured_on_what_is_seen_and_set_the_scale(found):
     assert label == f" {2 * distance:.4g} "
     assert said == f"{distance:.5g} scene units = {2 * distance:.5g}\ngs-codec convert --scale 2"
     assert found["drawn"] > 40
+    assert found["scaled"] == [0.0, "--transform=2,0,0,0,0,2,0,0,0,0,2,0"]
+    assert found["after scaling"] == [1.0, "scaled by 2"]
     assert found["left"] <= 4
     assert not found["picked"]
 

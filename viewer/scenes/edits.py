@@ -199,8 +199,10 @@ class Edits:
         masks = {"selected": self.selected & kept, "hidden": hidden & kept, "deleted": ~kept}
         self._do(step, masks, replace(self._state, options=self._then(options), means=((), ())))
 
-    def move(self, matrix: NDArray[np.float64]) -> None:
+    def move(self, matrix: NDArray[np.float64], everything: bool = False) -> None:
         """Move the selected Gaussians, or all if none is selected, by a matrix ``(4, 4)``.
+
+        With `everything`, all are moved whatever is selected.
 
         Raises
         ------
@@ -209,7 +211,7 @@ class Edits:
         """
         state, count = self._state, self.whole.count
         rows = np.unpackbits(state.selected, count=count).astype(bool)
-        everything = not rows.any()
+        everything = everything or not rows.any()
         rows, moves, option = rows | everything, state.moves, move_option(matrix)
         options = self._then((option,)) if everything else None
         if moves and np.array_equal(moves[-1].rows, rows):  # so that rounding does not add up

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
+from open3d.visualization import gui
+
 from viewer.pictures.screenshot import compose, save_picture
 from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Appearance, OctreeChoice
 from viewer.scenes.typed_paths import PICTURES
@@ -30,6 +32,7 @@ _SAME_ANGLE = 0.01
 class Controls(Host, Protocol):
     """A window, as seen by its panel and keys."""
 
+    tabs: gui.TabControl
     visits: Visits
     timeline: Timeline
     measuring: Measuring

@@ -52,6 +52,8 @@ class Viewer(Controls):
 
     Attributes
     ----------
+    tabs : gui.TabControl
+        Those of the panel.
     choice : Choice
     stage : Stage
     visits : Visits
@@ -88,6 +90,9 @@ class Viewer(Controls):
         release_large_when_freed()
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
+        # The first child: if one before it comes or goes, Open3D selects the first tab.
+        self.tabs = gui.TabControl()
+        self.window.add_child(self.tabs)
         self.modal = dialogs.Modal(self.window)
         self.worker = Worker(self.post)
         self.stage = Stage(

@@ -12,7 +12,6 @@ from viewer.scenes.worker import Stale
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
-from viewer.window.widgets import Widgets
 
 #: Offset of the label from the middle of the line, in font sizes.
 _BESIDE = 0.5
@@ -97,6 +96,12 @@ class Measuring:
             self.unit = length / self.distance
             self._viewer.panel.refresh()
 
+    def take_unit(self) -> float:
+        """The scale, for scaling the scene by it: what is measured next has scene units again."""
+        unit, self.unit = self.unit, 1.0
+        self._put([])
+        return unit
+
     @property
     def text(self) -> str:
         """What was measured, and the command that scales the scene."""
@@ -127,26 +132,3 @@ class Measuring:
             x, y = min(max(x, 0), frame.width - wide), min(max(y, 0), frame.height - 1.5 * em)
             self._label.frame = gui.Rect(frame.x + int(x), frame.y + int(y), wide, int(1.5 * em))
         return True
-
-
-class MeasureControls:
-    """A switch for measuring, the distance, and a field for a known length."""
-
-    def __init__(self, measuring: Measuring, widgets: Widgets, parent: gui.Widget) -> None:
-        self._measuring = measuring
-        self.on = widgets.checkbox("measure distances (Y)", lambda _: measuring.toggle())
-        parent.add_child(self.on)
-        self._said = gui.Label("")
-        parent.add_child(self._said)
-        self.length = widgets.number(measuring.set_length)
-        self._row = widgets.row(parent, gui.Label("known length"), self.length)
-
-    def refresh(self) -> None:
-        """Update the controls."""
-        measuring = self._measuring
-        self.on.checked = measuring.on
-        self._said.text = measuring.text
-        self._said.visible = bool(measuring.text)
-        self._row.visible = measuring.distance is not None
-        if measuring.distance is not None:
-            self.length.double_value = measuring.unit * measuring.distance

@@ -81,12 +81,11 @@ class Panel:
             "Edit": self.edit,
             "Place": self.place,
         }
-        self.tabs = gui.TabControl()
-        self._coming: int | None = None
+        self.tabs = viewer.tabs
         for name, tab in self._named.items():
             self.tabs.add_tab(name, tab.widget)
         self._legend = _Legends(em, margins)
-        for part in (self._head, self.tabs, self._legend.widget):
+        for part in (self._head, self._legend.widget):
             viewer.window.add_child(part)
 
     def lay_out(self, rect: gui.Rect, context: gui.LayoutContext) -> None:
@@ -99,14 +98,7 @@ class Panel:
             part.frame = gui.Rect(rect.x, top, rect.width, high)
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
-        frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
-        # Open3D may select the first tab after a layout, and selects another one only in the next
-        # frame.
-        front = self.tabs.selected_tab_index
-        if front == self._coming:
-            self._coming = None
-        self.tabs.frame = frame
-        self.tabs.selected_tab_index = front if self._coming is None else self._coming
+        self.tabs.frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
 
     @property
     def doing(self) -> str:
@@ -117,8 +109,7 @@ class Panel:
 
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
-        self._coming = list(self._named).index(name)
-        self.tabs.selected_tab_index = self._coming
+        self.tabs.selected_tab_index = list(self._named).index(name)
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""

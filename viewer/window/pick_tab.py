@@ -1,4 +1,4 @@
-"""The tab for the picked Gaussian."""
+"""The tab for the picked Gaussian, and for measuring."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from open3d.visualization import gui
 
 from viewer.scenes.picked_text import picked_sections
 from viewer.window.controls import Controls
-from viewer.window.measuring import MeasureControls
 from viewer.window.widgets import Widgets
 
 #: Width of a row, characters.
@@ -34,7 +33,7 @@ class PickTab:
 
         self._clear = widgets.button("Clear", clear, "clear the pick (Esc)")
         widgets.row(self.widget, self._clear)
-        self.measure = MeasureControls(viewer.measuring, widgets, self.widget)
+        self.measure = MeasureControls(viewer, widgets, self.widget)
         self.text = gui.Label(_NOTHING)
         self.text.font_id = font
         self.widget.add_child(self.text)
@@ -54,6 +53,38 @@ class PickTab:
             for title, rows in picked_sections(picking.picked):
                 lines += ["", title, *(line for row in rows for line in _row(*row))]
             self.text.text = "\n".join(lines[1:])
+
+
+class MeasureControls:
+    """A switch for measuring, the distance, and a field for a known length."""
+
+    def __init__(self, viewer: Controls, widgets: Widgets, parent: gui.Widget) -> None:
+        self._viewer = viewer
+        self._measuring = measuring = viewer.measuring
+        self.on = widgets.checkbox("measure distances (Y)", lambda _: measuring.toggle())
+        parent.add_child(self.on)
+        self._said = gui.Label("")
+        parent.add_child(self._said)
+        self.length = widgets.number(measuring.set_length)
+        tip = "Scale the scene until the line has this length."
+        self.scale = widgets.button("Scale", self._scale, tip)
+        self._row = widgets.row(parent, gui.Label("known length"), self.length, self.scale)
+
+    def _scale(self) -> None:
+        # The click may come before the field has told its value.
+        self._measuring.set_length(self.length.double_value)
+        self._viewer.placing.scale_all(self._measuring.take_unit())
+
+    def refresh(self) -> None:
+        """Update the controls."""
+        measuring = self._measuring
+        self.on.checked = measuring.on
+        self._said.text = measuring.text
+        self._said.visible = bool(measuring.text)
+        self._row.visible = measuring.distance is not None
+        if measuring.distance is not None:
+            self.length.double_value = measuring.unit * measuring.distance
+            self.scale.enabled = self._viewer.editor.edits is not None
 
 
 def _row(name: str, value: str) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -55,6 +56,17 @@ class Placing:
             middle = edits.middle if around_middle else np.zeros(3)
             matrix = about(middle, shift, angles, factor)
             self._editor.do(lambda edits: edits.move(matrix))
+
+    def scale_all(self, factor: float) -> None:
+        """Scale the whole scene about 0, and the camera's place with it: the picture stays."""
+        stage, edits = self._viewer.stage, self._editor.edits
+        if edits is None or stage.pose is None:
+            return
+        matrix = about(np.zeros(3), factor=factor)
+        self._editor.do(lambda edits: edits.move(matrix, everything=True))
+        pose = replace(stage.pose, position=factor * stage.pose.position)
+        stage.look_from(pose, factor * stage.navigator.distance)
+        self._viewer.panel.say(f"scaled by {factor:.6g}")
 
     def ask_add(self) -> None:
         """Ask for a scene, and join it to the edited one."""

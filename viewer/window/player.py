@@ -154,12 +154,13 @@ class Player:
         """Go to the same moment in scenes that were opened."""
         before, self._scenes = self._scenes, self._viewer.stage.scenes
         self.bar.refresh()
-        if (moment is None) != (first_moment(before) is None):
+        moment_before = first_moment(before)
+        if (moment is None) != (moment_before is None):
             self._viewer.stage.arrange()
         if moment is None:
             self.playing, self._coming = False, None
         else:
-            self._want(moment.number)
+            self._want(self.wanted if moment is moment_before else moment.number)
 
     def _show(self, scenes: list[Opened]) -> None:
         stage, self._coming = self._viewer.stage, None

@@ -57,6 +57,7 @@ PAGES = {
         "Batches": "gs_codec/batch/BATCH",
         "Window": "viewer/README",
         "Web page": "viewer/web/README",
+        "Viewers compared": "samples/docs/viewers",
         "Samples": "samples/README",
         "The .egs format": "gs_codec/egs/FORMAT",
     },

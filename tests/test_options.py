@@ -96,6 +96,13 @@ def test_refusal_names_the_option_as_typed(folder, command, typed):
     assert line.startswith(f"gs-codec: error: {typed.split()[0]} ")
 
 
+def test_a_file_that_looks_like_an_option_is_told_how_to_be_named(folder, run_viewer):
+    folder.path.joinpath("-x.egs").touch()
+    hint = "No such option: -x; write the name of the file as ./-x.egs\n"
+    assert folder.refuse("inspect", "-x.egs") == f"gs-codec: error: {hint}"
+    assert run_viewer("-x.egs")[2] == f"gs-viewer: error: {hint}"
+
+
 # Expert options
 
 

@@ -13,6 +13,7 @@ import typer
 
 import gs_codec
 from gs_codec.cameras.up import UPS
+from gs_codec.cli.command import message_of
 from gs_codec.cli.main import describe_error
 from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
@@ -395,7 +396,7 @@ def main() -> None:
         # Usage errors of Typer; its releases define the class in different modules.
         if not hasattr(error, "format_message"):
             raise
-        print_status(f"gs-viewer: error: {' '.join(error.format_message().split())}")
+        print_status(f"gs-viewer: error: {message_of(error)}")
         sys.exit(2)
     if status == 130:
         print_status("gs-viewer: interrupted")

@@ -42,7 +42,7 @@ _GROUP = "gs_codec"
 def draw(
     *scenes: PointCloud | str | Path,
     cameras: str | Path | Sequence[gs_codec.Camera | Mapping[str, object]] | None = None,
-    images: str | Path | None = None,
+    gt_images: str | Path | None = None,
     view: int | None = None,
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
@@ -64,7 +64,7 @@ def draw(
         One or two clouds with the attributes from `gs_codec.read`, or paths of files to read.
     cameras : path, "auto", or sequence, optional
         Cameras to look from, as in `gs_codec.render`.
-    images : path, optional
+    gt_images : path, optional
         Folder of the cameras' photographs, shown next to the scenes.
     view : int, optional
         Index of the first camera to look from.
@@ -112,9 +112,10 @@ def draw(
     folder = Path(pruned) if pruned is not None else None
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)
     octree, size = OctreeChoice(int(octree_depth), octree_colour), (int(width), int(height))
+    photographs = Path(gt_images) if gt_images is not None else None
     request = Request(
-        a, b, cameras, Path(images) if images is not None else None, folder, shown, colour, mode,
-        view, size, octree=octree, up=up, scale=colour_scale, watch=watch,
+        a, b, cameras, photographs, folder, shown, colour, mode, view, size,
+        octree=octree, up=up, scale=colour_scale, watch=watch,
     )  # fmt: skip
     request.check()
     check_installed("open3d", "draw")

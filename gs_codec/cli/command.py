@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import Any
 
 
@@ -55,12 +56,21 @@ def _names(ctx: Any) -> list[str]:
 
 def usage_text(error: Any) -> str:
     """The text of a usage error, in one line; if a glob expanded to several files, with a hint."""
-    text = " ".join(error.format_message().split())
+    text = message_of(error)
     if "unexpected extra argument" in text:
         return _of_several(error.ctx) or f"{text.replace('(s)', 's')}; {usage_of(error.ctx)}"
     # Or the argument after a list is missing.
     if text.startswith("Missing argument") and error.param.nargs == -1:
         return f"Missing argument: expected {' '.join(argument_names(error.ctx.command))}"
+    return text
+
+
+def message_of(error: Any) -> str:
+    """The message of Typer's error, in one line; with a hint if a file was taken for an option."""
+    text = " ".join(error.format_message().split())
+    dashed = [name for name in sys.argv[1:] if name.startswith("-") and os.path.exists(name)]
+    if dashed and text.startswith("No such option"):
+        return f"{text}; write the name of the file as ./{dashed[0]}"
     return text
 
 

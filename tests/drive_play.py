@@ -90,6 +90,29 @@ def edit(driver: Driver, found: dict) -> None:
     found["left"] = numbers(driver)
 
 
+def slow(driver: Driver, found: dict) -> None:
+    """Play although drawing takes as long as the whole sequence; step beyond the last frame."""
+    viewer, player = driver.viewer, driver.viewer.player
+    driver.key("space")
+    driver.wait(lambda: player.playing)
+    player._step = player.moment.clip.count
+    player._next(player.moment)
+    before = numbers(driver)
+    driver.wait(lambda: numbers(driver) != before)
+    driver.key("space")
+    driver.wait(lambda: not player.playing)
+    player.seek(5)
+    driver.rest()
+    viewer.editor.select_range("opacity", 0.5, np.inf)
+    driver.key("Delete")
+    driver.wait(lambda: viewer.editor.unsaved == [0])
+    driver.key("period")
+    driver.tick(5)
+    found["beyond"] = [player.wanted, viewer.modal.dialog is not None]
+    viewer.editor.do(lambda edits: edits.undo())
+    driver.rest()
+
+
 def trial(driver: Driver, found: dict) -> None:
     """Encode a frame, and go on."""
     viewer, player = driver.viewer, driver.viewer.player
@@ -122,6 +145,7 @@ def run(folder: Path) -> dict:
     found["at first"] = [driver.viewer.player.wanted, *numbers(driver)]
     slide(driver, found)
     edit(driver, found)
+    slow(driver, found)
     trial(driver, found)
     return found
 

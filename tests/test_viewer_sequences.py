@@ -13,7 +13,7 @@ from windows import drive, needs_display
 import gs_codec
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.sequences.frame_decoding import opened_sequence
-from viewer.scenes.clip import Clip
+from viewer.scenes.clip import Clip, Moment
 from viewer.scenes.frame_scenes import at_moment, open_frame
 from viewer.scenes.pose import look_at
 from viewer.scenes.view_request import Request
@@ -62,6 +62,43 @@ def test_a_frame_that_cannot_be_read_leaves_the_others(folder, tmp_path):
         with pytest.raises(gs_codec.CorruptStream):
             clip.read(FRAMES - 1)
         assert clip.read(0).count == 1200
+
+
+def test_a_frame_that_is_no_longer_wanted_keeps_what_is_decoded(folder):
+    clip, asked = Clip(folder / "moving.egs"), []
+
+    def progress(_: str, done: int, total: int) -> None:
+        asked.append(done)
+        if len(asked) == 3:
+            raise gs_codec.GsCodecError("another frame is wanted")
+
+    with pytest.raises(gs_codec.GsCodecError, match="another"):
+        clip.read(2, progress)
+    clip.read(2, progress)
+    assert asked == [0, 1, 2, 2]
+
+
+@pytest.mark.parametrize(
+    ("number", "step", "loop", "expected"),
+    [
+        (4, 1, True, 5),
+        (5, 1, True, 0),
+        (4, 3, True, 1),
+        (2, FRAMES, True, 1),
+        (2, 99, True, 1),
+        (4, 1, False, 5),
+        (2, 99, False, 5),
+        (5, 1, False, None),
+    ],
+)
+def test_another_frame_is_next_however_long_drawing_takes(folder, number, step, loop, expected):
+    assert Moment(Clip(folder / "frames"), number).after(step, loop) == expected
+
+
+@pytest.mark.parametrize("loop", [True, False])
+def test_a_single_frame_does_not_play(folder, tmp_path, loop):
+    (tmp_path / "0.ply").write_bytes((folder / "frames" / "0.ply").read_bytes())
+    assert Moment(Clip(tmp_path), 0).after(1, loop) is None
 
 
 @pytest.mark.parametrize(
@@ -127,10 +164,11 @@ class TestWindow:
         saved = gs_codec.read(folder / "frame.ply")
         assert len(saved.point.positions) == found["saved"] < 1200
         assert "a frame of a sequence, expected files" in found["command"][1]
+        assert found["beyond"] == [5, False]
         assert found["asked"] == [2, 2, 2]
         assert found["left"] == [3, 3]
 
     def test_a_trial_of_a_frame_goes_with_it(self, found):
-        assert found["trial"] == [3, None]
+        assert found["trial"] == [5, None]
         assert found["trial left"] == [4]
         assert found["bar"] == 0

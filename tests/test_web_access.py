@@ -124,6 +124,12 @@ def test_letters_may_be_switched_off(page):
     assert [value for value in told.values if value in ("0", "1")] == ["0", "1"]
 
 
+def test_nothing_makes_the_page_scroll(page):
+    beyond = "document.documentElement.scrollHeight - innerHeight"
+    [told] = open_pages(Job(page, [("drawn",), ("value", beyond)]))
+    assert told.values[-1] == 0
+
+
 def test_a_clicked_scene_shows_no_ring_and_a_focused_one_does(page):
     ring = ("value", "getComputedStyle(document.getElementById('view')).outlineStyle")
     job = Job(page, [("drawn",), ("press",), ("key", "r"), ring])

@@ -234,7 +234,12 @@ def test_another_address_is_followed_and_a_link_is_copied(files, pages, tmp_path
     job.shot(str(tmp_path / "grey.png"))
     job.steps += [("click", "#link"), ("until", "globalThis.kept"), ("value", "globalThis.kept")]
     job.steps += [("value", "document.getElementById('link').textContent")]
-    [told] = open_pages(job)
+    # What an address leaves out is kept, and then in it.
+    kept = Job(pages["one"].as_uri(), [("drawn",), ("drag", [[150, 100], [190, 90]], 4)])
+    kept.steps += [("value", "location.hash = '#background=white'")]
+    kept.steps += [("until", "/camera=.*background=white/.test(location.hash)")]
+    told, moved = open_pages(job, kept)
+    assert moved.errors == []
     assert told.values[-2:] == [
         f"{pages['one'].as_uri()}#view=2&background=grey",
         "Link copied",

@@ -101,6 +101,27 @@ def test_it_plays_again_and_again_until_space_is_pressed(folder):
 
 
 @in_browser
+def test_it_plays_after_its_slider_was_dragged_back_to_where_it_was(folder):
+    steps = [("drawn",), ("slide", "#time", [0, 0.5, 0]), ("until", f"{FRAME} === 0")]
+    steps += [("click", "#play"), ("until", f"{FRAME} > 1")]
+    [opened] = open_pages(Job(f"{(folder / 'page.html').as_uri()}#frame=0", steps))
+    assert not opened.errors
+
+
+@in_browser
+def test_keys_of_the_slider_leave_the_camera_where_it_is(folder):
+    page = f"{(folder / 'page.html').as_uri()}#frame=3&camera=0,0,-5,0,0,0,0,-1,0"
+    camera = ("value", "viewer.pose.eye[2]")
+    steps = [("drawn",), ("focus", "#time")]
+    for key, frame in (("Home", 0), ("End", 7), ("ArrowLeft", 6)):
+        steps += [("key", key), ("until", f"{FRAME} === {frame}"), ("drawn",), camera]
+    steps += [("focus", "#view"), ("key", "Home"), camera]
+    [opened] = open_pages(Job(page, steps))
+    assert not opened.errors
+    assert [value for value in opened.values if isinstance(value, int)] == [-5, -5, -5, -9]
+
+
+@in_browser
 def test_damage_in_a_later_group_is_reported(folder, tmp_path):
     data = bytearray((folder / "site" / "clip.egs").read_bytes())
     data[-9] ^= 4

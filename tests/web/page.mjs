@@ -53,6 +53,12 @@ const STEPS = {
     for (const point of points.slice(1)) await page.mouse.move(...point, { steps: events });
     await page.mouse.up({ button });
   },
+  /** A drag of a slider through shares of its length. */
+  async slide(page, selector, shares) {
+    const { x, y, width, height } = await page.locator(selector).boundingBox();
+    const points = shares.map((share) => [x + 8 + share * (width - 16), y + height / 2]);
+    await STEPS.drag(page, points, 4);
+  },
   /** Fingers, each a list of points, all as many. */
   async touch(page, fingers) {
     const client = await page.context().newCDPSession(page);

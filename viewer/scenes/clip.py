@@ -91,13 +91,18 @@ class Clip:
         key, end = self._keys[place], [*self._keys[1:], self.count][place]
         frames, decoded = self._groups.pop(key, (None, []))
         frames = frames or self._decode(key, end)
-        while len(decoded) <= number - key:
-            if progress is not None:  # ends the job if the frame is no longer wanted
-                progress("frames", len(decoded), number - key + 1)
-            decoded.append(next(frames))
         self._groups[key] = frames, decoded
         while len(self._groups) > _KEPT:
             del self._groups[next(iter(self._groups))]
+        while len(decoded) <= number - key:
+            # Ends the job if the frame is no longer wanted; what is decoded is kept.
+            if progress is not None:
+                progress("frames", len(decoded), number - key + 1)
+            try:
+                decoded.append(next(frames))
+            except Exception:
+                del self._groups[key]  # the iterator has ended
+                raise
         return decoded[number - key]
 
     def _decode(self, key: int, end: int) -> Iterator[Scene]:
@@ -113,3 +118,13 @@ class Moment(NamedTuple):
 
     clip: Clip
     number: int
+
+    def after(self, step: int, loop: bool) -> int | None:
+        """Number of the frame to play next, `step` frames on; None if none is left.
+
+        Another frame than this one, also if drawing takes as long as the whole sequence.
+        """
+        last = self.clip.count - 1
+        if loop and last:
+            return (self.number + min(step, last)) % (last + 1)
+        return min(self.number + step, last) if self.number < last else None

@@ -92,11 +92,14 @@ class Player:
     def seek(self, number: int) -> None:
         """Go to a frame."""
         moment = self.moment
-        if moment is None or number == self.wanted:
+        if moment is None:
+            return
+        number = min(max(number, 0), moment.clip.count - 1)
+        if number == self.wanted:
             return
         self.stop()
         if self._may_leave(lambda: self.seek(number)):
-            self._want(min(max(number, 0), moment.clip.count - 1))
+            self._want(number)
 
     def _may_leave(self, then: Callable[[], None]) -> bool:
         """Whether no edits would be lost; otherwise asks, and then calls `then`."""
@@ -108,11 +111,11 @@ class Player:
 
     def _next(self, moment: Moment) -> None:
         """Want the frame after that shown; stop at the end, unless the sequence is repeated."""
-        number, last = moment.number + self._step, moment.clip.count - 1
-        if number > last and not self.loop and moment.number == last:
+        number = moment.after(self._step, self.loop)
+        if number is None:
             self.stop()
         else:
-            self._want(number % (last + 1) if self.loop else min(number, last))
+            self._want(number)
 
     def _want(self, number: int) -> None:
         """Read a frame unless it is shown."""

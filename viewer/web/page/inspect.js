@@ -507,9 +507,5 @@ document.adoptedStyleSheets.push(sheet);
 viewer.canvas.after(layers);
 $('wipe').after(cut);
 $('legend').after(section);
-// Home and End move a slider, not the camera.
-section.addEventListener('keydown', (event) => {
-  if (event.target.type === 'range' && event.key !== 'Tab') event.stopPropagation();
-});
 section.addEventListener('toggle', begin);
 if (trial || $('inspection').dataset.open) section.open = true;

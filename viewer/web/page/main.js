@@ -70,7 +70,12 @@ class Viewer extends EventTarget {
     this.choose(0);
     this.panel.upright(this.axis);
     this.#restore();
-    addEventListener('hashchange', () => this.#restore());
+    addEventListener('hashchange', () => {
+      this.#restore();
+      // The address may leave out what is kept.
+      this.remembered = location.hash.slice(1);
+      this.#remember();
+    });
     answer(this, embed);
     accompany(this);
     joystick(document.getElementById('stick'), control(this.canvas, this));

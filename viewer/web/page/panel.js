@@ -85,8 +85,9 @@ export class Panel {
   #key(event) {
     const { viewer, two } = this;
     if (event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented) return;
-    const { tagName, id } = event.target;
+    const { tagName, id, type } = event.target;
     if (tagName === 'SELECT' || id === 'budget') return;
+    if (type === 'range' && event.key === 'Home') return; // moves the slider
     const show = (name) => two && viewer.set({ show: name });
     const actions = {
       ',': () => viewer.player?.step(-1),

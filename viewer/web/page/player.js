@@ -36,7 +36,10 @@ export class Player {
       this.#held = true;
       this.seek(Number($('time').value));
     });
-    $('time').addEventListener('change', () => (this.#held = false));
+    // Without `change` if it is back where it was.
+    for (const name of ['change', 'pointerup', 'lostpointercapture']) {
+      $('time').addEventListener(name, () => (this.#held = false));
+    }
     this.#tell();
   }
 

@@ -56,6 +56,11 @@ def slide(driver: Driver, found: dict) -> None:
     driver.wait(lambda: player.wanted == 5 and not player.playing)
     driver.rest()
     found["played"] = [player.wanted, *numbers(driver)]
+    player.toggle()
+    found["again"] = [player.wanted]
+    driver.wait(lambda: player.wanted == 5 and not player.playing)
+    driver.rest()
+    found["again"] += numbers(driver)
     driver.click(player.bar.loop)
     driver.wait(lambda: player.loop)
     driver.click(player.bar.play)

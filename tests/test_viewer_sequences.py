@@ -158,6 +158,7 @@ class TestWindow:
 
     def test_it_plays_to_the_end_or_in_a_loop(self, found):
         assert found["played"] == [5, 5, 5]
+        assert found["again"] == [0, 5, 5]
         assert len(set(found["stopped"])) == 1
 
     def test_an_edited_frame_is_saved_and_asked_about(self, found, folder):

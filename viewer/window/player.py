@@ -67,14 +67,17 @@ class Player:
         return moment is not None and (self.playing or self.wanted != moment.number)
 
     def toggle(self) -> None:
-        """Play or stop."""
+        """Play, after the end from the beginning, or stop."""
         moment = self.moment
         if self.playing:
             self.stop()
         elif moment is not None and self._may_leave(self.toggle):
             self.playing, self._step = True, 1
             self._begun, self._took = time.monotonic(), 0.0
-            self._next(moment)
+            if moment.number and moment.after(1, self.loop) is None:
+                self._want(0)
+            else:
+                self._next(moment)
 
     def stop(self) -> None:
         """Stop at the frame shown."""

@@ -81,7 +81,8 @@ def measured() -> Results:
 
 def rows_of(text: str) -> list[list[str]]:
     """Cells of the tables of a document."""
-    return [line.split(" | ") for line in text.splitlines() if line[:1] == "|"]
+    lines = [line.removesuffix(" |") for line in text.splitlines() if line[:1] == "|"]
+    return [line.split(" | ") for line in lines]
 
 
 def test_the_tables_are_those_of_the_committed_run():

@@ -65,7 +65,7 @@ def answers(results: Results) -> dict[str, Table]:
         return f"{number(megabytes, '.2f' if megabytes < 10 else '.1f')} MB, {_short(line)}"
 
     def fast(line: Line) -> str:
-        return " / ".join(times_text(line))
+        return " / ".join(times_text(line)) if "encode_seconds" in line else ""
 
     def bits(line: Line) -> str:
         return ", ".join([number(line["bits_per_gaussian"], ".1f"), *quality_text(line)])
@@ -101,7 +101,7 @@ def _short(line: Line) -> str:
 def _by_scene(
     results: Results, rows: Mapping[str, Sequence[str]], cell: Callable[[Line], str]
 ) -> Table:
-    """One cell for each scene; rows that no scene has are omitted."""
+    """One cell for each scene; rows and columns of which nothing is known are omitted."""
     known = {
         scene: {line["codec"]: line for line in results.of("beside", scene)}
         for scene in results.scenes
@@ -114,7 +114,9 @@ def _by_scene(
         ]
         if any(found):
             table.append([title, *(cell(line) if line else "" for line in found)])
-    return Table(["", *_titles(results)], table)
+    titles = ["", *_titles(results)]
+    shown = [k for k in range(len(titles)) if any(row[k] for row in table)]
+    return Table([titles[k] for k in shown], [[row[k] for k in shown] for row in table])
 
 
 def _against_the_paper(results: Results) -> Table:

@@ -71,9 +71,10 @@ class MeasureControls:
         self._row = widgets.row(parent, gui.Label("known length"), self.length, self.scale)
 
     def _scale(self) -> None:
-        # The click may come before the field has told its value.
-        self._measuring.set_length(self.length.double_value)
-        self._viewer.placing.scale_all(self._measuring.take_unit())
+        length = self.length.double_value
+        if length > 0:
+            self._measuring.set_length(length)  # the click may come before the field tells it
+            self._viewer.placing.scale_all(self._measuring.take_unit())
 
     def refresh(self) -> None:
         """Update the controls."""

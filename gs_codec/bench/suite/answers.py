@@ -101,7 +101,7 @@ def _short(line: Line) -> str:
 def _by_scene(
     results: Results, rows: Mapping[str, Sequence[str]], cell: Callable[[Line], str]
 ) -> Table:
-    """One cell for each scene; rows and columns of which nothing is known are omitted."""
+    """One cell for each scene; empty rows and columns are omitted."""
     known = {
         scene: {line["codec"]: line for line in results.of("beside", scene)}
         for scene in results.scenes

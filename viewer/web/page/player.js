@@ -177,7 +177,7 @@ export class Player {
     $('play').textContent = this.isPlaying ? '❚❚' : '▶';
     $('play').ariaLabel = say(this.isPlaying ? 'Pause' : 'Play');
     $('clock').textContent = `${seconds(this.shown ?? 0)} / ${seconds(count)} s`;
-    if (!this.#held) $('time').value = this.shown ?? 0;
+    if (!this.#held) $('time').value = this.wanted;
     $('time').ariaValueText = `${this.shown ?? 0}: ${$('clock').textContent}`;
   }
 }

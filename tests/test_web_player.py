@@ -109,6 +109,24 @@ def test_it_plays_after_its_slider_was_dragged_back_to_where_it_was(folder):
 
 
 @in_browser
+def test_the_slider_stays_on_the_frame_that_is_asked_for(folder):
+    """While the frames before it are decoded."""
+    jump = """new Promise((done) => {
+      const [time, found] = [document.getElementById('time'), []];
+      new MutationObserver(() => {
+        found.push(Number(time.value));
+        if (viewer.player.shown === 7) done(found);
+      }).observe(time, { attributes: true, attributeFilter: ['aria-valuetext'] });
+      viewer.player.seek(7);
+    })"""
+    page = f"{(folder / 'page.html').as_uri()}#frame=0"
+    [opened] = open_pages(Job(page, [("drawn",), ("value", jump)]))
+    assert not opened.errors
+    assert len(opened.values[1]) > 1
+    assert set(opened.values[1]) == {7}
+
+
+@in_browser
 def test_keys_of_the_slider_leave_the_camera_where_it_is(folder):
     page = f"{(folder / 'page.html').as_uri()}#frame=3&camera=0,0,-5,0,0,0,0,-1,0"
     camera = ("value", "viewer.pose.eye[2]")

@@ -519,7 +519,8 @@ class Viewer extends EventTarget {
     if (this.shrink > 1) this.#sharpen();
     else for (const take of this.takers.splice(0)) this.canvas.toBlob(take);
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
-    const state = !inOrder ? 'drawing' : this.#isThere ? 'ready' : 'loading';
+    const isDrawn = inOrder && !this.player?.isJumping;
+    const state = !isDrawn ? 'drawing' : this.#isThere ? 'ready' : 'loading';
     document.body.dataset.state = state === 'ready' && this.errors.length ? 'error' : state;
   }
 

@@ -79,6 +79,7 @@ export class Player {
     this.wanted = frame;
     if (this.#target !== null || frame === this.shown) return;
     this.#target = frame;
+    document.body.dataset.state = 'drawing';
     const { sequence, shown } = this;
     const group = sequence.groupOf(frame);
     const isAfter = shown !== null && shown < frame && sequence.groupOf(shown) === group;

@@ -70,6 +70,8 @@ const ANSWERS = {
 /** Serve a file; what was asked for goes to `asked`. */
 async function served(data, answer, asked, work) {
   const server = createServer((request, response) => {
+    // Node 20 can crash when a connection that was kept times out on a busy machine.
+    response.setHeader('Connection', 'close');
     const range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? '');
     asked.push(range ? [Number(range[1]), Number(range[2]) + 1] : null);
     if (request.url === '/moved.egs') {

@@ -17,6 +17,7 @@ from gs_codec.codecs.adaptive.moving_block import MovingBlock
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder, turns_between
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.coding.axes import reordered, rotation_matrix, sort_axes
+from gs_codec.coding.morton import spatial_order
 from gs_codec.config import RateTarget
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.encoding.request import Request
@@ -128,6 +129,13 @@ def test_unrelated_frames_cost_no_more_than_scenes(tmp_path):
     alone = sum(len(encode_scene(s, SmallBlocks("m", block_size=1000))[0]) for s in scenes)
     assert report.key_frames == 4
     assert report.file_bytes < 1.01 * alone
+
+
+def test_frames_in_another_order_are_scenes_of_their_own(tmp_path):
+    """Other formats sort each frame, so that an index is another Gaussian in the next."""
+    scenes = moving(frames=3, sh_degree=0)
+    ordered = [scene.take(spatial_order(scene.positions, scene.log_scale)) for scene in scenes]
+    assert coded(tmp_path / "a.egs", ordered).key_frames == 3
 
 
 def test_frames_must_be_alike(tmp_path):

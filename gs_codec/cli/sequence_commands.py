@@ -84,7 +84,10 @@ def _tell_encoded(target: Path, done: SequenceReport) -> None:
 def _keys_text(keys: int, frames: int, share: float) -> str:
     text = f"{counted(keys, 'key frame')}, {share:.0%} of the file"
     if keys == frames > 1:
-        text += "; each frame is a scene of its own, because changes would not be smaller"
+        text += (
+            "; each frame is a scene of its own, because its Gaussians are others than those "
+            "before, or in another order, or all change"
+        )
     return text
 
 

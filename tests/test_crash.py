@@ -366,6 +366,8 @@ def test_kernels_work_without_their_cache(tmp_path, fail):
     script = CACHE.format(fail=fail)
     place = {"NUMBA_CACHE_DIR": "" if fail == "no folder" else str(cache)}
     done = in_child("-c", script, cwd=tmp_path, **place)
-    assert done.stderr == ""
+    # The notice comes after some seconds, which a slow machine takes.
+    told = [line for line in done.stderr.splitlines() if not line.startswith("compiling kernels")]
+    assert not told
     assert done.stdout.split()[:1] == ["0.6666666666666666"]
     assert np.all([not list(path.glob("*.nbc")) for path in cache.iterdir()]) or fail == "load"

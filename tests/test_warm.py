@@ -44,13 +44,15 @@ def test_missing_kernels_are_compiled_once(tmp_path):
     told = []
     for _ in range(2):
         done = run("-c", WARM.format(few=few), NUMBA_CACHE_DIR=str(tmp_path / "kept"))
-        assert (done.returncode, done.stderr) == (0, "")
+        # A slow machine shows progress.
+        lines = [line for line in done.stderr.splitlines() if not line.startswith("compile: ")]
+        assert (done.returncode, lines) == (0, [])
         told.append(json.loads(done.stdout))
     assert [each["compiled"] for each in told] == [len(few), 0]
     assert told[0]["kernels"] == len(few)
     assert told[0]["folder"] == str(tmp_path / "kept")
     assert {path.name.split(".")[0] for path in (tmp_path / "kept").glob("*/*.nbi")} == {
-        "quantise", "marks"
+        "quantise", "section"
     }  # fmt: skip
 
 

@@ -35,7 +35,7 @@ def run(folder: Path) -> dict:
         return first_views(*arguments)
 
     Loading._first_views = hold
-    driver = Driver(folder, request=Request(folder / "a.ply", size=(640, 320)))
+    driver = Driver(folder, request=Request(folder / "a.ply", size=(300, 560)))
     viewer = driver.viewer
     driver.wait(lambda: bool(viewer.visits.viewpoints))
     before = [0.0]
@@ -49,6 +49,7 @@ def run(folder: Path) -> dict:
     found: dict = {"preview": [viewer.stage.painter.waits, before[0]]}
     go_on.set()
     driver.wait(lambda: viewer.visits.views.chosen)
+    found["size"] = [viewer.window.size.width, viewer.window.size.height]
     found["where"] = [viewer.visits.where]
     driver.tick(3)  # wait for the layout
     found["at_first"] = driver.models()

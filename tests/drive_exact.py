@@ -26,7 +26,7 @@ def apart(driver: Driver, exact: np.ndarray) -> tuple[float, float]:
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
-    request = Request(folder / "a.ply", cameras=str(folder / "cameras.json"), size=(640, 400))
+    request = Request(folder / "a.ply", cameras=str(folder / "cameras.json"), size=(672, 400))
     driver = Driver(folder, request=request, device="gpu")
     viewer = driver.viewer
     driver.rest()

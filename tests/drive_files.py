@@ -122,6 +122,22 @@ def resized(driver: Driver) -> float:
     return share
 
 
+def narrow(driver: Driver) -> dict:
+    """What a narrow window cuts off, and heights of the scrolling parts of tabs."""
+    viewer, found = driver.viewer, {}
+    viewer.window.size = gui.Size(400, 480)
+    tabs = viewer.panel.tabs
+    driver.wait(lambda: viewer.window.post_redraw() or tabs.frame.get_right() == 400)
+    driver.rest()
+    parts = [w for w in inside(tabs) if isinstance(w, gui.ScrollableVert)]
+    found["parts"] = [part.frame.height for part in parts]
+    buttons = [w for w in inside(tabs) if isinstance(w, gui.Button | gui.Checkbox)]
+    found["buttons"] = len(buttons)
+    found["cut"] = [w.frame.get_right() for w in buttons if w.frame.get_right() > 400]
+    found["panes"] = [pane.widget.frame.width for pane in viewer.stage.visible]
+    return found
+
+
 def ghosts(driver: Driver) -> int:
     """Number of screen values that differ after a dialog was open in an empty window."""
     driver.tick(10, redraw=True)
@@ -165,10 +181,11 @@ if __name__ == "__main__":
     os.environ["HOME"] = str(folder)
     remember(folder / "b.egs")
     Keyboard.clipboard = lambda self: f"file://{folder}/a.ply\n"
-    driver = Driver(folder, request=Request(None, size=(480, 360)))
+    driver = Driver(folder, request=Request(None, size=(592, 360)))
     driver.tick(5, redraw=True)
     driver.move(100, 100)
     found = {"ghosts": ghosts(driver), "notices": notices(driver)}
     found["starts"] = starts(driver)
     found |= opens(driver) | saves(driver)
-    tell(found | {"resized": resized(driver)})
+    found["resized"] = resized(driver)
+    tell(found | {"narrow": narrow(driver)})

@@ -79,7 +79,7 @@ def state(driver: Driver) -> list:
 if __name__ == "__main__":
     os.chdir(sys.argv[1])  # pictures are saved there
     # A software driver is slow with large frames.
-    driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(560, 400))
+    driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(632, 400))
     driver.rest()
     found: dict = {"resized": resize(driver), "pressed": many(driver)}
     found["first"] = state(driver)

@@ -188,7 +188,7 @@ def pictures(driver: Driver) -> dict:
 
 
 def run(folder: Path) -> dict:
-    driver = Driver(folder, size=(640, 320))
+    driver = Driver(folder, size=(672, 320))
     viewer = driver.viewer
     first = driver.rest()
     found: dict = {"quality": viewer.stage.quality}
@@ -197,7 +197,7 @@ def run(folder: Path) -> dict:
     found["pictures"] = pictures(driver)
     found["drags"] = drags(driver)
     found["wheel"] = wheel(driver)
-    viewer.window.size = gui.Size(680, 520)
+    viewer.window.size = gui.Size(692, 520)
     driver.rest()
     found["octree"] = octree(driver)
     found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]

@@ -217,7 +217,7 @@ def watch(driver: Driver, found: dict) -> None:
 
 
 def run(folder: Path) -> dict:
-    driver, found = Driver(folder, size=(700, 400)), {}
+    driver, found = Driver(folder, size=(702, 400)), {}
     driver.rest()
     driver.viewer.panel.show("Path")
     driver.rest()

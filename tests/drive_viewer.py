@@ -24,6 +24,7 @@ from viewer.scenes.view_request import Request
 from viewer.window.dialogs import inside
 from viewer.window.main_window import Viewer
 from viewer.window.pane import Pane
+from viewer.window.panel import divided
 
 
 def grab(window: gui.Window) -> np.ndarray:
@@ -117,8 +118,10 @@ class Driver:
 
     def scenes(self, image: np.ndarray) -> np.ndarray:
         """The part of the window without the panel and captions."""
-        right = self.viewer.panel.tabs.frame.x - 4  # exclude round corners
-        return image[self.viewer.stage.caption_height :, :right]
+        viewer = self.viewer
+        _, room = divided(viewer.window.content_rect, viewer.window.theme.font_size)
+        right = room.get_right() - 4  # exclude round corners
+        return image[viewer.stage.caption_height : room.get_bottom(), :right]
 
     def xdotool(self, *arguments: object) -> None:
         subprocess.run(["xdotool", *map(str, arguments)], check=True)
@@ -271,7 +274,7 @@ def wipes(driver: Driver, found: dict) -> None:
 
 
 def run(folder: Path) -> dict:
-    driver = Driver(folder, size=(640, 320))
+    driver = Driver(folder, size=(672, 320))
     viewer = driver.viewer
     found: dict = {}
     first = driver.rest()

@@ -219,6 +219,10 @@ def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
     assert chosen["drawn"] > 10
 
 
+def test_a_window_opens_as_wide_as_its_panel(chosen):
+    assert chosen["size"] == [352, 560]
+
+
 def test_centres_are_shown_before_the_first_view_is_known(chosen):
     waits, drawn = chosen["preview"]
     assert waits

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from open3d.visualization import gui
 from PIL import Image
 from windows import check_drags, drive, make_folder, needs_display
 
 import gs_codec
 from viewer.scenes.numbers import quality_text
+from viewer.window.panel import divided
 
 pytestmark = [needs_display, pytest.mark.slow]
 
@@ -217,6 +219,31 @@ def test_exact_splats_are_those_of_render_whatever_draws_the_window(switched):
 
 def test_panes_are_redrawn_after_a_resize(files):
     assert files["resized"] < 0.05  # the outline of the frame
+
+
+def test_a_narrow_window_has_the_panel_below_the_panes_and_cuts_nothing_off(files):
+    narrow = files["narrow"]
+    assert narrow["buttons"] > 50
+    assert narrow["cut"] == []
+    assert narrow["panes"] == [199, 200]
+    assert len(narrow["parts"]) == 7
+    assert min(narrow["parts"]) >= 48
+
+
+@pytest.mark.parametrize(
+    ("window", "em", "panel"),
+    [
+        ((1280, 800), 16, (928, 0, 352, 800)),
+        ((528, 800), 16, (176, 0, 352, 800)),
+        ((527, 800), 16, (0, 352, 527, 448)),
+        ((400, 480), 16, (0, 96, 400, 384)),
+        ((800, 960), 32, (0, 192, 800, 768)),  # a screen with a scale of 2
+    ],
+)
+def test_the_panel_is_below_the_panes_if_beside_it_they_would_be_narrow(window, em, panel):
+    side, panes = divided(gui.Rect(0, 0, *window), em)
+    assert (side.x, side.y, side.width, side.height) == panel
+    assert (panes.width, panes.height) == (panel[0] or window[0], panel[1] or window[1])
 
 
 def test_a_dialog_leaves_no_trace_in_an_empty_window(files):

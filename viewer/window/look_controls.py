@@ -27,9 +27,11 @@ class LookControls:
     background : gui.ColorEdit
     """
 
-    def __init__(self, viewer: Controls, widgets: Widgets, parent: gui.Widget) -> None:
+    def __init__(
+        self, viewer: Controls, widgets: Widgets, upper: gui.Widget, below: gui.Widget
+    ) -> None:
         self._viewer = viewer
-        grid, put = widgets.grid(parent), viewer.set_appearance
+        grid, put = widgets.grid(upper), viewer.set_appearance
 
         def look() -> Appearance:
             return viewer.choice.appearance
@@ -56,7 +58,7 @@ class LookControls:
         grid.add_child(self.background)
         tip = "Show all SH degrees, scale 1, on black, as measurements do."
         self.plain = widgets.button("Defaults", lambda: put(Appearance()), tip)
-        widgets.row(parent, self.plain)
+        widgets.row(below, self.plain)
 
     def refresh(self) -> None:
         """Update the controls from the viewer."""

@@ -25,7 +25,7 @@ from viewer.window.measuring import Measuring
 from viewer.window.mouse import Place
 from viewer.window.notice import Notice
 from viewer.window.pane import Pane
-from viewer.window.panel import EMS, Panel
+from viewer.window.panel import EMS, Panel, divided
 from viewer.window.picking import Picking
 from viewer.window.placing import Placing
 from viewer.window.player import Player
@@ -90,6 +90,8 @@ class Viewer(Controls):
         release_large_when_freed()
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
+        wide, high = request.size
+        self.window.size = gui.Size(max(wide, EMS * self.window.theme.font_size), high)
         # The first child: if one before it comes or goes, Open3D selects the first tab.
         self.tabs = gui.TabControl()
         self.window.add_child(self.tabs)
@@ -189,14 +191,12 @@ class Viewer(Controls):
         return working or drawing or self.notice.compiles
 
     def _lay_out(self, context: gui.LayoutContext) -> None:
-        rect = self.window.content_rect
-        wide = min(int(EMS * self.window.theme.font_size), rect.width // 2)
-        side = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
+        side, room = divided(self.window.content_rect, self.window.theme.font_size)
         self.panel.lay_out(side, context)
-        below = min(self.dock.height, rect.height // 2)
+        below = min(self.dock.height, room.height // 2)
         bar = self.player.bar.height
-        space = gui.Rect(rect.x, rect.y, rect.width - wide, rect.height - below - bar)
-        hidden = gui.Rect(side.x + wide // 2, rect.y, 1, 1)
+        space = gui.Rect(room.x, room.y, room.width, room.height - below - bar)
+        hidden = gui.Rect(side.x + side.width // 2, side.y, 1, 1)
         self.player.bar.lay_out(gui.Rect(space.x, space.get_bottom(), space.width, bar), hidden)
         top = space.get_bottom() + bar
         self.dock.lay_out(gui.Rect(space.x, top, space.width, below), hidden)

@@ -25,6 +25,9 @@ from viewer.window.widgets import Widgets
 #: Width of the panel, in font sizes.
 EMS = 22
 
+#: Its largest height below the panes, and the least height of these, in font sizes.
+_HIGH, _PANES = 28, 6
+
 #: Width of its text, in characters.
 _COLUMNS = 38
 
@@ -137,6 +140,21 @@ class Panel:
             tab.refresh()
         self._legend.show(self._viewer.stage.legends)
         self._viewer.window.set_needs_layout()
+
+
+def divided(rect: gui.Rect, em: int) -> tuple[gui.Rect, gui.Rect]:
+    """Parts of a window for the panel and for the panes; em is the size of the font, pixels.
+
+    The panel is below the panes if beside it these would be narrower than half of it.
+    """
+    wide = EMS * em
+    room = rect.width - wide
+    if 2 * room >= wide:
+        panes = gui.Rect(rect.x, rect.y, room, rect.height)
+        return gui.Rect(panes.get_right(), rect.y, wide, rect.height), panes
+    high = max(rect.height - _HIGH * em, _PANES * em)
+    panes = gui.Rect(rect.x, rect.y, rect.width, high)
+    return gui.Rect(rect.x, panes.get_bottom(), rect.width, rect.height - high), panes
 
 
 class _Legends:

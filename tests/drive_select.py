@@ -13,7 +13,9 @@ import numpy as np
 from drive_edit import draw, selected
 from drive_viewer import Driver, tell
 
+from viewer.scenes.edits import Edits
 from viewer.scenes.picked import Picker
+from viewer.scenes.saving import command_of
 from viewer.window.pane import Pane
 
 
@@ -96,6 +98,15 @@ def seeds(driver: Driver, pane: Pane, found: dict) -> None:
     driver.wait(lambda: viewer.editor.tool == "sphere")
     draw(driver, pane, [at, (150, 110), (180, 110)])
     found["sphere"] = changed(driver)
+    viewer.editor.do(Edits.invert)
+    viewer.editor.do(Edits.delete)
+    driver.rest()
+    found["command"] = command_of(viewer.editor.edits, Path())
+    viewer.editor.save("sphere.ply")
+    changed(driver)
+    for _ in range(2):
+        viewer.editor.do(Edits.undo)
+    driver.rest()
     for tool in ("colour", "flood"):
         choose(driver, tool)
         click(driver, pane, at)

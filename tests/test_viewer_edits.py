@@ -169,16 +169,23 @@ def test_spheres_colours_and_floods_around_a_gaussian():
     places, row = scene.positions.astype(float), 210
     away = np.linalg.norm(places - places[row], axis=1)
     assert (away <= 0.35).sum() > 20
-    np.testing.assert_array_equal(around(scene, "sphere", row, 0.35, 0), away <= 0.35)
-    assert not around(scene, "sphere", row, 0, 0)[:row].any()
-    blue = around(scene, "colour", row, 0, 10)
+    sphere, options = around(scene, "sphere", row, 0.35, 0)
+    np.testing.assert_array_equal(sphere, away <= 0.35)
+    assert [option.split("=")[0] for option in options] == ["--crop-sphere"]
+    assert around(scene, "sphere", row, 0.35, 0, away <= 0.4)[1] == options
+    part, options = around(scene, "sphere", row, 0.35, 0, away <= 0.3)
+    np.testing.assert_array_equal(part, away <= 0.3)
+    assert options == ()
+    assert not around(scene, "sphere", row, 0, 0)[0][:row].any()
+    blue, options = around(scene, "colour", row, 0, 10)
+    assert options == ()
     assert np.flatnonzero(blue).tolist() == [*range(400), 800]
-    flood = around(scene, "flood", row, 0, 255)
+    flood, _ = around(scene, "flood", row, 0, 255)
     assert np.flatnonzero(flood).tolist() == [*range(400)]
     drawn = ~np.isin(np.arange(801) // 20, (3, 4)) & (np.arange(801) < 800)
-    part = around(scene, "flood", row, 0, 10, drawn)
+    part, _ = around(scene, "flood", row, 0, 10, drawn)
     assert np.flatnonzero(part).tolist() == [*range(100, 400)]
-    assert not around(scene, "flood", row, 0, 10, drawn & (np.arange(801) != row)).any()
+    assert not around(scene, "flood", row, 0, 10, drawn & (np.arange(801) != row))[0].any()
 
 
 def test_a_selection_grows_and_shrinks_by_neighbours():

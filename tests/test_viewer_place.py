@@ -19,7 +19,14 @@ from viewer.scenes.gizmo import _RING, Gizmo, about
 from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import look_at
 from viewer.scenes.saving import command_of, open_file, save_project, save_scene
-from viewer.scenes.selecting import by_rule, in_range, inside_box, range_options, rule_options
+from viewer.scenes.selecting import (
+    around,
+    by_rule,
+    in_range,
+    inside_box,
+    range_options,
+    rule_options,
+)
 from viewer.scenes.view_request import Request
 
 
@@ -207,7 +214,11 @@ def test_steps_are_written_as_options(folder, run_codec, step):
         edits.undo()
         edits.delete()
     else:
-        edits.select(scene.positions[:, 0] < 0, means=((), ("--filter=x<0",)))
+        centres = scene.positions.astype(float)
+        reach = np.sort(np.linalg.norm(centres - centres[7], axis=1))[99]  # one is on the surface
+        chosen, kept = around(scene, "sphere", 7, float(reach), 0)
+        assert chosen.sum() == 100
+        edits.select(chosen, means=((), kept))
         edits.invert()
         edits.delete()
     assert edits.options

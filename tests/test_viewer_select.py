@@ -91,6 +91,16 @@ def test_spheres_colours_and_floods_begin_at_the_gaussian_under_the_mouse(found,
     assert flood <= set(found["Shrink"]) < grown
 
 
+def test_the_command_of_all_but_a_sphere_crops_by_it(found, folder, run_codec, monkeypatch):
+    words = shlex.split(found["command"])
+    assert words[-1].startswith("--crop-sphere=")
+    monkeypatch.chdir(folder)
+    assert run_codec(*words[1:])[0] == 0
+    assert (folder / "a-edited.ply").read_bytes() == (folder / "sphere.ply").read_bytes()
+    assert read_scene(folder / "sphere.ply").count == len(found["sphere"])
+    (folder / "a-edited.ply").unlink()
+
+
 def test_boxes_select_by_footprints_and_only_what_is_seen(found, pixels):
     names = "False False", "False True", "True False", "True True"
     centres, front, wide, seen = (set(found[name]) for name in names)

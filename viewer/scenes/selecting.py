@@ -144,21 +144,24 @@ def around(
     radius: float,
     tolerance: float,
     drawn: NDArray[np.bool_] | None = None,
-) -> NDArray[np.bool_]:
+) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
     """Mask ``(N,)`` of the Gaussians around one, by `kind`, one of `SEEDS`.
 
     A sphere of a radius (scene units) around its centre; all SH-DC colours that differ by at most
     `tolerance` of 255 in any channel; or, of these, those reached through linked neighbours. With
-    a mask `drawn` ``(N,)``, only Gaussians in it.
+    a mask `drawn` ``(N,)``, only Gaussians in it. Beside it, the options of ``gs-codec convert``
+    that remove all others; empty if there are none.
     """
     if kind == "sphere":
-        centre = scene.positions[row].tolist()
-        same = in_sphere(scene.gaussians, centre, max(radius, np.finfo(float).tiny))
-    else:
-        differences = np.abs(scene.colours - scene.colours[row]).max(axis=1)
-        same = differences <= np.float32(tolerance / 255 + 1e-6)
+        sphere = *scene.positions[row].tolist(), max(radius, np.finfo(float).tiny)
+        found = in_sphere(scene.gaussians, sphere[:3], sphere[3])
+        if drawn is not None and not drawn[found].all():
+            return found & drawn, ()
+        return found, (f"--crop-sphere={','.join(f'{number:.17g}' for number in sphere)}",)
+    differences = np.abs(scene.colours - scene.colours[row]).max(axis=1)
+    same = differences <= np.float32(tolerance / 255 + 1e-6)
     same = same if drawn is None else same & drawn
-    return same if kind != "flood" else connected(scene.neighbours, same, row)
+    return same if kind != "flood" else connected(scene.neighbours, same, row), ()
 
 
 def grown(scene: Opened, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:

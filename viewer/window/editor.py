@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from viewer.scenes.edits import Edits
+from viewer.scenes.edits import Edits, Options
 from viewer.scenes.opened import Opened
 from viewer.scenes.region import REGIONS
 from viewer.scenes.saving import save_scene
@@ -112,10 +112,13 @@ class Editor:
         self._viewer.stage.mouse.tool = self.tools.get(self.tool)
         self._viewer.panel.refresh()
 
-    def choose(self, pane: Pane, chosen: NDArray[np.bool_], how: str) -> None:
-        """Edit a pane's scene, and combine a mask ``(N,)`` with its selection."""
+    def choose(self, pane: Pane, chosen: NDArray[np.bool_], how: str, kept: Options = ()) -> None:
+        """Edit a pane's scene, and combine a mask ``(N,)`` with its selection.
+
+        `kept` are options of ``gs-codec convert`` that remove the Gaussians not in the mask.
+        """
         self.number = self._viewer.stage.panes.index(pane)
-        self.do(lambda edits: edits.select(chosen, how))
+        self.do(lambda edits: edits.select(chosen, how, ((), kept)))
 
     def preview(self, pane: Pane, chosen: NDArray[np.bool_], how: str) -> None:
         """Only show the selection that `choose` would make."""

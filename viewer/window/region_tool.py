@@ -76,7 +76,7 @@ class RegionTool(SelectingTool):
             self._chooser.choose(pane, chosen, self._how)
             return True
         exact = options.footprint, options.front
-        self.select(pane, lambda: in_region(scene, pose, size, region, look, *exact))
+        self.select(pane, lambda: (in_region(scene, pose, size, region, look, *exact), ()))
         return True
 
     def drop(self) -> bool:

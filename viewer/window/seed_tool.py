@@ -12,7 +12,7 @@ from viewer.scenes.region import circle
 from viewer.scenes.selecting import around
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
-from viewer.window.selecting_tool import Mask, SelectingTool
+from viewer.window.selecting_tool import Found, SelectingTool
 
 
 class SeedTool(SelectingTool):
@@ -41,11 +41,11 @@ class SeedTool(SelectingTool):
         kind, start, reach = self.kind, self._start, dist(self._start, self._at)
         which, picker = stage.panes.index(pane), Picker(stage.scenes, stage.pruned)
 
-        def find() -> Mask:
+        def find() -> Found:
             drawn = which_drawn(scene, look)
             hit: Hit | None = picker.pick(which, pose, size, start, layers - {"pruned"}, look)
             if hit is None:
-                return scene.opacities < 0
+                return scene.opacities < 0, ()
             _, depth = pose.project(scene.positions[hit.row][None], *size)
             radius = reach / pose.lens(*size)[0] * float(depth[0])
             return around(scene, kind, hit.row, radius, options.tolerance, drawn)

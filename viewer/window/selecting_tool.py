@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
+from viewer.scenes.edits import Options
 from viewer.scenes.pose import Pose
 from viewer.scenes.selecting import Selecting
 from viewer.scenes.worker import Stale, Worker
@@ -19,6 +20,9 @@ from viewer.window.shared import Host
 #: A mask ``(N,)``.
 Mask = NDArray[np.bool_]
 
+#: A mask, and options of ``gs-codec convert`` that remove all other Gaussians, if there are any.
+Found = tuple[Mask, Options]
+
 
 class Chooser(Protocol):
     """The editor, for tools that select."""
@@ -26,8 +30,8 @@ class Chooser(Protocol):
     worker: Worker
     selecting: Selecting
 
-    def choose(self, pane: Pane, chosen: Mask, how: str) -> None:
-        """Combine a mask ``(N,)`` with the selection in a pane's scene."""
+    def choose(self, pane: Pane, chosen: Mask, how: str, kept: Options = ()) -> None:
+        """Combine a mask ``(N,)`` with the selection in a pane's scene; `kept` as in `Found`."""
 
     def preview(self, pane: Pane, chosen: Mask, how: str) -> None:
         """Only show the selection that `choose` would make."""
@@ -81,16 +85,16 @@ class SelectingTool(Tool):
         x, y = np.clip(at, *ends).tolist()
         return x, y
 
-    def select(self, pane: Pane, find: Callable[[], Mask]) -> None:
+    def select(self, pane: Pane, find: Callable[[], Found]) -> None:
         """Select what a function finds, in the background."""
         viewer, chooser, how, scene = self._viewer, self._chooser, self._how, pane.scene
 
-        def done(chosen: Mask) -> None:
+        def done(found: Found) -> None:
             viewer.panel.say("")
             if pane.scene is scene and pane in viewer.stage.panes:
-                chooser.choose(pane, chosen, how)
+                chooser.choose(pane, found[0], how, found[1])
 
-        def work(stale: Stale) -> Mask:
+        def work(stale: Stale) -> Found:
             return find()
 
         viewer.panel.say("selecting ...", progress=0)

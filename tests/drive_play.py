@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 from drive_edit import answer
 from drive_viewer import Driver, tell
+from open3d.visualization import gui
 
 from viewer.scenes.view_request import Request
+from viewer.window.dialogs import inside
 
 
 def numbers(driver: Driver) -> list[int | None]:
@@ -135,6 +137,28 @@ def trial(driver: Driver, found: dict) -> None:
     found["bar"] = player.bar.height
 
 
+def opened(driver: Driver, found: dict) -> None:
+    """Open a zip of frames and a folder of frames from the dialog."""
+    viewer = driver.viewer
+    viewer.loading.ask_open(0)
+    driver.tick(10)  # until the field accepts keys
+    driver.type_path("frames.zip")
+    driver.key("Return")
+    driver.wait(lambda: viewer.player.moment is not None)
+    driver.rest()
+    found["opened"] = [viewer.stage.captions[0].text]
+    viewer.loading.ask_open(0)
+    driver.tick(10)  # until the field accepts keys
+    driver.type_path("frames")
+    driver.key("Return")
+    listed = [w for w in inside(viewer.modal.dialog) if isinstance(w, gui.Label)]
+    driver.wait(lambda: any(label.text.endswith("/frames") for label in listed))
+    answer(driver, "Open folder")
+    driver.wait(lambda: viewer.stage.scenes[0].name.startswith("frames,"))
+    driver.rest()
+    found["opened"].append(viewer.stage.captions[0].text)
+
+
 def run(folder: Path) -> dict:
     os.chdir(folder)
     request = Request(
@@ -152,6 +176,7 @@ def run(folder: Path) -> dict:
     edit(driver, found)
     slow(driver, found)
     trial(driver, found)
+    opened(driver, found)
     return found
 
 

@@ -15,6 +15,7 @@ from viewer.scenes.typed_paths import (
     PICTURES,
     SAVED_SCENES,
     SCENES,
+    SEQUENCES,
     check_readable,
     listed,
     suggested,
@@ -29,7 +30,7 @@ def folder(tmp_path, monkeypatch) -> Path:
     scenes = tmp_path / "scenes"
     scenes.mkdir()
     (tmp_path / "elsewhere").mkdir()
-    for name in ("b.PLY", "A.egs", "c d.ply", "notes.txt", ".hidden.ply", "x.png"):
+    for name in ("b.PLY", "A.egs", "c d.ply", "notes.txt", ".hidden.ply", "x.png", "Z.zip"):
         (scenes / name).write_text("x")
     (tmp_path / "elsewhere" / "here.ply").write_text("x")
     (scenes / "Sub").mkdir()
@@ -94,6 +95,7 @@ def test_a_file_without_permission_is_reported(folder, monkeypatch):
 def test_a_folder_lists_its_folders_and_then_its_files_of_a_kind(folder, monkeypatch):
     (folder / os.fsdecode(b"\xff.ply")).touch()  # no widget can display it
     assert listed(folder, SCENES) == ["../", "Sub/", "A.egs", "b.PLY", "c d.ply"]
+    assert listed(folder, SEQUENCES) == ["../", "Sub/", "A.egs", "b.PLY", "c d.ply", "Z.zip"]
     assert listed(folder, CAMERAS) == ["../", "Sub/", "notes.txt"]
     assert listed(folder, FOLDERS) == ["../", "Sub/"]
     monkeypatch.setattr(typed_paths, "MOST", 3)
@@ -137,6 +139,7 @@ def test_unwritable_paths_are_reported(folder, name, said):
         ("x.ply", ".png", "", "x-2.png"),
         ("a.compressed.ply", ".compressed.ply", "-edited", "a-edited.compressed.ply"),
         ("A.ply", ".egs", "", "A-2.egs"),
+        ("Z.zip", ".egs", "-edited", "Z-edited.egs"),
         ("", ".png", "", "scene.png"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -30,6 +31,9 @@ def folder(tmp_path_factory) -> Path:
     (folder / "frames").mkdir()
     for number, scene in enumerate(scenes):
         write_ply(folder / "frames" / f"{number}.ply", scene)
+    with ZipFile(folder / "frames.zip", "w") as archive:
+        for path in sorted((folder / "frames").iterdir()):
+            archive.write(path, path.name)
     write_ply(folder / "a.ply", scenes[0])
     camera = look_at(np.array([0.0, 0.0, -4.0]), np.zeros(3)).camera(200, 150)
     (folder / "cameras.json").write_text(json.dumps([camera | {"img_name": "front"}]))
@@ -173,3 +177,6 @@ class TestWindow:
         assert found["trial"] == [5, None]
         assert found["trial left"] == [4]
         assert found["bar"] == 0
+
+    def test_the_dialog_opens_zips_and_folders_of_frames(self, found):
+        assert found["opened"] == [" A: frames.zip, frame 0", " A: frames, frame 0"]

@@ -13,6 +13,7 @@ from gs_codec.errors import InvalidInput, one_line, printable
 from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
 from gs_codec.runtime.atomic import check_writable
+from gs_codec.sequences.frame_sources import ZIP_SUFFIX
 
 #: Maximum number of listed files and folders.
 MOST = 1000
@@ -30,10 +31,13 @@ class Kind:
     name : str
     suffixes : tuple of str
         The first is added to names typed without a suffix.
+    folders : bool
+        Whether a folder may be opened instead.
     """
 
     name: str
     suffixes: tuple[str, ...] = ()
+    folders: bool = False
 
     def suffix_of(self, name: str) -> str:
         """The longest suffix of this kind that a name has; "" if none."""
@@ -47,6 +51,7 @@ class Kind:
 #: Scenes that can be read and written, and the other kinds of file that the window asks for.
 PROJECTS = Kind("projects", (SUFFIX,))
 SCENES = Kind("3DGS scenes", (*SUFFIXES, SUFFIX))
+SEQUENCES = Kind("3DGS scenes and sequences", (*SCENES.suffixes, ZIP_SUFFIX), folders=True)
 SAVED_SCENES = Kind("3DGS scenes", tuple(suffix for suffix in WRITTEN if suffix[0] == "."))
 TRIALS = Kind("gs_codec files", (".egs",))
 PICTURES = Kind("PNG images", (".png",))
@@ -167,7 +172,7 @@ def suggested(folder: Path, scene: Path, suffix: str, mark: str = "") -> str:
     mark : str
         Text before the suffix.
     """
-    stem = printable(SCENES.named(SAVED_SCENES.named(scene.name, ""), "")) or "scene"
+    stem = printable(SEQUENCES.named(SAVED_SCENES.named(scene.name, ""), "")) or "scene"
     numbers = chain([""], (f"-{k}" for k in count(2)))
     names = (f"{stem}{mark}{number}{suffix}" for number in numbers)
     return next(name for name in names if not os.path.lexists(folder / name))

@@ -135,6 +135,11 @@ class FileDialog:
             self.format.selected_text = kind.suffix_of(self._question.name) or kind.suffixes[0]
             row.add_child(self.format)
         self.format.set_on_selection_changed(self._format_chosen)
+        if kind.folders:
+            folder = gui.Button("Open folder")
+            folder.tooltip = "Open the listed folder as a sequence: its files are the frames."
+            folder.set_on_clicked(lambda: self._end(self._folder))
+            row.add_child(folder)
         row.add_stretch()
         self.accepts = gui.Button("Save" if self._question.saves else "Open")
         self.accepts.set_on_clicked(self.accept)
@@ -172,6 +177,9 @@ class FileDialog:
             self._replaced, self.accepts.text = path, "Replace"
             self._modal.lay_out()
             return
+        self._end(path)
+
+    def _end(self, path: Path) -> None:
         self.cancel()
         self._then(str(path))
 

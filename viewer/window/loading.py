@@ -11,7 +11,7 @@ import gs_codec
 from viewer.scenes.opened import Opened, Pruned, modified, read_pruned, turned
 from viewer.scenes.recent import recent_files, remember
 from viewer.scenes.saving import open_file
-from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
+from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SEQUENCES, Kind
 from viewer.scenes.view_request import find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import Views
 from viewer.scenes.worker import Stale
@@ -227,9 +227,9 @@ class Loading:
         viewer.worker.submit("load", lambda stale: read_pruned(folder, scene), done, viewer.fail)
 
     def ask_open(self, pane: int | None = None) -> None:
-        """Ask for a scene's file, and call `open`."""
+        """Ask for a scene or a sequence, and call `open`."""
         title = "Open a scene" if pane is None else f"Open {'AB'[pane]}"
-        self._viewer.files.ask_open(title, SCENES, partial(self.open, pane=pane))
+        self._viewer.files.ask_open(title, SEQUENCES, partial(self.open, pane=pane))
 
     def ask_recent(self) -> None:
         """Ask which of the recently opened files to open."""

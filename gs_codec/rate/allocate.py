@@ -53,8 +53,10 @@ _REFIT_ADDS = 1.01
 _ROUNDING_ADDS = 1.004
 _NUDGE = 0.01
 
-#: Maximum number of joint roundings to meet a loss.
+#: Maximum number of joint roundings to meet a loss. They end at this share of the target, where a
+#: file is about `_SIZE_TOLERANCE` larger than it could be, or within `_DROP_TOLERANCE`.
 _MOST_ROUNDINGS = 3
+_CLOSE = (1 - _SIZE_TOLERANCE) ** (-_DROP_SLOPE / _SIZE_SLOPE)
 
 #: Share of the Gaussians that a round of pruning removes.
 _PART = 0.2
@@ -249,24 +251,25 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
 
 
 def _round_within(trials: Trials, limit: float, seen: Seen) -> None:
-    """Round the last encoding jointly, then with coarser steps, while views lose less than a limit.
+    """Round jointly at the steps with which views should then lose just less than a limit.
 
-    Joint rounding changes the loss of small scenes irregularly, so a search cannot rely on it.
+    The loss of small scenes depends irregularly on step sizes and rounding, so the smallest file
+    within the limit is kept, which may be that of the last encoding.
     """
     if not trials.rounds_jointly:
         return
-    best, loss, octaves = trials.last, float(trials.loss or 0), trials.octaves
-    most = loss
+    best, octaves = (trials.last, trials.loss, trials.octaves), trials.octaves
+    least = max(_CLOSE * limit, limit - _DROP_TOLERANCE)
+    aim = (least + limit) / 2
+    loss = float(trials.loss or 0) * trials.config_at(octaves).adaptive_profile().left
     for _ in range(_MOST_ROUNDINGS):
-        if octaves != trials.octaves:
-            trials.refit(octaves)
+        further = math.log2(aim / min(max(loss, aim / 2), 2 * aim)) / _DROP_SLOPE
+        octaves = min(max(octaves + further, FINEST), COARSEST)
+        trials.refit(octaves)
         trials.finish(octaves)
-        lost = seen.loss(trials.decoded())
-        if lost > most:
+        loss = seen.loss(trials.decoded())
+        if loss <= limit and len(trials.last[0]) < len(best[0][0]):
+            best = trials.last, loss, octaves
+        if least <= loss <= limit:
             break
-        best, loss, most = trials.last, lost, limit
-        if loss >= limit - _DROP_TOLERANCE:
-            break
-        aim = limit - _DROP_TOLERANCE / 2
-        octaves += min(math.log2(aim / max(loss, aim / 2)) / _DROP_SLOPE, COARSEST - octaves)
-    trials.last, trials.loss, trials.octaves = best, loss, math.log2(best[1].coarseness)
+    trials.last, trials.loss, trials.octaves = best

@@ -23,15 +23,15 @@ from viewer.window.x11 import Keyboard
 
 
 def said(driver: Driver) -> list[str]:
-    """What the open dialog shows: the text in its field, labels, and the button that accepts."""
+    """What the open dialog shows: the text in its field, labels, and its first button."""
     dialog = driver.viewer.modal.dialog
     if dialog is None:
         return []
     widgets = list(inside(dialog))
     fields = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
     labels = [" ".join(w.text.split()) for w in widgets if isinstance(w, gui.Label)]
-    button, _ = [w.text for w in widgets if isinstance(w, gui.Button)][-2:]
-    return [*fields, *filter(None, labels), button]
+    buttons = [w.text for w in widgets if isinstance(w, gui.Button) and w.text != "Open folder"]
+    return [*fields, *filter(None, labels), buttons[0]]
 
 
 def enter(driver: Driver, text: str, key: str = "Return") -> list[str]:

@@ -127,6 +127,25 @@ def test_the_slider_stays_on_the_frame_that_is_asked_for(folder):
 
 
 @in_browser
+@pytest.mark.parametrize("mobile", [False, True])
+def test_the_bar_fits_into_a_narrow_page(folder, mobile):
+    """Its times stay inside, also long ones, and its slider keeps a width."""
+    fits = """(() => {
+      const [bar, time, clock] = ['bar', 'time', 'clock'].map((id) => document.getElementById(id));
+      clock.textContent = '100.00 / 240.00 s';
+      const [outer, inner] = [bar.getBoundingClientRect(), clock.getBoundingClientRect()];
+      const isInside = inner.right < outer.right && inner.top >= outer.top;
+      return [isInside && inner.bottom <= outer.bottom, bar.scrollWidth <= bar.clientWidth,
+        time.offsetWidth >= 44];
+    })()"""
+    job = Job((folder / "page.html").as_uri(), [("drawn",), ("value", fits)], (200, 300))
+    job.mobile = mobile
+    [opened] = open_pages(job)
+    assert not opened.errors
+    assert opened.values[1] == [True, True, True]
+
+
+@in_browser
 def test_keys_of_the_slider_leave_the_camera_where_it_is(folder):
     page = f"{(folder / 'page.html').as_uri()}#frame=3&camera=0,0,-5,0,0,0,0,-1,0"
     camera = ("value", "viewer.pose.eye[2]")

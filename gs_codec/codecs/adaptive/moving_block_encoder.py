@@ -28,6 +28,10 @@ from gs_codec.scene import GROUPS, Scene, take_columns
 #: costs nothing.
 _STILL = 0.125
 
+#: Turns with larger steps show no rotation; such a step instead makes them 0.
+_MOST_TURN = 3 << (FRACTION_BITS - 2)
+_NEVER = 1 << 60
+
 #: A far Gaussian moves if its centre does by this share of its distance from the grid's origin.
 _FAR_STEP = 1e-3
 
@@ -54,6 +58,8 @@ class BlockEncoder:
         self._steps = [
             block.steps(part, block.frame.shape, every).copy() for part in range(len(CHANNELS))
         ]
+        #: Gaussians that may need a change although they stay as they are.
+        self._again = np.zeros(len(members), np.bool_)
 
     def _taken(self, source: Scene) -> dict[str, NDArray[np.float32]]:
         return {group: take_columns(getattr(source, group), self.members) for group in GROUPS}
@@ -99,7 +105,7 @@ class BlockEncoder:
         """What changes by enough to be coded."""
         block, last, count = self.block, self.block.frame, self.block.count
         before, self._planes = self._planes, self._taken(source)
-        moved = np.zeros(count, np.bool_)
+        moved = self._again.copy()
         for group, values in self._planes.items():
             moved |= (values != before[group]).any(axis=0)
         some = np.flatnonzero(moved)
@@ -109,16 +115,17 @@ class BlockEncoder:
         for part, own in enumerate(found[:AC]):
             steps = block.steps(part, last.shape if part == SHAPE else shape, some)
             if part == TURN:
+                steps = np.where(steps > _MOST_TURN, _NEVER, steps)
                 since = turns_between(self._coded[TURN][:, some], own) * (1 << FRACTION_BITS)
                 left = turns_between(last.rot[:, some], own) * (1 << FRACTION_BITS)
+                left = _settled(left, steps)
             else:
                 since = own - self._coded[part][:, some]
                 left = own - self._decoded(last, part)[:, some]
             # Finer steps than those it was coded with show errors that were allowed.
             changed = (np.abs(since) > _STILL * steps) | (steps < self._steps[part][:, some])
             if part == TURN:
-                # Turns this coarse show no rotation.
-                changed = changed.any(axis=0) & (steps <= 3 << (FRACTION_BITS - 2))
+                changed = changed.any(axis=0)
             levels = np.where(changed, np.floor(left / steps + 0.5), 0).astype(np.int64)
             wanted = (levels != 0).any(axis=0)
             if part == PLACE:
@@ -127,11 +134,13 @@ class BlockEncoder:
             changes.flags[part, members] = 1
             near = members < count - last.far.shape[1] if part == PLACE else slice(None)
             changes.levels[part] = levels[:, wanted][:, near]
-            mask = changed.any(axis=0) if part == TURN else changed
-            self._coded[part][:, some] = np.where(mask, own, self._coded[part][:, some])
-            self._steps[part][:, members] = steps[:, wanted]
+            self._coded[part][:, some] = np.where(changed, own, self._coded[part][:, some])
+            self._steps[part][:, some] = np.where(changed, steps, self._steps[part][:, some])
             if part == SHAPE:
                 shape[:, members] += levels[:, wanted] * steps[:, wanted]
+                # Its steps are those of the shape before; the next frame applies finer ones.
+                finer = block.steps(SHAPE, shape, some) < self._steps[SHAPE][:, some]
+                self._again[some] = finer.any(axis=0)
         self._add_levels(changes, found[AC], shape, some)
         return changes
 
@@ -196,3 +205,25 @@ def turns_between(before: NDArray[np.float64], after: NDArray[np.float64]) -> ND
     best = np.argmax(np.abs(ways[:, 0]), axis=0)
     w, x, y, z = np.take_along_axis(ways, best[None, None], axis=0)[0]
     return np.where(w < 0.0, -1.0, 1.0) * np.stack([x, y, z])
+
+
+def _settled(turns: NDArray[np.float64], steps: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Turns ``(3, m)`` about all axes that do as well, given their ``steps (3, m)``.
+
+    About the axis with the largest step, the turn becomes a multiple of the step. Rounded alone, it
+    would change large turns about the other axes by more than their steps.
+    """
+    one = float(1 << FRACTION_BITS)
+    axis = np.argmax(steps, axis=0)[None]
+    step = np.take_along_axis(steps, axis, axis=0)[0] / one
+    x, y, z = (np.take_along_axis(turns, (axis + k) % 3, axis=0)[0] / one for k in (1, 2, 0))
+    w = np.sqrt(np.maximum(1.0 - (x * x + y * y + z * z), 0.0))
+    length = np.hypot(w, z)
+    most = np.floor(length / step)
+    wanted = step * np.clip(np.floor(z / step + 0.5), -most, most)
+    angle = np.arcsin(wanted / np.where(length > 0, length, 1.0)) - np.arctan2(z, w)
+    c, s = np.cos(angle), np.sin(angle)
+    found = np.empty_like(turns)
+    for k, values in zip((1, 2, 0), (x * c + y * s, y * c - x * s, wanted), strict=True):
+        np.put_along_axis(found, (axis + k) % 3, one * values[None], axis=0)
+    return found

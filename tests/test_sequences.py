@@ -16,8 +16,10 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.adaptive.moving_block import MovingBlock
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder, turns_between
 from gs_codec.codecs.encode import encode_parts
+from gs_codec.codecs.pairing import Pairing
 from gs_codec.coding.axes import reordered, rotation_matrix, sort_axes
 from gs_codec.coding.morton import spatial_order
+from gs_codec.coding.neighbours import Neighbours
 from gs_codec.config import RateTarget
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.encoding.request import Request
@@ -131,11 +133,61 @@ def test_unrelated_frames_cost_no_more_than_scenes(tmp_path):
     assert report.file_bytes < 1.01 * alone
 
 
-def test_frames_in_another_order_are_scenes_of_their_own(tmp_path):
+def test_the_order_of_gaussians_in_frames_does_not_matter(tmp_path):
     """Other formats sort each frame, so that an index is another Gaussian in the next."""
-    scenes = moving(frames=3, sh_degree=0)
-    ordered = [scene.take(spatial_order(scene.positions, scene.log_scale)) for scene in scenes]
-    assert coded(tmp_path / "a.egs", ordered).key_frames == 3
+    scenes = moving(frames=4)
+    ordered = [scenes[0]] + [
+        scene.take(spatial_order(scene.positions, scene.log_scale)) for scene in scenes[1:]
+    ]
+    coded(tmp_path / "a.egs", scenes)
+    assert coded(tmp_path / "b.egs", ordered).key_frames == 1
+    assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "b.egs").read_bytes()
+
+
+def test_gaussians_of_a_limb_are_found_again():
+    """They move farther than their neighbours are away, in front of others that do not move."""
+    scene = random_scene(6000, 0)
+    scene.positions[:, :2000] *= 0.25
+    angle = 0.1
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    moved = scene.positions.copy()
+    moved[:2, :2000] = turn @ moved[:2, :2000] + 0.02
+    order = np.random.default_rng(0).permutation(scene.count)
+    after = replace(scene, positions=moved).take(order)
+    partners = Pairing(scene, after).nearest()
+    assert np.mean(order[partners] == np.arange(scene.count)) > 0.995
+
+
+def test_discs_turn_by_large_angles(tmp_path):
+    """Only two axes show a turn; what is left out about the third must not tilt the disc."""
+    rng = np.random.default_rng(0)
+    scene = random_scene(1200, 0)
+    scene.log_scale[:] = np.array([[-2.0], [-2.001], [-7.0]])
+    scene.opacity[:] = 4.0
+    scenes = [replace(scene, rot=rng.normal(size=(4, 1200)).astype(np.float32)) for _ in range(2)]
+    assert coded(tmp_path / "a.egs", scenes).key_frames == 1
+
+    tilts = []
+    for source, frame in zip(scenes, decoded(tmp_path / "a.egs"), strict=True):
+        _, found = Neighbours(source.positions.T).nearest(frame.positions.T, 1)
+        rotations = source.rot[:, found[:, 0]], frame.rot
+        normals = [rotation_matrix(rot / np.linalg.norm(rot, axis=0))[:, 2] for rot in rotations]
+        tilts.append(np.linalg.norm(np.cross(*normals, axis=0), axis=0).max())
+    assert tilts[1] < 1.5 * tilts[0]
+
+
+def test_what_appears_at_once_becomes_exact(tmp_path):
+    """The steps of a frame's shapes are those of the shapes before, coarse if these hardly show."""
+    shown = random_scene(1200, 0)
+    hidden = replace(shown, opacity=shown.opacity - 8.0, log_scale=shown.log_scale - 4.0)
+    coded(tmp_path / "a.egs", [hidden, shown, shown])
+    coded(tmp_path / "b.egs", [shown])
+    errors = []
+    for frame in (*decoded(tmp_path / "a.egs"), *decoded(tmp_path / "b.egs")):
+        _, found = Neighbours(shown.positions.T).nearest(frame.positions.T, 1)
+        sizes = [np.sort(scene.log_scale, axis=0) for scene in (frame, shown.take(found[:, 0]))]
+        errors.append(np.abs(sizes[0] - sizes[1]).mean())
+    assert errors[2] < 1.1 * errors[3] < errors[1]
 
 
 def test_frames_must_be_alike(tmp_path):

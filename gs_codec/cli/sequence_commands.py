@@ -86,7 +86,7 @@ def _keys_text(keys: int, frames: int, share: float) -> str:
     if keys == frames > 1:
         text += (
             "; each frame is a scene of its own, because its Gaussians are others than those "
-            "before, or in another order, or all change"
+            "before, or too many change"
         )
     return text
 

@@ -31,7 +31,7 @@ from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 _RUNS, _RUN = 32, 64
 
 #: Minimum share of these that are the same Gaussians in the next frame: in the same order it is
-#: at least 0.99, in another at most 0.84.
+#: at least 0.99, in another at most 0.84; paired with other Gaussians, at most 0.43.
 _SAME = 0.95
 
 #: Bytes of contexts that any limit on a scene permits.
@@ -67,22 +67,27 @@ class FrameEncoder:
         self._encoders = run_all(encoder, _moving_blocks(key))
         starts = np.linspace(0, max(len(order) - _RUN, 0), _RUNS).astype(np.int64)
         self._some = order[np.unique(starts[:, None] + np.arange(min(_RUN, len(order))))]
-        self._before = source.take(self._some)
+        self._before = source
 
-    def fits(self, source: Scene) -> bool:
-        """Whether a frame has the same Gaussians in the same order, and none is damaged."""
-        same = (source.count, source.sh_degree) == (self._count, self._degree)
-        if not same or not sound_gaussians(source)[self._order].all():
-            return False
-        if not len(self._some):
-            return True
-        pairs = Pairing(self._before, source.take(self._some))
+    def ordered(self, source: Scene) -> Scene | None:
+        """A frame in the order of the one before; None if it has other or damaged Gaussians."""
+        if (source.count, source.sh_degree) != (self._count, self._degree):
+            return None
+        source, _ = finite_ends(source)
+        if len(self._some) and not self._same(source):
+            source = source.take(Pairing(self._before, source).nearest())
+            if not self._same(source):
+                return None
+        return source if sound_gaussians(source)[self._order].all() else None
+
+    def _same(self, source: Scene) -> bool:
+        """Whether the same Gaussians are in the same order as in the frame before."""
+        pairs = Pairing(self._before.take(self._some), source.take(self._some))
         return bool(pairs.right(np.arange(len(self._some))).max() >= _SAME)
 
     def encode(self, source: Scene) -> bytes:
-        """The section `motion` of the next frame."""
-        source, _ = finite_ends(source)
-        self._before = source.take(self._some)
+        """The section `motion` of the next frame, whose Gaussians are in order."""
+        self._before = source
         coded = run_all(lambda encoder: encoder.encode(source), self._encoders)
         for encoder, (_, frame) in zip(self._encoders, coded, strict=True):
             encoder.block.frame = frame

@@ -25,6 +25,12 @@ _SAMPLE = 2000
 #: Maximum value of a term.
 _MOST = 4.0
 
+#: A pair is certain if its appearance differs at most by this share of any other candidate's.
+_SURE = 0.2
+
+#: Rounds that accept only certain pairs.
+_SURE_ROUNDS = 3
+
 #: Rounds of the search for partners; Gaussians left over are paired in order.
 _ROUNDS = 12
 
@@ -77,39 +83,69 @@ class Pairing:
         return np.array(shares)
 
     def nearest(self) -> NDArray[np.int64]:
-        """Partners: for each Gaussian the most similar of the nearest, each used once."""
+        """Partners: for each Gaussian the most similar of the nearest, each used once.
+
+        Unmistakable pairs come first; the other Gaussians are expected to move as those nearby do.
+        """
         partners = np.full(self.count, -1)
+        centres = self._places[0].copy()
         # Searching along a space-filling curve is several times faster.
         left, free = (spatial_order(each.T.astype(np.float32)) for each in self._places)
-        for _ in range(_ROUNDS):
+        for number in range(_ROUNDS):
             if not len(left):
                 return partners
-            best, cost = self._best(left, free)
-            order = np.lexsort((cost, best))
-            first = np.r_[True, np.diff(best[order]) > 0]
-            partners[left[order[first]]] = best[order[first]]
-            left = left[partners[left] < 0]
+            best, cost, sure = self._best(left, free, centres)
+            some = np.flatnonzero(sure | (number >= _SURE_ROUNDS))
+            order = some[np.lexsort((cost[some], best[some]))]
+            order = order[np.r_[True, np.diff(best[order]) > 0][: len(order)]]
+            partners[left[order]] = best[order]
             taken = np.zeros(self.count, bool)
-            taken[best] = True
-            free = free[~taken[free]]
+            taken[best[order]] = True
+            left, free = left[partners[left] < 0], free[~taken[free]]
+            if number < _SURE_ROUNDS:
+                self._move(centres, left, partners)
         partners[left] = free
         return partners
 
+    def _move(
+        self, centres: NDArray[np.float64], left: NDArray[np.int64], partners: NDArray[np.int64]
+    ) -> None:
+        """Move the centres of Gaussians by the median motion of the nearest that have partners."""
+        before, after = self._places
+        paired = np.flatnonzero(partners >= 0)
+        if not len(paired):
+            return
+        motion = after[partners[paired]] - before[paired]
+        _, found = Neighbours(before[paired]).nearest(before[left], min(_NEIGHBOURS, len(paired)))
+        centres[left] = before[left] + np.median(motion[found], axis=1)
+
     def _best(
-        self, which: NDArray[np.int64], free: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The most similar of the nearest `free` Gaussians of the second scene, and its cost."""
+        self, which: NDArray[np.int64], free: NDArray[np.int64], centres: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+        """The most similar of the `free` Gaussians nearest to ``centres (N, 3)``; cost; certainty.
+
+        A pair is certain if its appearance differs far less than that of the others.
+        """
         others = Neighbours(self._places[1][free])
         best, cost = np.empty(len(which), np.int64), np.empty(len(which))
+        sure = np.empty(len(which), np.bool_)
         number = min(_NEIGHBOURS, len(free))
         for start in range(0, len(which), _CHUNK):
-            part = which[start : start + _CHUNK]
-            _, found = others.nearest(self._places[0][part], number)
-            costs = _cost(self._terms(part, free[found]), self._unit)
+            chunk = slice(start, start + _CHUNK)
+            part = which[chunk]
+            _, found = others.nearest(centres[part], number)
+            terms = _differences(
+                centres[part], self._looks[0][part],
+                self._places[1][free[found]], self._looks[1][free[found]],
+            )  # fmt: skip
+            costs, looks = _cost(terms, self._unit), _cost(terms[..., 1:], self._unit[1:])
             least = costs.argmin(axis=1)[:, None]
-            best[start : start + _CHUNK] = free[np.take_along_axis(found, least, 1)[:, 0]]
-            cost[start : start + _CHUNK] = np.take_along_axis(costs, least, 1)[:, 0]
-        return best, cost
+            best[chunk] = free[np.take_along_axis(found, least, 1)[:, 0]]
+            cost[chunk] = np.take_along_axis(costs, least, 1)[:, 0]
+            own = np.take_along_axis(looks, least, 1)[:, 0]
+            np.put_along_axis(looks, least, np.inf, 1)
+            sure[chunk] = own < _SURE * looks.min(axis=1)
+        return best, cost, sure
 
     def _terms(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
         """Terms ``(n, k, 4)`` of ``(n,)`` Gaussians of one scene and ``(n, k)`` of the other."""

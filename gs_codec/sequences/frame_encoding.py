@@ -246,9 +246,9 @@ class _Groups:
     def _encode(self, number: int, scene: Scene) -> tuple[str, bytes]:
         encoder = self._encoder
         if encoder is not None and number - self._key < self._group and not self._wait:
-            data = encoder.encode(scene) if encoder.fits(scene) else b""
-            if not data:
+            if (ordered := encoder.ordered(scene)) is None:
                 return "key", self._encode_key(number, scene)
+            data = encoder.encode(ordered)
             if len(data) < self._key_bytes:
                 self._misses = 0
                 return "motion", data

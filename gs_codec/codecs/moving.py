@@ -34,6 +34,10 @@ _RUNS, _RUN = 32, 64
 #: at least 0.99, in another at most 0.84; paired with other Gaussians, at most 0.43.
 _SAME = 0.95
 
+#: Minimum share of Gaussians with unmistakable partners for which all are paired: it is at most
+#: 0.01 if frames were trained one by one, and at least 0.55 if not.
+_CERTAIN = 0.1
+
 #: Bytes of contexts that any limit on a scene permits.
 _CONTEXT_BYTES = 1 << 24
 
@@ -75,7 +79,10 @@ class FrameEncoder:
             return None
         source, _ = finite_ends(source)
         if len(self._some) and not self._same(source):
-            source = source.take(Pairing(self._before, source).nearest())
+            pairs = Pairing(self._before, source)
+            if pairs.certain() < _CERTAIN:
+                return None
+            source = source.take(pairs.nearest())
             if not self._same(source):
                 return None
         return source if sound_gaussians(source)[self._order].all() else None

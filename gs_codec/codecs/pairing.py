@@ -82,6 +82,11 @@ class Pairing:
             shares.append(np.mean(found < share * nearest.min(axis=1)))
         return np.array(shares)
 
+    def certain(self) -> float:
+        """Share of a sample whose partner is unmistakable without a search of all."""
+        _, _, sure = self._best(self._some, np.arange(self.count), self._places[0])
+        return float(sure.mean())
+
     def nearest(self) -> NDArray[np.int64]:
         """Partners: for each Gaussian the most similar of the nearest, each used once.
 

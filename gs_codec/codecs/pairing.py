@@ -120,9 +120,11 @@ class Pairing:
         paired = np.flatnonzero(partners >= 0)
         if not len(paired):
             return
-        motion = after[partners[paired]] - before[paired]
-        _, found = Neighbours(before[paired]).nearest(before[left], min(_NEIGHBOURS, len(paired)))
-        centres[left] = before[left] + np.median(motion[found], axis=1)
+        motion, others = after[partners[paired]] - before[paired], Neighbours(before[paired])
+        for start in range(0, len(left), _CHUNK):
+            part = left[start : start + _CHUNK]
+            _, found = others.nearest(before[part], min(_NEIGHBOURS, len(paired)))
+            centres[part] = before[part] + np.median(motion[found], axis=1)
 
     def _best(
         self, which: NDArray[np.int64], free: NDArray[np.int64], centres: NDArray[np.float64]

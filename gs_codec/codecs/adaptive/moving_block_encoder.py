@@ -28,6 +28,9 @@ from gs_codec.scene import GROUPS, Scene, take_columns
 #: costs nothing.
 _STILL = 0.125
 
+#: Fraction of a step from which a change is rounded up; half takes more bytes at equal error.
+_UP = 0.6
+
 #: Turns with larger steps show no rotation; such a step instead makes them 0.
 _MOST_TURN = 3 << (FRACTION_BITS - 2)
 _NEVER = 1 << 60
@@ -126,7 +129,8 @@ class BlockEncoder:
             changed = (np.abs(since) > _STILL * steps) | (steps < self._steps[part][:, some])
             if part == TURN:
                 changed = changed.any(axis=0)
-            levels = np.where(changed, np.floor(left / steps + 0.5), 0).astype(np.int64)
+            sizes = np.where(changed, np.floor(np.abs(left) / steps + (1.0 - _UP)), 0)
+            levels = np.copysign(sizes, left).astype(np.int64)
             wanted = (levels != 0).any(axis=0)
             if part == PLACE:
                 self._set_far(changes, wanted, some)

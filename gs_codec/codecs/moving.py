@@ -67,19 +67,19 @@ class FrameEncoder:
             return BlockEncoder(block, members, source)
 
         source, _ = finite_ends(source)
-        self._count, self._degree, self._order = source.count, source.sh_degree, order
+        self._before, self._order = source, order
         self._encoders = run_all(encoder, _moving_blocks(key))
         starts = np.linspace(0, max(len(order) - _RUN, 0), _RUNS).astype(np.int64)
         self._some = order[np.unique(starts[:, None] + np.arange(min(_RUN, len(order))))]
-        self._before = source
 
     def ordered(self, source: Scene) -> Scene | None:
         """A frame in the order of the one before; None if it has other or damaged Gaussians."""
-        if (source.count, source.sh_degree) != (self._count, self._degree):
+        before = self._before
+        if (source.count, source.sh_degree) != (before.count, before.sh_degree):
             return None
         source, _ = finite_ends(source)
         if len(self._some) and not self._same(source):
-            pairs = Pairing(self._before, source)
+            pairs = Pairing(before, source)
             if pairs.certain() < _CERTAIN:
                 return None
             source = source.take(pairs.nearest())

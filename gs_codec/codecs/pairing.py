@@ -69,7 +69,7 @@ class Pairing:
         partners : ndarray, shape (N,)
             Index in the second scene of each Gaussian's partner.
         """
-        terms = self._terms(self._some, partners[self._some, None])[:, 0]
+        terms = self._terms(self._some, partners[self._some, None], self._places[0])[:, 0]
         own = self._own_terms
         if not own.shape[1]:
             return np.ones(3)
@@ -141,10 +141,7 @@ class Pairing:
             chunk = slice(start, start + _CHUNK)
             part = which[chunk]
             _, found = others.nearest(centres[part], number)
-            terms = _differences(
-                centres[part], self._looks[0][part],
-                self._places[1][free[found]], self._looks[1][free[found]],
-            )  # fmt: skip
+            terms = self._terms(part, free[found], centres)
             costs, looks = _cost(terms, self._unit), _cost(terms[..., 1:], self._unit[1:])
             least = costs.argmin(axis=1)[:, None]
             best[chunk] = free[np.take_along_axis(found, least, 1)[:, 0]]
@@ -154,11 +151,11 @@ class Pairing:
             sure[chunk] = own < _SURE * looks.min(axis=1)
         return best, cost, sure
 
-    def _terms(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Terms ``(n, k, 4)`` of ``(n,)`` Gaussians of one scene and ``(n, k)`` of the other."""
-        return _differences(
-            self._places[0][i], self._looks[0][i], self._places[1][j], self._looks[1][j]
-        )
+    def _terms(
+        self, i: NDArray[np.int64], j: NDArray[np.int64], centres: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Terms ``(n, k, 4)`` of ``(n,)`` Gaussians at ``centres (N, 3)`` and ``(n, k)`` others."""
+        return _differences(centres[i], self._looks[0][i], self._places[1][j], self._looks[1][j])
 
     @cached_property
     def _own_terms(self) -> NDArray[np.float64]:

@@ -53,8 +53,8 @@ _REFIT_ADDS = 1.01
 _ROUNDING_ADDS = 1.004
 _NUDGE = 0.01
 
-#: Maximum number of joint roundings to meet a loss. They end at this share of the target, where a
-#: file is about `_SIZE_TOLERANCE` larger than it could be, or within `_DROP_TOLERANCE`.
+#: Maximum number of joint roundings to meet a loss. They end earlier within `_DROP_TOLERANCE` of
+#: the target, or above this share of it: then a file is about `_SIZE_TOLERANCE` too large.
 _MOST_ROUNDINGS = 3
 _CLOSE = (1 - _SIZE_TOLERANCE) ** (-_DROP_SLOPE / _SIZE_SLOPE)
 

@@ -212,10 +212,10 @@ def turns_between(before: NDArray[np.float64], after: NDArray[np.float64]) -> ND
 
 
 def _settled(turns: NDArray[np.float64], steps: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Turns ``(3, m)`` about all axes that do as well, given their ``steps (3, m)``.
+    """Equivalent turns ``(3, m)`` that can be rounded axis by axis to ``steps (3, m)``.
 
-    About the axis with the largest step, the turn becomes a multiple of the step. Rounded alone, it
-    would change large turns about the other axes by more than their steps.
+    The turn about the axis with the largest step becomes a multiple of it. Rounding that turn alone
+    would tilt the other axes by more than their steps.
     """
     one = float(1 << FRACTION_BITS)
     axis = np.argmax(steps, axis=0)[None]

@@ -452,6 +452,9 @@ FORMATS = (
     TILES,
 )
 
+#: Suffixes of files in folders that are scenes, besides `.egs`.
+BATCHED = tuple(suffix for known in FORMATS if known is not EGS for suffix in known.batched)
+
 
 def written(*writes: str) -> tuple[str, ...]:
     """Suffixes, or names, of output files of these kinds; see `SceneFormat.writes`."""

@@ -523,7 +523,7 @@ REFUSED = {
     "decode directory": ("decode some.dir out.ply", "some.dir: a directory, expected a file"),
     "decode .ply": ("decode scene.ply out.ply", "scene.ply: ply, not an .egs file"),
     "inspect missing": ("inspect missing.egs", "missing.egs: No such file"),
-    "inspect directory": ("inspect some.dir", "some.dir: a directory, expected a file"),
+    "inspect directory": ("inspect some.dir", "some.dir: no frames, expected files of"),
     "inspect text": ("inspect text.md", "text.md: begins with b'# Ti', expected .ply, .egs"),
     "inspect zip": ("inspect zip.pt", "zip.pt: pickle: 'pickle exhausted before seeing STOP'"),
     "inspect other zip": ("inspect zip.sog", "zip.sog: a zip without meta.json, expected a SOG"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -387,6 +389,47 @@ def test_sequences_are_encoded_again(folder):
     assert "input and output are the same file" in said
     said = folder.refuse("convert", "a.egs", "c")
     assert "a.egs is a sequence: `decode` writes its frames to a folder" in said
+
+
+SEVERAL = ["frames", "frames/*.ply", "frames.zip"]
+
+
+@pytest.mark.parametrize("source", SEVERAL)
+def test_frames_that_are_not_encoded(folder, source):
+    zipped("frames.zip")
+    shown = json.loads(folder.run("inspect", source, "--json").out)
+    assert (shown["frames"], shown["names"], shown["fps"]) == (4, ["f9", "f10", "f11", "f12"], None)
+    assert (shown["gaussians"], shown["sh_degree"]) == (1200, 3)
+    said = folder.run("inspect", source).out
+    assert f"{source}: 4 frames, 1.14 MB; `encode` makes a sequence of them\nfirst frame 'f" in said
+    said = folder.run("verify", source).out
+    assert f"{source}: sound, 1.14 MB, 4 frames, 4,800 Gaussians in all, " in said
+    (folder.path / "frames/f11.ply").write_text("ply")
+    zipped("frames.zip")
+    assert "f11.ply: " in folder.refuse("verify", source)
+
+
+@pytest.mark.parametrize("source", SEVERAL)
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "decode {} x.ply", "share {} --out x.html", "convert {} x.ply", "inspect {} --histogram",
+        "render {} --cameras auto --out x", "analyze {} --out x", "prepare {} x.ply --prune 9",
+    ],
+)  # fmt: skip
+def test_frames_are_not_one_scene(folder, source, typed):
+    zipped("frames.zip")
+    said = folder.refuse(*(word.format(source) for word in typed.split()))
+    kind = {"frames": "folder", "frames.zip": "zip"}.get(source, "pattern")
+    assert f"{source}: a {kind} of 4 files, expected one file; if they are the frames" in said
+    assert [path.name for path in folder.path.iterdir() if path.name.startswith("x")] == []
+
+
+def zipped(path) -> None:
+    """Zip the files of the folder `frames`."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for each in Path("frames").iterdir():
+            archive.write(each)
 
 
 def test_compare_frames(folder):

@@ -145,6 +145,15 @@ def test_pictures_of_a_frame(folder, tmp_path, run_viewer):
     assert (tmp_path / "0.png").read_bytes() != (tmp_path / "5.png").read_bytes()
 
 
+@pytest.mark.parametrize("source", ["frames", "frames/*.ply", "frames.zip"])
+def test_frames_that_are_not_encoded_are_no_page(folder, run_viewer, monkeypatch, source):
+    monkeypatch.chdir(folder)
+    result = run_viewer("--web", source)
+    assert result.status == 2
+    assert f"{source}: a " in result.err
+    assert " of 6 files, expected one file; if they are the frames of a sequence, " in result.err
+
+
 def test_watching_a_sequence_is_refused(folder):
     with pytest.raises(gs_codec.GsCodecError, match="watch: has no effect on a sequence"):
         Request(folder / "moving.egs", watch=True).scenes()

@@ -18,6 +18,7 @@ from gs_codec.files.suffixes import PLAIN
 from gs_codec.files.writing import tell_lost, write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply.writer import vertex_rows
+from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.plan import Plan
 from gs_codec.report import Progress, RateReport
 from gs_codec.runtime.arguments import checked
@@ -300,6 +301,7 @@ def decode(
     """
     part = part or Part()
     if isinstance(source, str | Path):
+        refuse_several(source)
         with opened(source) as data, located(source):
             return to_cloud(decode_part(data, part, threads, max_bytes, progress, tmc3)[0])
     return to_cloud(decode_part(bytes(source), part, threads, max_bytes, progress, tmc3)[0])

@@ -15,14 +15,11 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.format_table import EGS, FORMATS
+from gs_codec.format_table import BATCHED
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
 
 log = logging.getLogger(__name__)
-
-#: Suffixes of files in a folder that are treated as scenes, besides `.egs`.
-SUFFIXES = tuple(suffix for known in FORMATS if known is not EGS for suffix in known.batched)
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ class LocalStorage:
         plain = unquote(urlsplit(base).path) if base.startswith("file://") else base
         self.path = os.path.abspath(plain)
 
-    def find(self, suffixes: tuple[str, ...] = SUFFIXES) -> list[tuple[str, Location]]:
+    def find(self, suffixes: tuple[str, ...] = BATCHED) -> list[tuple[str, Location]]:
         """The matching scenes, named relative to the part of the path without wildcards.
 
         In a folder, files with the suffixes match. Hidden files and folders match only if the

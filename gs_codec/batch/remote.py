@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.batch.local import (
-    SUFFIXES,
     LocalStorage,
     Location,
     Stamp,
@@ -24,6 +23,7 @@ from gs_codec.batch.local import (
     fixed_part,
 )
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
+from gs_codec.format_table import BATCHED
 from gs_codec.runtime.atomic import leftovers, temporary_name
 from gs_codec.runtime.optional import needed, pip_install
 from gs_codec.runtime.redaction import redacted, without_secrets
@@ -107,7 +107,7 @@ class RemoteStorage:
                 text = os.strerror(errno.ENOENT)
             raise InvalidInput(f"{shown}: {text}") from error
 
-    def find(self, suffixes: tuple[str, ...] = SUFFIXES) -> list[tuple[str, Location]]:
+    def find(self, suffixes: tuple[str, ...] = BATCHED) -> list[tuple[str, Location]]:
         """See `LocalStorage.find`; a web address is a folder if it ends in a slash."""
         wild = "*[" if self._read_only else "*[?"
         root = self._root

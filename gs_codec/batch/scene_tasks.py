@@ -10,13 +10,14 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from gs_codec.batch.local import SUFFIXES, LocalStorage, Location, Stamp, file_sha256
+from gs_codec.batch.local import LocalStorage, Location, Stamp, file_sha256
 from gs_codec.batch.needed_memory import expected_floats, needed_bytes
 from gs_codec.batch.remote import Storage
 from gs_codec.config import EGS
 from gs_codec.encoding.combinations import check_actions
 from gs_codec.encoding.request import Request
 from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.format_table import BATCHED
 from gs_codec.runtime.redaction import without_secrets
 from gs_codec.runtime.threads import available_threads
 
@@ -44,7 +45,7 @@ class Options(Request):
     @property
     def sources(self) -> tuple[str, ...]:
         """Suffixes of scenes in a folder, including `.egs` unless that is the output format."""
-        return SUFFIXES if self.format == EGS else (*SUFFIXES, f".{EGS}")
+        return BATCHED if self.format == EGS else (*BATCHED, f".{EGS}")
 
     def digest(self) -> str:
         """Digest of all options that affect the output bytes; excludes threads."""

@@ -64,19 +64,19 @@ def command(
         typed.refuse(["cameras"], "needs --gpu")
     if typed["json"]:
         typed.refuse(["channels"], "has no effect with --json, which always lists channels")
+    from gs_codec.egs.frame_sections import is_sequence
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
+    from gs_codec.sequences.frame_sources import has_frames
 
     with piped_source(file, typed["input_format"]) as path:
-        if not is_egs(path):
-            typed.refuse(["channels"], f"has no effect on {file}, expected an .egs")
-            _show_other(file, path, typed, histogram, cameras if gpu else None)
-            return
-        from gs_codec.egs.frame_sections import is_sequence
-
-        if is_sequence(path):
+        if is_sequence(path) or (not (histogram or gpu) and has_frames(path)):
             from gs_codec.cli import sequence_commands
 
             sequence_commands.inspect(file, path, typed)
+            return
+        if not is_egs(path):
+            typed.refuse(["channels"], f"has no effect on {file}, expected an .egs")
+            _show_other(file, path, typed, histogram, cameras if gpu else None)
             return
         if not (histogram or gpu):
             why = "has no effect on an .egs without --histogram or --gpu: only its header is read"

@@ -128,11 +128,15 @@ def _seconds(text: str) -> tuple[float, float]:
 def inspect(source: Path, file: Path, typed: Typed) -> None:
     """Show the frames of a sequence at `file`, called `source`."""
     from gs_codec.codecs.inspection import describe
-    from gs_codec.egs.frame_sections import open_key_frame
+    from gs_codec.egs.frame_sections import is_sequence, open_key_frame
     from gs_codec.sequences.frame_decoding import opened_sequence
 
     why = f"has no effect on {source}, a sequence"
-    typed.refuse(["channels", "histogram", "gpu", "max_bytes"], why)
+    typed.refuse(["channels", "histogram", "gpu"], why)
+    if not is_sequence(file):
+        _inspect_frames(source, file, typed)
+        return
+    typed.refuse(["max_bytes"], why)
     with opened_sequence(file) as sequence:
         first = describe(open_key_frame(sequence.file, 0))
         shown = _described(sequence)
@@ -161,6 +165,27 @@ def inspect(source: Path, file: Path, typed: Typed) -> None:
     ]  # fmt: skip
     columns = ["key frame", "name", "second", "frames", "key bytes", "motion bytes"]
     print_table(Table(columns, rows, left=(1,)))
+
+
+def _inspect_frames(source: Path, file: Path, typed: Typed) -> None:
+    """Show the frames of a folder, a pattern, a zip or an animation at `file`."""
+    from gs_codec.sequences.frame_sources import open_frames
+
+    frames = open_frames(file, None, "drop", typed["max_bytes"])
+    first = frames.read(0)
+    if typed["json"]:
+        print_document(
+            input=str(source), gaussians=first.count, sh_degree=first.sh_degree,
+            input_bytes=frames.stored_bytes, frames=len(frames), fps=frames.fps, names=frames.names,
+        )  # fmt: skip
+        return
+    rate = "" if frames.fps is None else f" at {frames.fps:g} a second"
+    print_text(
+        f"{source}: {counted(len(frames), 'frame')}{rate}, {size_text(frames.stored_bytes)}; "
+        "`encode` makes a sequence of them",
+        f"first frame '{frames.names[0]}': {counted(first.count, 'Gaussian')}, "
+        f"SH degree {first.sh_degree}",
+    )
 
 
 def _key_bytes(shown: dict[str, Any]) -> int:
@@ -223,23 +248,26 @@ def compare(
 
 
 def verify(source: Path, file: Path, typed: Typed) -> None:
-    """Decode all frames of a sequence at `file`, called `source`."""
+    """Read all frames at `file`, called `source`."""
     import time
 
+    from gs_codec.egs.frame_sections import is_sequence
     from gs_codec.runtime.threads import using_threads
-    from gs_codec.sequences.frame_decoding import opened_sequence
+    from gs_codec.sequences.frame_sources import open_frames
 
     typed.refuse(["max_memory", "tmc3"], f"has no effect on {source}, a sequence")
-    began, count = time.perf_counter(), 0
-    with opened_sequence(file) as sequence, using_threads(typed["threads"]):
-        for scene in sequence.frames(max_bytes=typed["max_bytes"]):
-            count += scene.count
-        shown = _described(sequence)
+    began = time.perf_counter()
+    with using_threads(typed["threads"]):
+        frames = open_frames(file, None, "keep", typed["max_bytes"])
+        count = sum(scene.count for scene in frames)
     seconds = time.perf_counter() - began
     if typed["json"]:
-        print_document(input=str(source), format=EGS, seconds=seconds, **shown)
+        print_document(
+            input=str(source), format=EGS if is_sequence(file) else None, seconds=seconds,
+            input_bytes=frames.stored_bytes, gaussians=count, frames=len(frames), fps=frames.fps,
+        )  # fmt: skip
         return
     print_text(
-        f"{source}: sound, {size_text(shown['input_bytes'])}, {counted(shown['frames'], 'frame')}, "
+        f"{source}: sound, {size_text(frames.stored_bytes)}, {counted(len(frames), 'frame')}, "
         f"{counted(count, 'Gaussian')} in all, {seconds:.2f} s"
     )

@@ -28,18 +28,17 @@ def command(
     """Check a whole file: test checksums and decode an .egs, or read another format."""
     from gs_codec.codecs.slabs import verify_file
     from gs_codec.files.scenes import is_egs
+    from gs_codec.sequences.frame_sources import has_frames
 
     with piped_source(source, typed["input_format"]) as file, progress_bar() as progress:
-        if not is_egs(file):
-            typed.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
-            _verify_other(source, file, typed)
-            return
-        from gs_codec.egs.frame_sections import is_sequence
-
-        if is_sequence(file):
+        if has_frames(file):
             from gs_codec.cli import sequence_commands
 
             sequence_commands.verify(source, file, typed)
+            return
+        if not is_egs(file):
+            typed.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
+            _verify_other(source, file, typed)
             return
         report = verify_file(
             file, typed["threads"], typed["max_bytes"], progress, typed["tmc3"], typed["max_memory"]

@@ -19,6 +19,7 @@ from gs_codec.config import check_threads
 from gs_codec.egs.egs_file import MAGIC, EgsFile
 from gs_codec.egs.index import bounds_of, check_errors, errors_of, levels_of, open_level, within
 from gs_codec.errors import CorruptStream, InvalidInput
+from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import FileBytes, located, opened
@@ -105,6 +106,7 @@ def opened_slabs(
     decoded. Raises MissingTool if it needs G-PCC's program (`tmc3`, or from the environment) or
     torchac, and that is not installed.
     """
+    refuse_several(path)
     with using_threads(threads), bounded(max_memory), opened(path) as data:
         start = time.perf_counter()
         if bytes(data[: len(MAGIC)]) != MAGIC:

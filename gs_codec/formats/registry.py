@@ -28,6 +28,7 @@ from gs_codec.formats.ply.body import Ply, ply_of
 from gs_codec.formats.ply.file import scene_of
 from gs_codec.formats.ply.packed import is_packed
 from gs_codec.formats.ply.packed import stated_size as packed_size
+from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
 from gs_codec.runtime.mapped import FileBytes, opened
 from gs_codec.runtime.wording import listed
@@ -180,7 +181,8 @@ class SceneFile:
 
 @contextmanager
 def open_scene(path: str | Path, shift: Shift | None = None, level: int = 0) -> Iterator[SceneFile]:
-    """Open the file of a scene, in any format; raises like `opened`."""
+    """Open the file of a scene, in any format; raises like `opened`, and if it holds several."""
+    refuse_several(path)
     with opened(path) as data:
         yield SceneFile(Path(path), data, shift, level)
 

@@ -15,6 +15,7 @@ from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import check_target
 from gs_codec.formats.ply.writer import write_vertices
+from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import atomic_writer, check_folder, make_folder
 from gs_codec.runtime.mapped import located, opened
@@ -66,6 +67,7 @@ class Sequence:
 @contextmanager
 def opened_sequence(path: str | Path) -> Iterator[Sequence]:
     """Open a sequence. Raises InvalidInput if the file is another scene."""
+    refuse_several(path)
     with opened(path) as data, located(path):
         file = read_file(data, described)
         if Feature.SEQUENCE not in file.header.features:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import logging
 import math
 import re
@@ -11,8 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path, PurePath, PurePosixPath
-from typing import TypeVar
+from pathlib import Path, PurePath
 
 import numpy as np
 
@@ -24,6 +22,7 @@ from gs_codec.format_table import EGS, FORMATS, PLY, USD
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply.animation import frame_names, read_frame
 from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.several_scenes import ZIP_SUFFIX, scenes_in
 from gs_codec.formats.usd.scene import frame_times, read_usd
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.mapped import FileBytes, located
@@ -32,17 +31,8 @@ from gs_codec.sequences.frame_decoding import opened_sequence
 
 log = logging.getLogger(__name__)
 
-P = TypeVar("P", bound=PurePath)
-
-#: Suffix of a zip of frames.
-ZIP_SUFFIX = ".zip"
-
-#: Formats whose files are frames: all but the one that sequences are encoded to.
-_FORMATS = [known for known in FORMATS if known is not EGS]
-_SUFFIXES = tuple(suffix for known in _FORMATS for suffix in known.read)
-
-#: Suffixes of files in folders and zips that are frames; other files are left out.
-_BATCHED = tuple(suffix for known in _FORMATS for suffix in known.batched)
+#: Suffixes of frames: of all formats but the one that sequences are encoded to.
+_SUFFIXES = tuple(suffix for known in FORMATS if known is not EGS for suffix in known.read)
 
 
 @dataclass(frozen=True)
@@ -94,12 +84,10 @@ class Frames:
 def has_frames(source: str | Path) -> bool:
     """Whether a source is a folder, a pattern, or a file with several frames."""
     path = Path(source)
-    if not path.is_file():  # a pipe can be read only once
-        return path.is_dir() or (glob.has_magic(str(source)) and not path.exists())
     try:
-        if path.suffix.lower() == ZIP_SUFFIX:
-            with opened_zip(path) as archive:
-                return sum(map(_is_frame, archive.names)) > 1
+        kind, found = scenes_in(source)
+        if kind or not path.is_file():  # a pipe can be read only once
+            return kind in ("folder", "pattern") or len(found) > 1
         return is_sequence(path) or len(_of_animation(path, "drop", None)) > 1
     except GsCodecError:
         return False
@@ -134,14 +122,9 @@ def open_frames(
     if fps is not None and not 0 < fps < math.inf:
         raise InvalidInput(f"fps: {fps}, expected more than 0")
     path, options = Path(source), (extra, max_bytes)
-    if path.is_dir():
-        found = sorted(each for each in path.iterdir() if _is_frame(each.name) and each.is_file())
-        frames = _of_files(path, found, *options)
-    elif not path.exists() and glob.has_magic(str(source)):
-        matching = sorted(map(Path, glob.glob(str(source), recursive=True)))
-        frames = _of_files(path, [each for each in matching if each.is_file()], *options)
-    elif path.suffix.lower() == ZIP_SUFFIX:
-        frames = _of_zip(path, *options)
+    kind, found = scenes_in(source)
+    if kind:
+        frames = (_of_zip if kind == "zip" else _of_files)(path, found, *options)
     elif is_sequence(path):
         frames = _of_sequence(path, max_bytes)
     else:
@@ -149,9 +132,11 @@ def open_frames(
     return frames if fps is None else replace(frames, fps=float(fps))
 
 
-def _of_files(source: Path, paths: Sequence[Path], extra: Extra, max_bytes: int | None) -> Frames:
-    paths, names = _in_order(source, paths)
-    stored = 0
+def _of_files(
+    source: Path, found: Sequence[PurePath], extra: Extra, max_bytes: int | None
+) -> Frames:
+    ordered, names = _in_order(source, found)
+    paths, stored = list(map(Path, ordered)), 0
     for path in paths:
         with open_scene(path) as file:
             stored, compressed = stored + file.stored_bytes, file.is_compressed
@@ -163,12 +148,9 @@ def _of_files(source: Path, paths: Sequence[Path], extra: Extra, max_bytes: int 
     return Frames(names, stored, None, read_file, paths, compressed)
 
 
-def _of_zip(source: Path, extra: Extra, max_bytes: int | None) -> Frames:
+def _of_zip(source: Path, found: Sequence[PurePath], extra: Extra, max_bytes: int | None) -> Frames:
+    found, names = _in_order(source, found)
     with located(source), opened_zip(source) as archive:
-        entries = [PurePosixPath(name) for name in archive.names]
-        # macOS adds files that only have attributes.
-        found = [e for e in entries if _is_frame(e.name) and "__MACOSX" not in e.parts]
-        found, names = _in_order(source, found)
         stored = sum(archive.size(str(entry)) for entry in found)
 
     def read_entry(number: int) -> Scene:
@@ -233,18 +215,13 @@ def _decoded(source: Path, first: int, max_bytes: int | None) -> Iterator[Scene]
         yield from sequence.frames(first, max_bytes=max_bytes)
 
 
-def _is_frame(name: str) -> bool:
-    """Whether a file in a folder or zip is a scene; names with a dot in front are hidden."""
-    return name.lower().endswith(_BATCHED) and not name.startswith(".")
-
-
 def _suffix(path: PurePath) -> str:
     """The longest suffix of a scene in the name of a file; "" if there is none."""
     name = path.name.lower()
     return max((suffix for suffix in _SUFFIXES if name.endswith(suffix)), key=len, default="")
 
 
-def _in_order(source: Path, paths: Sequence[P]) -> tuple[list[P], list[str]]:
+def _in_order(source: Path, paths: Sequence[PurePath]) -> tuple[list[PurePath], list[str]]:
     """Paths in natural order, and the names of their frames; see `open_frames` for errors."""
     if not paths:
         raise InvalidInput(f"{source}: no frames, expected files of one of {', '.join(_SUFFIXES)}")

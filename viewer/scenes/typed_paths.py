@@ -12,8 +12,8 @@ from gs_codec.edit.project_file import SUFFIX
 from gs_codec.errors import InvalidInput, one_line, printable
 from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
+from gs_codec.formats.several_scenes import ZIP_SUFFIX
 from gs_codec.runtime.atomic import check_writable
-from gs_codec.sequences.frame_sources import ZIP_SUFFIX
 
 #: Maximum number of listed files and folders.
 MOST = 1000

@@ -82,8 +82,8 @@ def test_encoder_knows_what_is_decoded(tmp_path, monkeypatch):
     scenes, coded_frames, filled = moving(), [], []
     encode = BlockEncoder.encode
 
-    def encoding(self, source):
-        data, frame = encode(self, source)
+    def encoding(self, *given):
+        data, frame = encode(self, *given)
         coded_frames.append(frame)
         return data, frame
 

@@ -94,8 +94,11 @@ class FrameEncoder:
 
     def encode(self, source: Scene) -> bytes:
         """The section `motion` of the next frame, whose Gaussians are in order."""
+        moved = np.zeros(source.count, np.bool_)
+        for group in GROUPS:
+            moved |= (getattr(source, group) != getattr(self._before, group)).any(axis=0)
         self._before = source
-        coded = run_all(lambda encoder: encoder.encode(source), self._encoders)
+        coded = run_all(lambda encoder: encoder.encode(source, moved), self._encoders)
         for encoder, (_, frame) in zip(self._encoders, coded, strict=True):
             encoder.block.frame = frame
         sizes = struct.pack(f"<{len(coded)}I", *(len(data) for data, _ in coded))

@@ -53,23 +53,21 @@ class BlockEncoder:
 
     def __init__(self, block: MovingBlock, members: NDArray[np.integer], source: Scene) -> None:
         self.block, self.members = block, members
-        self._planes = self._taken(source)
         # The axes stay in the order of the key frame.
-        self._axes, _, _ = sort_axes(self._planes["log_scale"], self._planes["rot"])
+        scales, rot = take_columns(source.log_scale, members), take_columns(source.rot, members)
+        self._axes, _, _ = sort_axes(scales, rot)
         every = np.arange(len(members))
-        self._coded = self._values(every)
+        self._coded = self._values(source, every)
         self._steps = [
             block.steps(part, block.frame.shape, every).copy() for part in range(len(CHANNELS))
         ]
         #: Gaussians that may need a change although they stay as they are.
         self._again = np.zeros(len(members), np.bool_)
 
-    def _taken(self, source: Scene) -> dict[str, NDArray[np.float32]]:
-        return {group: take_columns(getattr(source, group), self.members) for group in GROUPS}
-
-    def _values(self, some: NDArray[np.integer]) -> list[NDArray]:
+    def _values(self, source: Scene, some: NDArray[np.integer]) -> list[NDArray]:
         """Source values of some Gaussians: one array ``(C, m)`` for each part, in its units."""
-        planes = {group: values[:, some] for group, values in self._planes.items()}
+        members = self.members[some]
+        planes = {group: take_columns(getattr(source, group), members) for group in GROUPS}
         axes = self._axes[:, some]
         grid = self.block.lattice.grid
         shape = np.concatenate(
@@ -93,9 +91,12 @@ class BlockEncoder:
             ac,
         ]
 
-    def encode(self, source: Scene) -> tuple[bytes, Frame]:
-        """Encode the next frame; return its bytes, and the decoded frame."""
-        wanted = self._changes(source)
+    def encode(self, source: Scene, moved: NDArray[np.bool_]) -> tuple[bytes, Frame]:
+        """Encode the next frame; return its bytes, and the decoded frame.
+
+        ``moved (N,)`` are the Gaussians of the source that are not as in the frame before.
+        """
+        wanted = self._changes(source, np.flatnonzero(moved[self.members] | self._again))
         coded: list[Frame] = []
 
         def model(state: NDArray, data: NDArray) -> None:
@@ -104,16 +105,11 @@ class BlockEncoder:
         data = encode_binary(model, int(np.count_nonzero(wanted.flags)) * 8)
         return data, coded[-1]
 
-    def _changes(self, source: Scene) -> Changes:
-        """What changes by enough to be coded."""
+    def _changes(self, source: Scene, some: NDArray[np.integer]) -> Changes:
+        """What changes by enough to be coded, of some Gaussians."""
         block, last, count = self.block, self.block.frame, self.block.count
-        before, self._planes = self._planes, self._taken(source)
-        moved = self._again.copy()
-        for group, values in self._planes.items():
-            moved |= (values != before[group]).any(axis=0)
-        some = np.flatnonzero(moved)
         changes = Changes(np.zeros((5, count), np.uint8))
-        found = self._values(some)
+        found = self._values(source, some)
         shape = last.shape.copy()
         for part, own in enumerate(found[:AC]):
             steps = block.steps(part, last.shape if part == SHAPE else shape, some)
@@ -133,7 +129,7 @@ class BlockEncoder:
             levels = np.copysign(sizes, left).astype(np.int64)
             wanted = (levels != 0).any(axis=0)
             if part == PLACE:
-                self._set_far(changes, wanted, some)
+                self._set_far(source, changes, wanted, some)
             members = some[wanted]
             changes.flags[part, members] = 1
             near = members < count - last.far.shape[1] if part == PLACE else slice(None)
@@ -152,13 +148,17 @@ class BlockEncoder:
         return {SHAPE: last.shape, PLACE: last.places, DC: last.colours}[part]
 
     def _set_far(
-        self, changes: Changes, wanted: NDArray[np.bool_], some: NDArray[np.integer]
+        self,
+        source: Scene,
+        changes: Changes,
+        wanted: NDArray[np.bool_],
+        some: NDArray[np.integer],
     ) -> None:
         """Decide which far Gaussians move, in `wanted`, and note their centres."""
         far = self.block.frame.far
         first = self.block.count - far.shape[1]
         at = np.flatnonzero(some >= first)
-        own, old = self._planes["positions"][:, some[at]], far[:, some[at] - first]
+        own, old = source.positions[:, self.members[some[at]]], far[:, some[at] - first]
         distance = np.abs(old - np.array(self.block.lattice.grid.origin)[:, None]).max(axis=0)
         wanted[at] = np.abs(own - old).max(axis=0) > _FAR_STEP * distance
         changes.far = np.ascontiguousarray(own[:, wanted[at]])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,28 +16,13 @@ from gs_codec.encoding.request import Request
 from gs_codec.scene import GROUPS, Scene
 from gs_codec.sequences.frame_decoding import Sequence as OpenSequence
 from gs_codec.sequences.frame_encoding import SequenceReport, encode_frames
+from gs_codec.sequences.frame_sources import Frames
 
 
-@dataclass(frozen=True)
-class Given:
-    """Frames in memory."""
-
-    scenes: Sequence[Scene]
-    fps: float | None = 25.0
-    stored_bytes: int = 0
-
-    def ratio_bytes(self, float_bytes: int) -> int:
-        return float_bytes
-
-    @property
-    def names(self) -> list[str]:
-        return [f"frame_{number}" for number in range(len(self.scenes))]
-
-    def __len__(self) -> int:
-        return len(self.scenes)
-
-    def read(self, number: int) -> Scene:
-        return self.scenes[number]
+def given(scenes: Sequence[Scene], read: Callable[[int], Scene] | None = None) -> Frames:
+    """Frames in memory, or as `read`."""
+    names = [f"frame_{number}" for number in range(len(scenes))]
+    return Frames(names, 0, 25.0, read or scenes.__getitem__, is_compressed=True)
 
 
 def moving(count: int = 1200, frames: int = 5, sh_degree: int = 3, seed: int = 0) -> list[Scene]:
@@ -64,7 +49,7 @@ def coded(
 ) -> SequenceReport:
     """Encode frames in small blocks."""
     request = Request(SmallBlocks(profile, block_size=block))
-    return encode_frames(Given(scenes), path, request, group)
+    return encode_frames(given(scenes), path, request, group)
 
 
 #: What changes in `varied` from one frame to the next: a standard deviation.

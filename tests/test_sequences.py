@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import Folder
-from moving_scenes import Given, coded, moving
+from moving_scenes import coded, given, moving
 from scenes import SmallBlocks, assert_same_floats, random_scene
 
 from gs_codec.cameras.inria import as_camera
@@ -88,7 +88,7 @@ def test_encoder_knows_what_is_decoded(tmp_path, monkeypatch):
         return data, frame
 
     monkeypatch.setattr(BlockEncoder, "encode", encoding)
-    encode_frames(Given(scenes), tmp_path / "a.egs", Request(SMALL))
+    encode_frames(given(scenes), tmp_path / "a.egs", Request(SMALL))
     monkeypatch.setattr(
         MovingBlock,
         "fill",
@@ -204,7 +204,7 @@ def test_bytes_do_not_depend_on_threads(tmp_path):
     scenes = moving()
     for threads in (1, 3):
         config = SmallBlocks("m", block_size=600, threads=threads)
-        encode_frames(Given(scenes), tmp_path / f"{threads}.egs", Request(config))
+        encode_frames(given(scenes), tmp_path / f"{threads}.egs", Request(config))
     assert (tmp_path / "1.egs").read_bytes() == (tmp_path / "3.egs").read_bytes()
 
 
@@ -219,7 +219,7 @@ def test_a_size_is_met(tmp_path, wish):
         "ratio": RateTarget(ratio=large.float_bytes / limit),
     }[wish]
     request = Request(SMALL, rate=target)
-    report = encode_requested(Given(scenes), tmp_path / "b.egs", request)
+    report = encode_requested(given(scenes), tmp_path / "b.egs", request)
     assert 0.97 * limit < report.file_bytes <= limit
     assert (tmp_path / "b.egs").stat().st_size == report.file_bytes
     assert report.encodings > 1
@@ -253,7 +253,7 @@ def test_a_loss_is_met_on_average(tmp_path, monkeypatch):
     with_loss = frame_targets._with_loss
     monkeypatch.setattr(frame_targets, "_with_loss", losing)
     request = Request(SMALL, Plan(cameras=views), RateTarget(psnr_drop=0.3))
-    report = encode_requested(Given(scenes), tmp_path / "a.egs", request)
+    report = encode_requested(given(scenes), tmp_path / "a.egs", request)
     assert 0.255 <= report.psnr_drop <= 0.3
     assert report.worst_frame in ("frame_0", "frame_2")
     assert 0 < min(found.values()) == max(found.values()) <= report.worst_drop
@@ -264,42 +264,40 @@ def test_an_interrupted_run_goes_on(tmp_path):
     coded(tmp_path / "whole.egs", scenes, group=4)
     read: list[int] = []
 
-    class Failing(Given):
-        def read(self, number: int) -> Scene:
-            read.append(number)
-            if number == 5 and read.count(5) == 2:
-                raise KeyboardInterrupt
-            return super().read(number)
+    def failing(number: int) -> Scene:
+        read.append(number)
+        if number == 5 and read.count(5) == 2:
+            raise KeyboardInterrupt
+        return scenes[number]
 
     request = Request(SmallBlocks("m", block_size=600))
-    paths = [tmp_path / "whole.egs"]
+    frames = replace(given(scenes, failing), paths=[tmp_path / "whole.egs"])
     with pytest.raises(KeyboardInterrupt):
-        encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4, paths=paths)
+        encode_frames(frames, tmp_path / "a.egs", request, 4)
     assert not (tmp_path / "a.egs").exists()
     read.append(-1)
-    encode_frames(Failing(scenes), tmp_path / "a.egs", request, 4, paths=paths)
+    encode_frames(frames, tmp_path / "a.egs", request, 4)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "whole.egs").read_bytes()
     assert read[read.index(-1) + 1 :] == [4, 5]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.egs", "whole.egs"]
 
 
 def test_frames_in_memory_are_not_those_of_an_earlier_run(tmp_path):
-    scenes = moving(frames=3)
+    scenes, others = moving(frames=3), moving(frames=3, seed=1)
     read: list[int] = []
 
-    class Failing(Given):
-        def read(self, number: int) -> Scene:
-            read.append(number)
-            # The first time is for step sizes.
-            if read[-4:].count(2) == 2:
-                raise KeyboardInterrupt
-            return super().read(number)
+    def failing(number: int) -> Scene:
+        read.append(number)
+        # The first time is for step sizes.
+        if read[-4:].count(2) == 2:
+            raise KeyboardInterrupt
+        return others[number]
 
     with pytest.raises(KeyboardInterrupt):
-        encode_frames(Failing(moving(frames=3, seed=1)), tmp_path / "a.egs", Request(SMALL), 1)
+        encode_frames(given(others, failing), tmp_path / "a.egs", Request(SMALL), 1)
     assert read == [0, 1, 2, 0, 1, 2]
     for name in ("whole.egs", "a.egs"):
-        encode_frames(Given(scenes), tmp_path / name, Request(SMALL), 1)
+        encode_frames(given(scenes), tmp_path / name, Request(SMALL), 1)
     assert (tmp_path / "a.egs").read_bytes() == (tmp_path / "whole.egs").read_bytes()
 
 

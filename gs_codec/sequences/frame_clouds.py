@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,38 +14,13 @@ from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.plan import Plan
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
-from gs_codec.scene import Scene
 from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.sequences.frame_encoding import GROUP, SequenceReport
+from gs_codec.sequences.frame_sources import Frames
 from gs_codec.sequences.frame_targets import encode_requested
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
-
-
-@dataclass(frozen=True)
-class _Clouds:
-    """Frames that are point clouds."""
-
-    clouds: Sequence[PointCloud]
-    fps: float | None
-    stored_bytes: int = 0
-
-    @property
-    def names(self) -> list[str]:
-        """Numbers of the frames."""
-        return [f"{number:04d}" for number in range(len(self.clouds))]
-
-    def ratio_bytes(self, float_bytes: int) -> int:
-        """Reference size for ratios: of the floats."""
-        return float_bytes
-
-    def __len__(self) -> int:
-        return len(self.clouds)
-
-    def read(self, number: int) -> Scene:
-        """The scene of a frame."""
-        return from_cloud(self.clouds[number])
 
 
 @checked
@@ -114,14 +88,20 @@ def encode_sequence(
     >>> report.frames, report.key_frames, report.fps
     (3, 1, 25.0)
     """
-    if not isinstance(source, str | Path) and not len(source):
-        raise InvalidInput("no frames, expected at least one")
-    frames = source if isinstance(source, str | Path) else _Clouds(source, fps)
+    frames = source if isinstance(source, str | Path) else _frames_of(source, fps)
     config = config_for(target, as_config(config))
     request = Request(config, plan, as_rate_target(rate), max_bytes=max_bytes)
     if request.prepares:
         raise InvalidInput("steps that prepare a scene have no effect on a sequence")
     return encode_requested(frames, target, request, group, fps, progress, overwrite)
+
+
+def _frames_of(clouds: Sequence[PointCloud], fps: float | None) -> Frames:
+    """Clouds as frames, named by their numbers; raises InvalidInput if there are none."""
+    if not len(clouds):
+        raise InvalidInput("no frames, expected at least one")
+    names = [f"{number:04d}" for number in range(len(clouds))]
+    return Frames(names, 0, fps, lambda number: from_cloud(clouds[number]), is_compressed=True)
 
 
 @checked

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -38,6 +37,7 @@ from gs_codec.report import Progress, StageTimes, step_counter
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
+from gs_codec.sequences.frame_sources import Frames
 
 #: Frames of a group, by default; a reader decodes at most one group to show a frame.
 GROUP = 30
@@ -53,30 +53,6 @@ _ORDER = "order"
 
 #: Largest denominator of a number of frames per second: 30000/1001 is exact.
 _RATE_LIMIT = 1001
-
-
-class Source(Protocol):
-    """Frames that are read one at a time."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Name of each frame."""
-
-    @property
-    def fps(self) -> float | None:
-        """Frames per second, if known."""
-
-    @property
-    def stored_bytes(self) -> int:
-        """Size of all frames as they are stored."""
-
-    def ratio_bytes(self, float_bytes: int) -> int:
-        """Reference size for ratios, given the size of the floats of all frames."""
-
-    def __len__(self) -> int: ...
-
-    def read(self, number: int) -> Scene:
-        """The scene of a frame."""
 
 
 @dataclass(frozen=True)
@@ -143,12 +119,11 @@ class SequenceReport:
 
 
 def encode_frames(
-    source: Source,
+    source: Frames,
     target: str | Path,
     request: Request,
     group: int = GROUP,
     progress: Progress | None = None,
-    paths: Sequence[Path] = (),
     *,
     calibrates: bool = True,
 ) -> SequenceReport:
@@ -158,7 +133,7 @@ def encode_frames(
 
     Parameters
     ----------
-    source : Source
+    source : Frames
     target : path
         The `.egs` to write.
     request : Request
@@ -167,19 +142,17 @@ def encode_frames(
     group : int
         Maximum number of frames that a key frame begins.
     progress : callable, optional
-    paths : sequence of path
-        Files of the source, by which an interrupted run is recognised; without them, none is.
     calibrates : bool
         Whether step sizes are chosen for the scene, if no cameras guide them.
     """
     times, config = StageTimes(), request.config
-    settings = {"group": group, "names": list(source.names), "request": repr(request)}
-    if not paths:
+    settings = {"group": group, "names": source.names, "request": repr(request)}
+    if not source.paths:
         # Nothing tells whether frames in memory are those of an earlier run.
         settings["run"] = secrets.token_hex(8)
     with (
         using_threads(config.threads),
-        work_folder(Path(target), identity_of(paths, **settings)) as folder,
+        work_folder(Path(target), identity_of(source.paths, **settings)) as folder,
     ):
         if calibrates and request.plan is None:
             if not folder.has("steps"):
@@ -193,7 +166,7 @@ def encode_frames(
             return _assemble(source, Path(target), folder, config.coarseness, times)
 
 
-def _calibrated(source: Source, config: Config, progress: Progress | None) -> float:
+def _calibrated(source: Frames, config: Config, progress: Progress | None) -> float:
     """The coarseness for the frame, of the first, middle and last one, that needs finest steps.
 
     All frames have the same, so that what does not move does not flicker.
@@ -210,7 +183,7 @@ def _calibrated(source: Source, config: Config, progress: Progress | None) -> fl
 class _Groups:
     """Encodes frames to files of a folder: key frames, and changes after them."""
 
-    def __init__(self, source: Source, request: Request, group: int, folder: Folder) -> None:
+    def __init__(self, source: Frames, request: Request, group: int, folder: Folder) -> None:
         self._source, self._request, self._group = source, request, group
         self._folder = folder
         self._encoder: FrameEncoder | None = None
@@ -287,7 +260,7 @@ def _without_extra(file: EgsFile) -> bytes:
     return b"".join(file_parts(file.header, sections))
 
 
-def _read_ahead(source: Source, first: int) -> Iterator[tuple[int, Scene]]:
+def _read_ahead(source: Frames, first: int) -> Iterator[tuple[int, Scene]]:
     """Frames from `first` on, each read while the one before is encoded."""
     with ThreadPoolExecutor(1) as pool:
         following = pool.submit(source.read, first) if first < len(source) else None
@@ -299,7 +272,7 @@ def _read_ahead(source: Source, first: int) -> Iterator[tuple[int, Scene]]:
             yield number, scene
 
 
-def rate_of(source: Source) -> Fraction:
+def rate_of(source: Frames) -> Fraction:
     """Frames per second."""
     fps = FPS if source.fps is None else source.fps
     rate = Fraction(fps).limit_denominator(_RATE_LIMIT)
@@ -309,7 +282,7 @@ def rate_of(source: Source) -> Fraction:
 
 
 def _assemble(
-    source: Source, target: Path, folder: Folder, coarseness: float, times: StageTimes
+    source: Frames, target: Path, folder: Folder, coarseness: float, times: StageTimes
 ) -> SequenceReport:
     """Write the file of all frames in a folder."""
     count, rate = len(source), rate_of(source)

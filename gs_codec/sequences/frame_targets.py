@@ -26,11 +26,10 @@ from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.sequences.frame_encoding import (
     GROUP,
     SequenceReport,
-    Source,
     encode_frames,
     rate_of,
 )
-from gs_codec.sequences.frame_sources import open_frames
+from gs_codec.sequences.frame_sources import Frames, open_frames
 
 #: A file, and a loss, may be smaller than the target by at most this share. Losses of guided frames
 #: change irregularly, by 10 % in a small sequence.
@@ -44,7 +43,7 @@ _MEASURED = 5
 
 
 def encode_requested(
-    source: str | Path | Source,
+    source: str | Path | Frames,
     target: str | Path,
     request: Request,
     group: int = GROUP,
@@ -62,22 +61,21 @@ def encode_requested(
             "without levels of detail"
         )
     encode = encode_frames if request.rate is None else _encode_to_target
-    if not isinstance(source, str | Path):
+    if isinstance(source, Frames):
         check_target([], target, (".egs",), overwrite)
         return encode(source, target, request, group, progress)
     check_target([source], target, (".egs",), overwrite)
     frames = open_frames(source, fps, "drop", request.max_bytes)
     with located(source):
-        return encode(frames, target, request, group, progress, frames.paths)
+        return encode(frames, target, request, group, progress)
 
 
 def _encode_to_target(
-    source: Source,
+    source: Frames,
     target: str | Path,
     request: Request,
     group: int,
     progress: Progress | None,
-    _paths: Sequence[Path] = (),
 ) -> SequenceReport:
     """Encode a sequence at the step sizes that meet a target, by trials.
 
@@ -140,7 +138,7 @@ class _FrameViews(NamedTuple):
 
 
 def _views_of_frames(
-    source: Source, request: Request, progress: Progress | None
+    source: Frames, request: Request, progress: Progress | None
 ) -> list[_FrameViews]:
     """Held-out views of a few frames; all have the cameras of the first one."""
     plan, found = request.plan, list[_FrameViews]()

@@ -61,7 +61,7 @@ def decode_as(config: Config, data: bytes | Readable, progress: Progress | None 
 
 
 def decode_part(
-    data: bytes | Readable,
+    data: bytes | Readable | EgsFile,
     part: Part,
     threads: int | None = None,
     max_bytes: int | None = None,
@@ -77,7 +77,7 @@ def decode_part(
 
     Parameters
     ----------
-    data : bytes
+    data : bytes, or EgsFile whose descriptions were read
     part : Part
     threads : int, optional
         Worker threads, 1-256; by default one per available processor, or a single one for fewer
@@ -114,15 +114,15 @@ def _kept(scene: Scene) -> Scene:
 
 
 def choose_part(
-    data: bytes | Readable,
+    data: bytes | Readable | EgsFile,
     part: Part,
     max_bytes: int | None = None,
     tmc3: str | Path | None = None,
     among: Container[int] | None = None,
 ) -> ChosenPart:
     """Read and check the sections for a part, within the blocks `among`; see `decode_part`."""
-    file = read_described(data)
-    header, limit = file.header, most_bytes(len(data), max_bytes)
+    file = data if isinstance(data, EgsFile) else read_described(data)
+    header, limit = file.header, most_bytes(len(file.data), max_bytes)
     if header.float_bytes > limit:
         raise CorruptStream(
             f"header: {counted(header.count, 'Gaussian')}, "

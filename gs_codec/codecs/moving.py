@@ -129,15 +129,14 @@ def _decode_group(
     file: EgsFile, key: int, first: int, end: int, max_bytes: int | None
 ) -> Iterator[Scene]:
     """Decode frames of the group of a key frame, from `first` on."""
-    open_key_frame(file, key)
+    found = open_key_frame(file, key)
     with within_frame(key):
-        data = file.nested(SectionId.KEY_FRAME, key)
-        scene, found = decode_part(data, Part(), max_bytes=max_bytes)
+        scene, found = decode_part(found, Part(), max_bytes=max_bytes)
     if key >= first:
         yield scene
     if key + 1 == end:
         return
-    _check_blocks(found.header, most_bytes(len(data), max_bytes))
+    _check_blocks(found.header, most_bytes(len(found.data), max_bytes))
     blocks = _moving_blocks(found)
     planes = {group: getattr(scene, group).copy() for group in GROUPS}
     changed = np.zeros(AC + 1, np.bool_)

@@ -181,10 +181,9 @@ def open_key_frame(file: EgsFile, frame: int) -> EgsFile:
             raise CorruptStream("header: a feature that the sequence does not state")
         if not {SectionId.LEVEL, SectionId.EXTRA}.isdisjoint(section for section, _ in found.table):
             raise CorruptStream("header: levels or extra properties in a sequence")
-        if not _alike(found.header, file.header) or Feature.SEQUENCE in found.header.features:
-            raise CorruptStream("header: does not match the sequence")
-        first = replace(found.header, features=file.header.features) == file.header
-        if frame == 0 and not first:
+        same = replace(found.header, features=file.header.features) == file.header
+        alike = same if frame == 0 else _alike(found.header, file.header)
+        if not alike or Feature.SEQUENCE in found.header.features:
             raise CorruptStream("header: does not match the sequence")
     return found
 

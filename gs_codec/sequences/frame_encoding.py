@@ -245,7 +245,7 @@ class _Groups:
         self._headers = [*self._headers[:1], file.header]
         sequence_header(self._headers)
         key = _without_extra(file)
-        self._encoder = FrameEncoder(read_file(key), found, scene)
+        self._encoder = FrameEncoder(file, found, scene)
         self._key, self._key_bytes = number, len(key)
         return key
 

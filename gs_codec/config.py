@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import FORMATS, SceneFormat, format_of
 from gs_codec.runtime.arguments import check_fields
+from gs_codec.runtime.wording import listed
 
 #: Handling of properties beyond the INRIA layout.
 Extra = Literal["keep", "drop", "error"]
@@ -364,7 +365,8 @@ class Config:
         Worker threads, 1-256; None means one per available processor, or a single one for fewer
         than 4096 Gaussians. The number never changes the bytes.
     block_size : int
-        Maximum Gaussians per independent block, 1024-65536. Default 16384.
+        Maximum Gaussians per independent block, 1024-65536; in streamed SOG, of the parts that
+        viewers draw at a level of their own. Default 16384.
     keep_order : bool
         With ``lossless``, also keep the order of the Gaussians, for a larger file. Default False.
     coarseness : float
@@ -392,12 +394,15 @@ class Config:
         Python package (extra ``paper``) that decoding needs too. Default ``rans``.
     format : str
         Format of the file, named after its suffix, such as ``spz``; a file name must agree. Formats
-        other than ``egs`` support profiles ``l``, ``m`` and ``s``, but neither `depths` nor
-        `block_size`. Default ``egs``.
+        other than ``egs`` support profiles ``l``, ``m`` and ``s``, but no `depths`. Default
+        ``egs``.
     lod : bool
         With ``l``, ``m``, ``s``: add coarser levels with a quarter, a sixteenth ... of the
         Gaussians, for distant views and a quick first view; about a third more bytes. Default
         False.
+    lod_levels : int or None
+        In streamed SOG: number of levels of detail, 1-9, the scene itself included; each has a
+        quarter of the Gaussians of the one before. Default None: until all would fit into a block.
     effort : {"fast", "normal", "high"}
         With ``l``, ``m``, ``s``: how long encoding may take. In an `.egs` with cameras, the time
         goes into joint rounding (see `round_jointly`), which ``fast`` omits. Without cameras,
@@ -454,7 +459,7 @@ class Config:
     )
     block_size: int = option(
         1 << 14,
-        "Maximum Gaussians per independent block, 1024-65536.",
+        "Maximum Gaussians per independent block, or part of streamed SOG, 1024-65536.",
         kind=int, low=1 << 10, high=1 << 16,
     )  # fmt: skip
     keep_order: bool = option(
@@ -498,6 +503,11 @@ class Config:
     lod: bool = option(
         False, "With profiles l, m, s: add coarser levels of detail; a third more bytes.", kind=bool
     )
+    lod_levels: int | None = option(
+        None,
+        "Levels of detail in streamed SOG, 1-9; each has a quarter of the one before.",
+        kind=int, low=1, high=9, expert=False, shown="until all Gaussians would fit into a block",
+    )  # fmt: skip
     effort: Effort = option(
         "normal",
         "How long profiles l, m, s may take to make an .egs, .spz or .sog smaller; high needs "
@@ -556,26 +566,29 @@ class Config:
         return "keep" if keeps or self.profile == LOSSLESS else "drop"
 
     def _check_format(self) -> None:
-        """Reject options that only `.egs` supports."""
-        for name in {name: None for other in FORMATS for name in other.options}:
-            if name not in self.scene_format.options and getattr(self, name) != getattr(
-                Config, name
-            ):
-                known = " or ".join(
-                    f"'{x}'" for x in CODED_FORMATS if name in format_of(f".{x}").options
-                )
-                raise InvalidInput(f"{name}: format '{self.format}', expected {known}")
+        """Reject options that only other formats support."""
+        alike = (each for each in FORMATS if each.coded_as == self.format)
+        self.check_options_of(self.scene_format, *alike)
         if self.format == EGS:
             return
         where = f"format '{self.format}'"
         if self.profile not in ADAPTIVE_PROFILES:
             known = ", ".join(ADAPTIVE_PROFILES)
             raise InvalidInput(f"{where}: profile '{self.profile}', expected {known}")
-        if self.depths or self.block_size != Config.block_size:
-            what = "depths" if self.depths else "block_size"
-            raise InvalidInput(f"{what}: {where} has none")
+        if self.depths:
+            raise InvalidInput(f"depths: {where} has none")
         if self.coarseness != 1 and not self.has_steps:
             raise InvalidInput(f"coarseness: {where} has none")
+
+    def check_options_of(self, *formats: SceneFormat) -> None:
+        """Reject options that none of these formats has. Raises InvalidInput."""
+        used = {name for each in formats for name in each.options}
+        for name in {name: None for each in FORMATS for name in each.options}:
+            if name not in used and getattr(self, name) != getattr(Config, name):
+                known = listed(
+                    [s for each in FORMATS if name in each.options for s in each.written]
+                )
+                raise InvalidInput(f"{name}: format '{self.format}', expected {known}")
 
     def _check_geometry(self) -> None:
         if self.geometry == "octree" and (self.tmc3 is not None or not self.verify):

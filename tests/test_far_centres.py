@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import antialiased, edge_scenes, random_scene, shared_scene_path
+from scenes import SmallBlocks, antialiased, edge_scenes, random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
@@ -345,7 +345,7 @@ def test_spz_moves_only_unrepresentable_centres(scene):
 
 def test_streamed_sog(scene):
     moved, _ = moved_away(scene, 1e9, 0.01)
-    files, lost = stream_levels(moved, Config(), leaf=500)
+    files, lost = stream_levels(moved, SmallBlocks(block_size=500))
     bounds = json.loads(files["lod-meta.json"])["tree"]["bound"]
     assert max(map(abs, (*bounds["min"], *bounds["max"]))) < 200
     assert len(moved_lines(lost)) == 1

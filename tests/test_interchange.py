@@ -440,12 +440,15 @@ def test_versions_of_spz_are_chosen(ply, tmp_path):
 @pytest.mark.parametrize(
     ("typed", "message"),
     [
-        ("o.egs --spz-version 4", "spz_version: format 'egs', expected 'spz'"),
+        ("o.egs --spz-version 4", "spz_version: format 'egs', expected .spz"),
         ("o.splat --spz-version 4", "--spz-version has no effect on o.splat"),
         ("o.spz --format splat", "--format has no effect on o.spz, whose suffix sets the format"),
         ("o.splat -p l", "--profile has no effect on o.splat, expected an .egs"),
         ("o.compressed.ply --coarseness 2", "--coarseness has no effect on o.compressed.ply"),
-        ("o.spz --block-size 2048", "--block-size has no effect on o.spz, expected an .egs"),
+        (
+            "o.spz --block-size 2048",
+            "--block-size has no effect on o.spz, expected .egs, .ssog, lod-meta.json",
+        ),
         ("o.spz --depth sh-ac=3", "--depth has no effect on o.spz"),
         ("o.spz -p paper-m", "format 'spz': profile 'paper-m', expected l, m, s"),
         ("o.sog --max-memory 1GB", "--max-memory has no effect on o.sog"),

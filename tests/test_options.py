@@ -31,6 +31,7 @@ VALUES = {
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
     "lpips": "--lpips weights.pth", "effort": "--effort fast",
     "gltf-compression": "--gltf-compression spz", "at": "--at 8,47,400", "level": "--level 1",
+    "lod-levels": "--lod-levels 2",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -57,8 +58,11 @@ IGNORED = {
     "batch scene.ply out --target-ratio 9": ("max-memory",),
     "convert scene.ply o.splat": (
         *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER, "gltf-compression",
-        *("at", "level"),
+        *("at", "level", "lod-levels"),
     ),
+    "convert scene.ply o.sog": ("block-size", "lod-levels"),
+    "convert scene.ply tileset.json": ("block-size", "lod-levels"),
+    "convert scene.ply o.egs": ("lod-levels",),
     "encode scene.ply o.glb": ("profile", "effort", "cameras"),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (

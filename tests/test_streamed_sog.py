@@ -16,10 +16,12 @@ import foreign
 import numpy as np
 import pytest
 from other_programs import PROGRAMS, check, stored_numbers
-from scenes import assert_same_floats, random_scene
+from scenes import SmallBlocks, assert_same_floats, random_scene
+from typer.testing import CliRunner
 from web_pages import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 
 from gs_codec.cameras.camera_files import write_cameras
+from gs_codec.cli.main import app
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
@@ -39,12 +41,12 @@ from gs_codec.views.estimate import auto_cameras
 from samples.generate import generate
 
 LEAF, FILE = 200, 450
-CONFIG = Config(format="sog")
+CONFIG = SmallBlocks(format="sog", block_size=LEAF)
 
 
 def streamed(folder: Path, scene: Scene, config: Config = CONFIG) -> dict[str, Any]:
     """Write the files of a scene with small leaves; return its `lod-meta.json`."""
-    files, _ = stream_levels(scene, config, LEAF, FILE)
+    files, _ = stream_levels(scene, config, FILE)
     write_files(folder, files)
     return json.loads(files[STREAMED])
 
@@ -161,6 +163,32 @@ def test_leaves_are_of_equal_size(count, tmp_path):
     assert max(sizes) <= LEAF
 
 
+@pytest.mark.parametrize("levels", [1, 2, 5])
+def test_the_number_of_levels_can_be_chosen(levels, scene, tmp_path):
+    meta = streamed(tmp_path, scene, replace(CONFIG, lod_levels=levels))
+    assert meta["lodLevels"] == len(meta["counts"]) == levels
+    for leaf in leaves_of(meta["tree"]):
+        first, *coarser = counts_of(leaf)
+        assert first in (191, 192)
+        assert coarser == [48, 12, 3, 1][: levels - 1]
+    assert read_scene(tmp_path / STREAMED).count == scene.count
+
+
+def test_the_size_of_parts_can_be_typed(tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(2100, 0))
+    for folder, typed in (("typed", ("--block-size", "1024", "--lod-levels", "2")), ("plain", ())):
+        target = tmp_path / folder / STREAMED
+        target.parent.mkdir()
+        words = ["convert", str(tmp_path / "scene.ply"), str(target), *typed]
+        assert CliRunner().invoke(app, words).exit_code == 0
+    typed, plain = (
+        [counts_of(leaf) for leaf in leaves_of(json.loads(file.read_text())["tree"])]
+        for file in (tmp_path / "typed" / STREAMED, tmp_path / "plain" / STREAMED)
+    )
+    assert typed == [[700, 175]] * 3
+    assert plain == [[2100]]
+
+
 def test_equal_gaussians_are_accepted(tmp_path):
     scene = random_scene(1, 1).take(np.zeros(900, np.int64))
     meta = streamed(tmp_path, scene)
@@ -171,7 +199,7 @@ def test_equal_gaussians_are_accepted(tmp_path):
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_do_not_matter(threads, scene, folder):
-    files, _ = stream_levels(scene, replace(CONFIG, threads=threads), LEAF, FILE)
+    files, _ = stream_levels(scene, replace(CONFIG, threads=threads), FILE)
     assert list(files)[-1] == STREAMED
     for name, data in files.items():
         assert (folder / name).read_bytes() == data, name
@@ -181,12 +209,12 @@ def test_threads_do_not_matter(threads, scene, folder):
 def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_path, scene):
     given = replace(scene, comments=(ANTIALIASED, "by hand"))
     turned = turn_axes(state_system(given, CONVENTION), "RUB")
-    files, lost = stream_levels(turned, CONFIG, LEAF, FILE)
+    files, lost = stream_levels(turned, CONFIG, FILE)
     write_files(tmp_path, files)
     for name in ("0_0", "1_0", "2_0"):
         assert json.loads(files[f"{name}/meta.json"])["model"] == "antialiased"
     assert read_scene(tmp_path / STREAMED).antialiased
-    plain, _ = stream_levels(given, CONFIG, LEAF, FILE)
+    plain, _ = stream_levels(given, CONFIG, FILE)
     assert plain == files
     assert [line for line in lost if "comments" in line]
 
@@ -194,7 +222,7 @@ def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_p
 @pytest.mark.thorough
 def test_profiles_choose_how_fine_all_levels_are(scene):
     sizes = [
-        sum(map(len, stream_levels(scene, Config(profile, format="sog"), LEAF, FILE)[0].values()))
+        sum(map(len, stream_levels(scene, replace(CONFIG, profile=profile), FILE)[0].values()))
         for profile in "lms"
     ]
     assert sizes[0] > sizes[1] > sizes[2]
@@ -252,9 +280,21 @@ REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
         lambda source, target: convert_file(source, target, Config(format="spz")),
         "format 'spz', expected",
     ),
-    "block size": (
-        lambda source, target: convert_file(source, target, Config(block_size=1024)),
-        "block_size",
+    "levels of one Gaussian": (
+        lambda source, target: convert_file(source, target, Config(format="sog", lod_levels=5)),
+        "lod_levels 5: at most 4 for 1 part of 30 Gaussians",
+    ),
+    "levels of a scene without": (
+        lambda source, target: convert_file(
+            source, target.with_name("a.sog"), Config(format="sog", lod_levels=2)
+        ),
+        r"lod_levels: format 'sog', expected \.ssog or lod-meta\.json",
+    ),
+    "parts of a scene without": (
+        lambda source, target: encode_file(
+            source, target.with_name("a.sog"), Config(format="sog", block_size=2048)
+        ),
+        r"block_size: format 'sog', expected \.egs, \.ssog or lod-meta\.json",
     ),
     "name": (
         lambda source, target: convert_file(source, target.with_name(f"a-{STREAMED}")),
@@ -550,7 +590,7 @@ SEEN = """[
 @in_browser
 def test_playcanvas_draws_each_leaf_once_at_the_level_that_it_chooses(tmp_path):
     scene = generate(6000, 1, 12)
-    files, _ = stream_levels(scene, CONFIG, 500, 3000)
+    files, _ = stream_levels(scene, replace(CONFIG, block_size=500), 3000)
     write_files(tmp_path, files)
     camera = auto_cameras(scene, 1)[0].resized(*SIZE)
     write_cameras(tmp_path / "cameras.json", [camera])

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @takes(
-    "extra", "nonfinite", "profile", "format", "threads", "max_memory", "max_bytes",
+    "extra", "nonfinite", "profile", "format", "lod_levels", "threads", "max_memory", "max_bytes",
     "overwrite", "json", expert=(Config, Plan), actions=tuple(KINDS),
     hidden=["input_format"],
     without=("cameras", "gt_images", "checkpoint", "device"), extra="keep", format="ply",

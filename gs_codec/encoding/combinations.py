@@ -41,6 +41,7 @@ def check_request(
     dask: str | None,
 ) -> None:
     """Check the fields of a `Request`. Raises InvalidInput."""
+    config.check_options_of(config.scene_format)
     if dask is not None:
         _check_divided(config, plan is not None or rate is not None or bool(actions))
     elif max_memory is not None:
@@ -171,8 +172,9 @@ def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     if known.writes == "floats":
         settings += [RateTarget, Steps]
         typed.refuse(["gt_images"], f"has no effect on {where}")
-    used = (*_OF_ALL, *known.options, *(_OF_STEPS if known.writes == "steps" else ()))
     written = (target and format_of_file(target.name)) or known  # streamed SOG is coded as SOG
+    used = (*_OF_ALL, *known.options, *written.options)
+    used += _OF_STEPS if known.writes == "steps" else ()
     used = (*used, "max_memory") if written.in_parts else used
     names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
     unused = [name for name in ("preset", "max_memory", *names) if name not in used]

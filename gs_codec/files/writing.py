@@ -73,6 +73,7 @@ def write_scene(
     elif known.writes == "levels":
         with located(path):
             config = config_for(path, config, LEVELLED)
+            config.check_options_of(known)
             if suffix == TILESET:
                 files, lost = tile_levels(scene, config, at, finest=finest, blocks=blocks)
             else:

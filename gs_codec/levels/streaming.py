@@ -29,13 +29,12 @@ from gs_codec.levels.adding import config_of_levels
 from gs_codec.levels.building import coarsen
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import ANTIALIASED, Scene, join_scenes
 
-#: Maximum number of Gaussians in a leaf.
-LEAF = 1 << 14
-
-#: Maximum number of Gaussians in a file, unless a single leaf has more.
-FILE = 1 << 18
+#: Leaves per file of the finest level, if they are of the largest size. More make files smaller in
+#: total; with fewer, viewers load less that they do not draw.
+_LEAVES = 16
 
 #: The boxes of leaves contain ellipsoids of one standard deviation, as in other writers: distances
 #: to larger boxes would be 0 in too many places. `block_extent` uses three.
@@ -43,21 +42,22 @@ _SMALLER = np.float32(np.log(3))
 
 
 def stream_levels(
-    scene: Scene, config: Config, leaf: int = LEAF, most: int = FILE, finest: bool = False
+    scene: Scene, config: Config, most: int | None = None, finest: bool = False
 ) -> tuple[dict[str, bytes | memoryview], tuple[str, ...]]:
     """The files of a scene as streamed SOG, and sentences on what they cannot represent.
 
     Every leaf has all levels, made only from its own Gaussians, so that viewers can choose a level
     for each leaf without drawing anything twice. Raises InvalidInput if there are no Gaussians, or
-    if values are not finite and ``config.nonfinite`` is not ``drop``, or a memory limit is too low.
+    if values are not finite and ``config.nonfinite`` is not ``drop``, or a memory limit is too low,
+    or if leaves are too small for so many levels.
 
     Parameters
     ----------
     scene : Scene
     config : Config
-        With profile ``l``, ``m`` or ``s``.
-    leaf, most : int
-        Maximum Gaussians of a leaf, and of a file.
+        With profile ``l``, ``m`` or ``s``; `block_size` limits the Gaussians of a leaf.
+    most : int, optional
+        Maximum Gaussians of a file, unless a single leaf has more. Default: those of 16 leaves.
     finest : bool
         Whether to write the first level as finely as possible, whatever the profile.
 
@@ -70,7 +70,8 @@ def stream_levels(
     check_encoding(scene.count, config)
     with using_threads(config.threads, scene.count):
         scene, order, moved = prepared(scene, config, STREAMED)
-        leaves = _leaves(scene.take(order), leaf)
+        leaves = _leaves(scene.take(order), config)
+        most = most or _LEAVES * config.block_size
         files: dict[str, bytes | memoryview] = {}
         runs: list[list[Run]] = []
         losses: list[str] = [*moved]
@@ -124,14 +125,18 @@ def steps_of_levels(
         yield scene, wanted_steps(scene, camera_free_steps(scene, chosen.adaptive_profile()))
 
 
-def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
+def _leaves(scene: Scene, config: Config) -> list[list[Scene]]:
     """Split a scene in Morton order into leaves of equal size; each has all levels, finest first.
 
-    A level has a quarter of the Gaussians of the one before, until all would fit into one leaf.
+    A level has a quarter of the Gaussians of the one before, by default until all would fit into
+    one leaf.
     """
-    number, depth, count = -(-scene.count // most), 0, scene.count
-    while count > most:
-        count, depth = -(-count // FANOUT), depth + 1
+    number = -(-scene.count // config.block_size)
+    wanted, smallest = config.lod_levels, scene.count // number
+    depth = len(_quarters(scene.count, config.block_size)) if wanted is None else wanted - 1
+    if wanted is not None and depth > (possible := len(_quarters(smallest))):
+        leaves = f"{counted(number, 'part')} of {counted(smallest, 'Gaussian')}"
+        raise InvalidInput(f"lod_levels {wanted}: at most {1 + possible} for {leaves}")
     comments = (ANTIALIASED,) if scene.antialiased else ()
 
     def levels(index: int) -> list[Scene]:
@@ -144,6 +149,15 @@ def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
         return found
 
     return run_all(levels, range(number))
+
+
+def _quarters(count: int, most: int = 1) -> list[int]:
+    """Numbers of Gaussians of coarser levels, each a quarter of the one before, down to `most`."""
+    found = []
+    while count > most:
+        count = -(-count // FANOUT)
+        found.append(count)
+    return found
 
 
 def _runs(counts: Sequence[int], most: int, first: int) -> list[Run]:

@@ -484,7 +484,9 @@ def _ssogs() -> list[bytes]:
 
 
 def _streamed() -> dict[str, bytes]:
-    return dict(stream_levels(random_scene(300, 0, seed=3), Config("m"), 64, 128)[0])
+    return dict(
+        stream_levels(random_scene(300, 0, seed=3), SmallBlocks("m", block_size=64), 128)[0]
+    )
 
 
 def _pixels() -> list[bytes]:

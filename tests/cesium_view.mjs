@@ -2,9 +2,10 @@
 //
 // PACKAGES is the node_modules folder that has it, BROWSER the path of Chromium. VIEWS is the JSON
 // of a list of views: width, height, focal length in pixels; position, direction and up in ECEF;
-// and `coarse`, the error of tiles in pixels at which the first picture is taken.
-// OUT gets a NUMBER.png for each view at full detail, and first.png, the first picture of the first
-// view; drawn.json lists the tiles that were drawn, in turn: an array for each change.
+// and, in the first, `coarse`, the error of tiles in pixels at which the first picture is taken.
+// OUT gets first.png, the first picture of the first view, and a NUMBER.png for each view: at full
+// detail or, without `coarse`, at the error that CesiumJS accepts by default. For each view,
+// drawn.json lists the tiles that were drawn, in turn: an array for each change.
 
 import { readFile, writeFile } from "node:fs/promises";
 import { createRequire } from "node:module";
@@ -66,9 +67,9 @@ async function draw(views) {
   scene.fog.enabled = false;
   for (const name of ["moon", "sun"]) if (scene[name]) scene[name].show = false;
   const tileset = await Cesium3DTileset.fromUrl("/files/tileset.json");
-  tileset.maximumScreenSpaceError = views[0].coarse;
+  if (views[0].coarse) tileset.maximumScreenSpaceError = views[0].coarse;
   scene.primitives.add(tileset);
-  const drawn = [];
+  const drawn = views.map(() => []);
   const pictures = {};
   const uris = () => tileset._selectedTiles.map((tile) => tile._contentResource.url).sort();
   for (const [number, view] of views.entries()) {
@@ -90,11 +91,11 @@ async function draw(views) {
       // A moved camera sorts the splats again, which `isStable` leaves out; 0 is idle.
       const sorted = primitive?.isStable && primitive._sorterState === 0;
       const shown = sorted && primitive._numSplats > 0 && tileset.tilesLoaded;
-      const changed = JSON.stringify(uris()) !== JSON.stringify(drawn.at(-1));
-      if (changed) drawn.push(uris());
+      const changed = JSON.stringify(uris()) !== JSON.stringify(drawn[number].at(-1));
+      if (changed) drawn[number].push(uris());
       if (shown && !pictures.first) {
         pictures.first = scene.canvas.toDataURL();
-        tileset.maximumScreenSpaceError = 0;
+        if (view.coarse) tileset.maximumScreenSpaceError = 0;
       }
       quiet = shown && !changed ? quiet + 1 : 0;
       await new Promise((done) => setTimeout(done, 10));

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from orbits import cameras
+from orbits import cameras, facing
 from other_programs import PACKAGES
 from scenes import SmallBlocks, assert_same_floats, random_scene
 from typer.testing import CliRunner
 from web_pages import CHROMIUM, NODE, decibels, drawn, seen
 
+from gs_codec.cameras.camera import Camera
 from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -501,40 +502,80 @@ def test_the_validator_of_3d_tiles_finds_nothing_but_unknown_attributes(tmp_path
     assert {*found(issues)} <= {"Invalid attribute name."}
 
 
-@pytest.mark.slow
-def test_cesium_shows_coarse_tiles_first_and_then_the_same_picture(tmp_path):
+def shown_by_cesium(folder: Path, views: list[Camera], **first: float) -> list[list[list[str]]]:
+    """Have CesiumJS draw the tileset of a folder, which is at `AT`; see `cesium_view.mjs`.
+
+    Returns the tiles drawn in each view, in turn. `first` are further values of the first view.
+    """
     if not (NODE and CHROMIUM and (PACKAGES / "cesium").is_dir()):
         pytest.skip("CesiumJS: not installed ('make peers')")
+    # Right, up, back of the scene are east, up, south.
+    turn = frame_at(AT)[:3, :3] @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    described: list[dict[str, Any]] = [
+        {
+            "width": view.width, "height": view.height, "focal": view.fx, "near": 0.1, "far": 1000,
+            "position": (turn @ view.position + frame_at(AT)[:3, 3]).tolist(),
+            "direction": (turn @ view.rotation[2]).tolist(),
+            "up": (turn @ -view.rotation[1]).tolist(),
+        }
+        for view in views
+    ]  # fmt: skip
+    described[0] |= first
+    (folder / "views.json").write_text(json.dumps(described))
+    script = Path(__file__).with_name("cesium_view.mjs")
+    command = [NODE, script, PACKAGES, CHROMIUM, folder / TILESET, folder / "views.json", folder]
+    subprocess.run([*map(str, command)], check=True, timeout=400)
+    return [
+        [[url.partition("/files/")[2] for url in tiles] for tiles in of_view if tiles]
+        for of_view in json.loads((folder / "drawn.json").read_text())
+    ]
+
+
+@pytest.mark.slow
+def test_cesium_shows_coarse_tiles_first_and_then_the_same_picture(tmp_path):
     scene = generate(4000, 3, seed=5)
     # Without background: a viewer inside the box of a tile shows it in full detail.
     scene = scene.take(np.abs(scene.positions).max(axis=0) < 1.5)
     document = tiled(tmp_path, scene, most=1000, at=AT)
     errors = [document["geometricError"], document["root"]["geometricError"]]
     views = [replace(each, fx=each.fx, fy=each.fx) for each in cameras(2, 480, 320)]
-    # Right, up, back of the scene are east, up, south.
-    turn = frame_at(AT)[:3, :3] @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
-    described = [
-        {
-            "width": view.width, "height": view.height, "focal": view.fx, "near": 0.1, "far": 100,
-            "position": (turn @ view.position + frame_at(AT)[:3, 3]).tolist(),
-            "direction": (turn @ view.rotation[2]).tolist(),
-            "up": (turn @ -view.rotation[1]).tolist(),
-            # Between the errors of the root and of no tile, a unit away.
-            "coarse": view.fx * math.sqrt(math.prod(errors)),
-        }
-        for view in views
-    ]  # fmt: skip
-    (tmp_path / "views.json").write_text(json.dumps(described))
-    script = Path(__file__).with_name("cesium_view.mjs")
-    command = [NODE, script, PACKAGES, CHROMIUM, tmp_path / TILESET, tmp_path / "views.json"]
-    subprocess.run([*map(str, command), str(tmp_path)], check=True, timeout=400)
-    shown = json.loads((tmp_path / "drawn.json").read_text())
-    names = [[name.partition("/files/")[2] for name in tiles] for tiles in shown if tiles]
+    # Between the errors of the root and of no tile, a unit away.
+    coarse = views[0].fx * math.sqrt(math.prod(errors))
+    names, *_, last = shown_by_cesium(tmp_path, views, coarse=coarse)
     assert names[0] == ["tiles/1/0.glb"]
-    assert names[-1] == [f"tiles/0/{k}.glb" for k in range(3)]
-    coarse, *fine = (
+    assert names[-1] == last[-1] == [f"tiles/0/{k}.glb" for k in range(3)]
+    first, *fine = (
         decibels(seen(tmp_path / f"{name}.png"), drawn(scene, view))
         for name, view in zip(("first", 0, 1), (views[0], *views), strict=True)
     )
     assert min(fine) > 38
-    assert coarse < min(fine)
+    assert first < min(fine)
+
+
+def wanted_tiles(tile: dict[str, Any], view: Camera) -> Iterator[str]:
+    """The coarsest tiles with an error of at most 16 pixels in a view."""
+    low, high = corners(tile)
+    # RDF to the axes of glTF in tiles: right, up, back.
+    eye = view.position * [1, -1, -1]
+    distance = np.linalg.norm(np.maximum(np.maximum(low - eye, eye - high), 0))
+    if tile["geometricError"] * view.fx <= 16 * distance:
+        yield tile["content"]["uri"]
+    else:
+        for child in tile["children"]:
+            yield from wanted_tiles(child, view)
+
+
+@pytest.mark.slow
+def test_cesium_draws_fine_tiles_when_near_and_coarse_ones_from_afar(tmp_path):
+    """At the error that it accepts by default, 16 pixels."""
+    scene = generate(6000, 1, seed=5)
+    scene = scene.take(np.abs(scene.positions).max(axis=0) < 1.5)
+    root = tiled(tmp_path, scene, most=300, at=AT)["root"]
+    views = [facing((1, -0.5, -0.8), distance=d, side=320) for d in (100, 20, 8)]
+    expected = [sorted(wanted_tiles(root, view)) for view in views]
+    levels = [{name.split("/")[1] for name in names} for names in expected]
+    assert levels == [{"2"}, {"0", "1"}, {"0"}]
+    shown = shown_by_cesium(tmp_path, views)
+    assert [tiles[-1] for tiles in shown] == expected
+    for number, view in enumerate(views):
+        assert decibels(seen(tmp_path / f"{number}.png"), drawn(scene, view)) > 43

@@ -278,7 +278,7 @@ def test_a_compressed_gltf_is_encoded_like_an_spz(form, tmp_path):
 
 
 def test_compression_is_of_gltf_alone():
-    with pytest.raises(InvalidInput, match="gltf_compression: format 'spz', expected 'glb' or"):
+    with pytest.raises(InvalidInput, match=r"gltf_compression: format 'spz', expected \.glb or"):
         Config(format="spz", gltf_compression="spz")
     with pytest.raises(InvalidInput, match="coarseness: format 'glb' has none"):
         Config(format="glb", coarseness=2)

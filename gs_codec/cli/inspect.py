@@ -66,10 +66,14 @@ def command(
         typed.refuse(["channels"], "has no effect with --json, which always lists channels")
     from gs_codec.egs.frame_sections import is_sequence
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
-    from gs_codec.sequences.frame_sources import has_frames
 
     with piped_source(file, typed["input_format"]) as path:
-        if is_sequence(path) or (not (histogram or gpu) and has_frames(path)):
+        moves = is_sequence(path)
+        if moves is None and not (histogram or gpu):
+            from gs_codec.sequences.frame_sources import has_frames
+
+            moves = has_frames(path)
+        if moves:
             from gs_codec.cli import sequence_commands
 
             sequence_commands.inspect(file, path, typed)

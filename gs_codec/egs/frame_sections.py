@@ -89,17 +89,18 @@ class Timeline:
         return self.names[frame] if self.names else f"{frame:0{max(4, len(str(self.count)))}}"
 
 
-def is_sequence(path: str | Path) -> bool:
-    """Whether a file, other than a pipe, is an `.egs` that is a sequence."""
+def is_sequence(path: str | Path) -> bool | None:
+    """Whether an `.egs` is a sequence; None for a pipe, and for anything that is no `.egs`."""
     try:
         if not Path(path).is_file():
-            return False
+            return None
         with open(path, "rb") as file:
             start = file.read(_FEATURES.stop)
     except OSError:  # reported by the reader
-        return False
-    features = int.from_bytes(start[_FEATURES], "little")
-    return start.startswith(MAGIC) and bool(features & Feature.SEQUENCE)
+        return None
+    if not start.startswith(MAGIC):
+        return None
+    return bool(int.from_bytes(start[_FEATURES], "little") & Feature.SEQUENCE)
 
 
 def read_described(data: Readable | bytes, wanted: Wanted | None = described) -> EgsFile:

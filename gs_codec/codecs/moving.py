@@ -6,6 +6,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.decode import Blocks
 from gs_codec.codecs.adaptive.moving_block import AC, GROUP_PARTS, Frame, MovingBlock, contexts_of
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder
-from gs_codec.codecs.decode import decode_part
+from gs_codec.codecs.decode import carried, choose_part
 from gs_codec.codecs.pairing import Pairing
 from gs_codec.codecs.part import Part
 from gs_codec.coding.binary import decode_binary
@@ -25,7 +26,7 @@ from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
 #: Runs of neighbouring Gaussians whose order is compared between frames, and their length.
 _RUNS, _RUN = 32, 64
@@ -42,10 +43,20 @@ _CERTAIN = 0.1
 _CONTEXT_BYTES = 1 << 24
 
 
-def _moving_blocks(key: EgsFile) -> list[MovingBlock]:
-    """The blocks of a key frame, all of whose sections were read."""
-    blocks = Blocks(key, key.header.sh_degree)
-    return run_all(partial(MovingBlock, blocks), range(key.header.block_count))
+def _moving_blocks(
+    key: EgsFile, planes: dict[str, NDArray[np.float32]] | None = None
+) -> list[MovingBlock]:
+    """The blocks of a key frame, all of whose sections were read; fill its `planes`, if given."""
+    header, blocks = key.header, Blocks(key, key.header.sh_degree)
+
+    def decode(block: int) -> MovingBlock:
+        if planes is None:
+            found = blocks.read(block)
+        else:
+            found = blocks.fill(block, planes, slice(*header.block_range(block)))
+        return MovingBlock(blocks, block, found)
+
+    return run_all(decode, range(header.block_count))
 
 
 class FrameEncoder:
@@ -131,14 +142,20 @@ def _decode_group(
     """Decode frames of the group of a key frame, from `first` on."""
     found = open_key_frame(file, key)
     with within_frame(key):
-        scene, found = decode_part(found, Part(), max_bytes=max_bytes)
+        found = choose_part(found, Part(), max_bytes).file
+        header, (comments, extra) = found.header, carried(found)
+        _check_blocks(header, most_bytes(len(found.data), max_bytes))
+        planes: dict[str, Any] = {
+            group: np.zeros((rows, header.count), np.float32)
+            for group, rows in group_rows(SH_COEFFICIENTS[header.sh_degree]).items()
+        }
+        blocks = _moving_blocks(found, planes)
+    scene = Scene(**planes, has_normals=header.has_normals, comments=comments, extra=extra)
     if key >= first:
         yield scene
     if key + 1 == end:
         return
-    _check_blocks(found.header, most_bytes(len(found.data), max_bytes))
-    blocks = _moving_blocks(found)
-    planes = {group: getattr(scene, group).copy() for group in GROUPS}
+    planes = {group: plane.copy() for group, plane in planes.items()}
     changed = np.zeros(AC + 1, np.bool_)
     for number in range(key + 1, end):
         with within_frame(number):

@@ -52,7 +52,11 @@ def decode_adaptive(
     groups = {group: np.zeros((number, count), np.float32) for group, number in rows.items()}
     blocks = Blocks(file, degree)
     advance = step_counter(progress, "decode", len(spans))
-    run_all(lambda item: blocks.fill(item[0], groups, item[1]), spans.items(), advance=advance)
+
+    def fill(item: tuple[int, slice]) -> None:
+        blocks.fill(item[0], groups, item[1])
+
+    run_all(fill, spans.items(), advance=advance)
     return groups
 
 
@@ -137,8 +141,8 @@ class Blocks:
             codes, lefts = np.append(codes, far_codes(number, grid)), np.pad(lefts, (0, number))
         return codes, lefts, far
 
-    def fill(self, block: int, groups: dict[str, NDArray[np.float32]], span: slice) -> None:
-        """Decode a block into the range `span` of `groups`."""
+    def fill(self, block: int, groups: dict[str, NDArray[np.float32]], span: slice) -> DecodedBlock:
+        """Decode a block into the range `span` of `groups`, and return it."""
         found = self.read(block)
         shape = found.shape
         positions = from_grid(found.grid_positions, self.lattice.grid, found.far)
@@ -154,6 +158,7 @@ class Blocks:
             rows = groups["f_rest"].reshape(3, len(groups["f_rest"]) // 3, -1)
             if not self._fill_colours(found, np.array(units), rows, span.start):
                 raise CorruptStream(f"block {block}: a value out of range")
+        return found
 
     def _fill_colours(
         self, found: DecodedBlock, units: NDArray[np.int64], rows: NDArray[np.float32], first: int

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.basis import Bases, bounds
-from gs_codec.codecs.adaptive.decode import Blocks
+from gs_codec.codecs.adaptive.decode import Blocks, DecodedBlock
 from gs_codec.codecs.adaptive.lattice import (
     FIXED_LIMIT,
     FRACTION_BITS,
@@ -227,8 +227,7 @@ class Frame:
 class MovingBlock:
     """A block of a key frame, and its state in the current frame."""
 
-    def __init__(self, blocks: Blocks, block: int) -> None:
-        found = blocks.read(block)
+    def __init__(self, blocks: Blocks, block: int, found: DecodedBlock) -> None:
         self.where = f"block {block}"
         self.start = blocks.file.header.block_range(block)[0]
         self.lattice: Lattice = blocks.lattice

@@ -64,18 +64,13 @@ def command(
         typed.refuse(["cameras"], "needs --gpu")
     if typed["json"]:
         typed.refuse(["channels"], "has no effect with --json, which always lists channels")
+    from gs_codec.cli import sequence_commands
     from gs_codec.egs.frame_sections import is_sequence
     from gs_codec.files.scenes import inspect_file, is_egs, read_scene
 
     with piped_source(file, typed["input_format"]) as path:
-        moves = is_sequence(path)
-        if moves is None and not (histogram or gpu):
-            from gs_codec.sequences.frame_sources import has_frames
-
-            moves = has_frames(path)
-        if moves:
-            from gs_codec.cli import sequence_commands
-
+        # Of an animation in one file, those show the first frame.
+        if is_sequence(path) if histogram or gpu else sequence_commands.moves(path):
             sequence_commands.inspect(file, path, typed)
             return
         if not is_egs(path):

@@ -34,6 +34,18 @@ _OF_SCENES = (
 _COLUMNS = 60
 
 
+def moves(file: Path) -> bool:
+    """Whether a file or folder has frames; of an `.egs`, without loading code that reads frames."""
+    from gs_codec.egs.frame_sections import is_sequence
+
+    found = is_sequence(file)
+    if found is None:
+        from gs_codec.sequences.frame_sources import has_frames
+
+        found = has_frames(file)
+    return found
+
+
 def encode(source: Path, target: Path, typed: Typed) -> None:
     """Encode the frames of a folder, a pattern, a zip or an animation."""
     from gs_codec.cli.typed_request import request_of

@@ -26,19 +26,12 @@ def command(
     typed: Typed,
 ) -> None:
     """Check a whole file: test checksums and decode an .egs, or read another format."""
+    from gs_codec.cli import sequence_commands
     from gs_codec.codecs.slabs import verify_file
-    from gs_codec.egs.frame_sections import is_sequence
     from gs_codec.files.scenes import is_egs
 
     with piped_source(source, typed["input_format"]) as file, progress_bar() as progress:
-        moves = is_sequence(file)
-        if moves is None:
-            from gs_codec.sequences.frame_sources import has_frames
-
-            moves = has_frames(file)
-        if moves:
-            from gs_codec.cli import sequence_commands
-
+        if sequence_commands.moves(file):
             sequence_commands.verify(source, file, typed)
             return
         if not is_egs(file):

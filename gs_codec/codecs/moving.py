@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.decode import Blocks
+from gs_codec.codecs.adaptive.decode import Blocks, empty_groups
 from gs_codec.codecs.adaptive.moving_block import AC, GROUP_PARTS, Frame, MovingBlock, contexts_of
 from gs_codec.codecs.adaptive.moving_block_encoder import BlockEncoder
 from gs_codec.codecs.decode import carried, choose_part
@@ -26,7 +26,7 @@ from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 #: Runs of neighbouring Gaussians whose order is compared between frames, and their length.
 _RUNS, _RUN = 32, 64
@@ -145,10 +145,7 @@ def _decode_group(
         found = choose_part(found, Part(), max_bytes).file
         header, (comments, extra) = found.header, carried(found)
         _check_blocks(header, most_bytes(len(found.data), max_bytes))
-        planes: dict[str, Any] = {
-            group: np.zeros((rows, header.count), np.float32)
-            for group, rows in group_rows(SH_COEFFICIENTS[header.sh_degree]).items()
-        }
+        planes: dict[str, Any] = empty_groups(header.sh_degree, header.count)
         blocks = _moving_blocks(found, planes)
     scene = Scene(**planes, has_normals=header.has_normals, comments=comments, extra=extra)
     if key >= first:

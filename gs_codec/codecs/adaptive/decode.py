@@ -37,6 +37,12 @@ def adaptive_sections(sh_degree: int) -> set[SectionId]:
     return {*coded, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
 
 
+def empty_groups(degree: int, count: int) -> dict[str, NDArray[np.float32]]:
+    """Zeros for the attribute groups of a number of Gaussians."""
+    rows = group_rows(SH_COEFFICIENTS[degree])
+    return {group: np.zeros((number, count), np.float32) for group, number in rows.items()}
+
+
 def decode_adaptive(
     file: EgsFile,
     spans: dict[int, slice],
@@ -47,9 +53,7 @@ def decode_adaptive(
 
     `spans` gives each block's range in the result; SH is decoded up to `degree`.
     """
-    count = max((span.stop for span in spans.values()), default=0)
-    rows = group_rows(SH_COEFFICIENTS[degree])
-    groups = {group: np.zeros((number, count), np.float32) for group, number in rows.items()}
+    groups = empty_groups(degree, max((span.stop for span in spans.values()), default=0))
     blocks = Blocks(file, degree)
     advance = step_counter(progress, "decode", len(spans))
 

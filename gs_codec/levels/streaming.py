@@ -32,8 +32,8 @@ from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import ANTIALIASED, Scene, join_scenes
 
-#: Leaves per file of the finest level, if they are of the largest size. More make files smaller in
-#: total; with fewer, viewers load less that they do not draw.
+#: Leaves in a file of the finest level. More leaves in a file take fewer bytes in all; with fewer,
+#: viewers load less that they do not draw.
 _LEAVES = 16
 
 #: The boxes of leaves contain ellipsoids of one standard deviation, as in other writers: distances

@@ -124,6 +124,15 @@ def test_letters_may_be_switched_off(page):
     assert [value for value in told.values if value in ("0", "1")] == ["0", "1"]
 
 
+def test_the_key_of_the_overview_leaves_the_panel_where_it_is(page):
+    scrolled = ("value", "document.getElementById('panel').scrollTop")
+    job = Job(page, [("drawn",), ("value", OPEN), ("focus", "#letters"), scrolled, ("key", "Home")])
+    job.steps += [("value", "new Promise((f) => setTimeout(f, 700))"), scrolled]
+    [told] = open_pages(job)
+    before, after = told.values[3], told.values[-1]
+    assert before == after > 0
+
+
 def test_nothing_makes_the_page_scroll(page):
     beyond = "document.documentElement.scrollHeight - innerHeight"
     [told] = open_pages(Job(page, [("drawn",), ("value", beyond)]))

@@ -117,7 +117,10 @@ export class Panel {
     if (id === 'view' || id === 'time' || tagName === 'BODY') {
       actions[' '] = () => viewer.player?.play(!viewer.player.isPlaying);
     }
-    actions[event.key.toLowerCase()]?.();
+    const action = actions[event.key.toLowerCase()];
+    if (!action) return;
+    event.preventDefault(); // Home would scroll the panel
+    action();
   }
 
   async #copy() {

@@ -224,6 +224,7 @@ SOG = SceneFormat(
     sorts=True,
     in_folders=(".sog",),
     floats_per_byte=20,
+    in_parts=True,
 )
 
 #: PlayCanvas's PLY of packed properties, recognised by the header of a PLY.

@@ -113,7 +113,7 @@ def test_gaussians_with_nan_can_be_removed_before_encoding(folder):
         ("convert scene.ply o.ply --remove-floaters --cameras auto", "'auto' has no effect on --r"),
         ("convert scene.ply o.ply --scale 2 --views 3", "--views needs one of --remove-floaters"),
         ("convert scene.ply o.ply --keep 50% --width 9", "--width has no effect without --cameras"),
-        ("convert scene.ply o.sog --max-memory 1GB", "--max-memory has no effect on o.sog"),
+        ("convert scene.ply o.rad --max-memory 1GB", "--max-memory has no effect on o.rad"),
         ("convert scene.ply o.ply --keep 9% --max-memory 1GB", "--keep 9%: needs the whole scene"),
         ("convert scene.ply o.ply --format egs", "--format has no effect on o.ply"),
         ("convert scene.ply o.ply --scale two", "--scale two: expected 1 number"),
@@ -177,7 +177,7 @@ def test_results_are_the_same_below_a_memory_limit(folder, monkeypatch, source, 
     convert_file([source, "decoded.ply"], target, actions=actions, max_memory=1)
     assert (folder.path / target).read_bytes() == (folder.path / f"whole-{target}").read_bytes()
     with pytest.raises(InvalidInput, match="max-memory: expected one of"):
-        convert_file(source, "o.sog", max_memory=1)
+        convert_file(source, "o.rad", max_memory=1)
 
 
 def test_editing_below_a_limit_uses_files_instead_of_memory(tmp_path, monkeypatch):

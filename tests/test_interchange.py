@@ -451,7 +451,7 @@ def test_versions_of_spz_are_chosen(ply, tmp_path):
         ),
         ("o.spz --depth sh-ac=3", "--depth has no effect on o.spz"),
         ("o.spz -p paper-m", "format 'spz': profile 'paper-m', expected l, m, s"),
-        ("o.sog --max-memory 1GB", "--max-memory has no effect on o.sog"),
+        ("o.rad --max-memory 1GB", "--max-memory has no effect on o.rad"),
         ("o.glb --cameras auto", "--cameras has no effect on .glb, whose values are exact"),
         ("o.usdz --cameras auto", "--cameras has no effect on .usdz, whose values are exact"),
         ("o.splat --views 8", "--views has no effect without views"),

@@ -32,7 +32,7 @@ REFUSED = {
         {"config": Config(lod=True), "max_memory": 10**10}, "lod: with max-memory, dask is needed"
     ),
     "memory and a format": (
-        {"config": Config(format="sog"), "max_memory": 10**10}, "max-memory: format 'sog', expected"
+        {"config": Config(format="rad"), "max_memory": 10**10}, "max-memory: format 'rad', expected"
     ),
     "memory and an action": (
         {"config": Config(), "actions": (Action("keep", "50%"),), "max_memory": 10**10},

@@ -18,6 +18,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
+from gs_codec.formats import cells, codebook
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.cells import WORTH, row_means, split_cells
 from gs_codec.formats.codebook import (
@@ -314,6 +315,26 @@ def test_large_cells_are_split_by_a_sample():
     shuffled = rng.permutation(18_000)
     cells = split_cells(vectors[shuffled].astype("f4"), np.ones(18_000), 100)
     assert cells.sizes().tolist() == [9000, 9000]
+
+
+def test_cells_are_the_same_when_vectors_are_moved_together(monkeypatch):
+    vectors = np.random.default_rng(11).normal(size=(3000, 6)).astype("f4")
+    apart = split_cells(vectors, np.full(3000, 40.0), 500)
+    monkeypatch.setattr(cells, "_FEW", 10)
+    together = split_cells(vectors, np.full(3000, 40.0), 500)
+    assert len(apart.stops) == 500
+    assert (together.order == apart.order).all()
+    assert (together.stops == apart.stops).all()
+
+
+def test_tables_of_many_values_are_made_from_every_few(monkeypatch):
+    values, steps = np.random.default_rng(12).normal(size=(3, 20_000)), np.full(20_000, 0.1)
+    whole = make_table(values, steps)
+    monkeypatch.setattr(codebook, "_SORTED", 10_000)
+    table = make_table(values, steps)
+    errors = [np.abs(values[..., None] - each).min(2).std() for each in (whole, table)]
+    assert not np.array_equal(table, whole)
+    assert errors[1] < 1.1 * errors[0]
 
 
 def test_a_table_contains_few_distinct_values_exactly():

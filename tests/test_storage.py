@@ -99,7 +99,7 @@ def test_files_are_the_same_with_constant_page_release(profile, tmp_path, monkey
 
 
 @pytest.mark.usefixtures("everything_on_disk")
-@pytest.mark.parametrize("name", ["a.spz", "a.ssog"])
+@pytest.mark.parametrize("name", ["a.spz", "a.sog", "a.ssog"])
 def test_other_formats_are_the_same_with_constant_page_release(name, tmp_path, monkeypatch):
     monkeypatch.setattr(memory_limit, "_check", lambda least, what: None)
     write_ply(tmp_path / "scene.ply", generate(6000, 1, 1))
@@ -114,13 +114,18 @@ def test_other_formats_are_the_same_with_constant_page_release(name, tmp_path, m
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
-def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "config",
+    [Config("m"), Config("paper-m"), Config("lossless"), Config(format="sog")],
+    ids=lambda config: f"{config.profile} {config.format}",
+)
+def test_encoding_on_disk_takes_little_memory_for_each_gaussian(config, tmp_path, monkeypatch):
     """Memory of Python and numpy, without mapped files."""
     monkeypatch.setattr(storage, "_LARGE", 1 << 14)
     count = 40_000
     write_ply(tmp_path / "scene.ply", random_scene(count, 3, seed=63))
-    config = Config(profile, block_size=2 * BLOCK, threads=1)
+    size = 2 * BLOCK if config.format == "egs" else config.block_size
+    config = replace(config, block_size=size, threads=1)
     encode_parts(random_scene(100, 3), config)
 
     def encode() -> int:
@@ -254,6 +259,13 @@ def test_too_little_memory_is_refused_with_the_minimum(command, files, run_codec
     status, _, err = run_codec(*arguments, "--max-memory", f"{int(least) - 1}B")
     assert status == 2
     assert not err.startswith("Traceback")
+
+
+def test_too_little_memory_for_a_sog_is_refused(files):
+    target = files[1].with_name("out.sog")
+    with pytest.raises(InvalidInput, match="max-memory: 300,000,000 bytes, expected at least"):
+        encode_file(files[0], target, max_memory=300_000_000)
+    assert not target.exists()
 
 
 def test_an_invalid_size_is_refused(files, run_codec):

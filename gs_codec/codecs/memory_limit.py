@@ -6,6 +6,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
 from gs_codec.egs.egs_file import EgsFile
 from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import SOG
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import available_threads
 from gs_codec.runtime.wording import counted
@@ -26,9 +27,14 @@ _ADAPTIVE = 40
 #: Bytes per Gaussian for sorting a scene with other profiles.
 _OTHERS = 55
 
+#: Bytes per Gaussian for the palette of a `.sog`, whose search maps all SH at once.
+_PALETTE = 200
+
 
 def least_memory(count: int, config: Config) -> int:
     """Lowest memory limit, in bytes, for encoding a scene of `count` Gaussians."""
+    if config.format == SOG.name:
+        return _working(torchac=False) + count * _PALETTE
     adaptive = config.profile in ADAPTIVE_PROFILES
     growing = count * (_ADAPTIVE if adaptive else _OTHERS)
     if not adaptive and config.profile != LOSSLESS:  # decoded to measure the loss in views

@@ -131,8 +131,8 @@ def convert_file(
         As in `read`.
     max_memory : int, optional
         Maximum memory, bytes: large arrays are then in temporary files, with the same result. Only
-        for `.egs` or binary PLY sources with floats; `.ply`, `.csv`, `.egs`, `.spz` or streamed SOG
-        targets; and actions that treat each Gaussian separately or sort them.
+        for `.egs` or binary PLY sources with floats; `.ply`, `.csv`, `.egs`, `.spz`, `.sog` or
+        streamed SOG targets; and actions that treat each Gaussian separately or sort them.
     overwrite : bool
         As in `encode_file`.
     by_profile : bool

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.runtime.arrays import current, empty
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 
@@ -35,6 +36,13 @@ _MOVES = 5
 #: Number of vectors of a larger cell that are enough to find its halves.
 _ENOUGH = 1 << 12
 
+#: When there are this many times as many cells as before, the vectors of each are moved together,
+#: so that they share pages of memory, ...
+_APART = 4
+
+#: ... as long as cells have more vectors than this on average.
+_FEW = 1 << 14
+
 #: Number of vectors per task.
 _CHUNK = 1 << 13
 
@@ -56,7 +64,7 @@ class Cells:
 
     def labels(self) -> NDArray[np.int32]:
         """The cell of each vector."""
-        labels = np.empty(len(self.order), np.int32)
+        labels = empty(self.order.shape, np.int32)
         labels[self.order] = np.repeat(np.arange(len(self.stops), dtype=np.int32), self.sizes())
         return labels
 
@@ -85,7 +93,7 @@ def split_cells(vectors: NDArray[np.float32], weights: NDArray[np.float64], most
     most : int
         Maximum number of cells.
     """
-    order = np.arange(len(vectors), dtype=np.int32)
+    order, names, apart = _ascending(len(vectors)), _ascending(len(vectors)), 1
     cells = _split_each(vectors, weights, order, np.zeros(1, np.int64), np.array([len(vectors)]))
     while True:
         room = most - len(cells.starts)
@@ -93,7 +101,10 @@ def split_cells(vectors: NDArray[np.float32], weights: NDArray[np.float64], most
         chosen = np.argsort(-cells.gains, kind="stable")[: -(-room // 2)]
         chosen = np.sort(chosen[cells.gains[chosen] > 0])
         if not len(chosen):
-            return Cells(order, cells.stops)
+            return Cells(_gathered(names, order), cells.stops)
+        if _APART * apart <= len(cells.starts) < len(vectors) / _FEW:
+            vectors, weights, names = (_gathered(x, order) for x in (vectors, weights, names))
+            order, apart = _ascending(len(order)), len(cells.starts)
         ends = cells.starts[chosen], cells.middles[chosen], cells.stops[chosen]
         starts, stops = np.stack(ends[:2], 1).ravel(), np.stack(ends[1:], 1).ravel()
         parts = _split_each(vectors, weights, order, starts, stops)
@@ -107,6 +118,24 @@ def split_cells(vectors: NDArray[np.float32], weights: NDArray[np.float64], most
         cells = _Splits(*columns)
 
 
+def _ascending(count: int) -> NDArray[np.int32]:
+    numbers = empty((count,), np.int32)
+    numbers[:] = np.arange(count, dtype=np.int32)
+    return numbers
+
+
+def _gathered(rows: NDArray, order: NDArray[np.int32]) -> NDArray:
+    """Rows in another order."""
+    gathered = empty(rows.shape, rows.dtype)
+
+    def work(start: int) -> None:
+        some = slice(start, start + _CHUNK)
+        gathered[some] = rows[order[some]]
+
+    run_all(work, range(0, len(rows), _CHUNK))
+    return gathered
+
+
 def _split_each(
     vectors: NDArray[np.float32],
     weights: NDArray[np.float64],
@@ -115,6 +144,7 @@ def _split_each(
     stops: NDArray[np.int64],
 ) -> _Splits:
     """Find the two parts of each cell, and sort the vectors of each in `order` by them."""
+    current().release()  # the samples of large cells map all vectors
     middles, gains = starts.copy(), np.zeros(len(starts))
     # About the same number of vectors in each batch.
     batches = np.cumsum(stops - starts) // _CHUNK
@@ -137,18 +167,25 @@ def _split(vectors, weights, order, starts, stops, middles, gains):
     side, upper = np.empty(size, np.uint8), np.empty(size, order.dtype)
     depth = vectors.shape[1]
     whole, halves = np.empty(depth + 1), np.empty((2, depth + 1))
+    most = min(size, 2 * _ENOUGH)
+    few, their_weights = np.empty((most, depth), vectors.dtype), np.empty(most)
     for cell in range(len(starts)):
         members = order[starts[cell] : stops[cell]]
         count = len(members)
         stride = max(count // _ENOUGH, 1)
         some = upper[: -(-count // stride)]
+        # Copies, because each of a few vectors of a large cell is in another page of memory.
         for j in range(len(some)):
-            some[j] = members[j * stride]
-        if not _start_halves(vectors, weights, some, side):
+            i = members[j * stride]
+            for d in range(depth):
+                few[j, d] = vectors[i, d]
+            their_weights[j] = weights[i]
+            some[j] = j
+        if not _start_halves(few, their_weights, some, side):
             continue
         for _ in range(_MOVES):
-            ones = _sum_halves(vectors, weights, some, side, halves)
-            if ones in (0, len(some)) or not _move_halves(vectors, some, halves, side):
+            ones = _sum_halves(few, their_weights, some, side, halves)
+            if ones in (0, len(some)) or not _move_halves(few, some, halves, side):
                 break
         if stride > 1:
             _move_halves(vectors, members, halves, side)

@@ -5,12 +5,19 @@ Errors and bits are weighted as in `cells`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.formats.cells import WORTH, row_means, split_cells
+from gs_codec.formats.packed_values import spans
+from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
+
+#: Maximum number of values that are sorted to make a table.
+_SORTED = 1 << 22
 
 #: Maximum number of values that a table is made from.
 _SAMPLE = 1 << 20
@@ -30,7 +37,15 @@ _TINY = 2.0**-40
 
 def weights_of(steps: NDArray[np.floating]) -> NDArray[np.float64]:
     """Weights of squared errors for step sizes, which may be 0."""
-    return np.maximum(steps.astype(np.float64), _TINY) ** -2.0
+    weights = empty(steps.shape, np.float64)
+    np.maximum(steps, _TINY, out=weights, dtype=np.float64)
+    weights **= -2.0
+    return weights
+
+
+def every(size: int) -> slice:
+    """Every k-th value of `size`, so that at most `_SORTED` are sorted."""
+    return slice(None, None, max(-(-size // _SORTED), 1))
 
 
 def make_table(
@@ -40,12 +55,15 @@ def make_table(
 
     Parameters
     ----------
-    values : ndarray, shape (n,)
-    steps : ndarray, shape (n,)
+    values : ndarray, shape (n,) or (C, n)
+    steps : ndarray, shape (n,) or that of `values`
         Units of the errors.
     """
-    if not len(values):
+    if not values.size:
         return np.zeros(1, np.float32)
+    some = every(values.size)
+    steps = np.broadcast_to(steps, values.shape)[..., some].ravel()
+    values = values[..., some].ravel()
     order = np.argsort(values, kind="stable")
     if len(order) > _SAMPLE:
         order = order[np.linspace(0, len(order) - 1, _SAMPLE).astype(np.int64)]
@@ -66,13 +84,16 @@ def choose_levels(
     values, steps : ndarray, shape (n,)
     table : ndarray, shape (at most 256,)
     """
-    wide, known = values.astype(np.float64), table.astype(np.float64)
-    by_step = np.sqrt(weights_of(steps))
-    levels = _nearest(wide, known)
-    above = np.searchsorted(known, wide)
+    count, known, by_step = len(values), table.astype(np.float64), _by_step(steps)
+    levels, above = empty((count,), np.uint8), empty((count,), np.uint16)
+    for some in spans(count):
+        levels[some] = _nearest(values[some], known)
+        above[some] = np.searchsorted(known, values[some])
     for _ in range(_ROUNDS):
-        counts = np.bincount(levels, minlength=len(known))
-        _choose(wide, by_step, known, WORTH * label_bits(counts), above, levels)
+        price = _price(levels.__getitem__, count, len(known))
+        for some in spans(count):
+            wide = values[some].astype(np.float64)
+            _choose(wide, by_step[some], known, price, above[some], levels[some])
     return levels
 
 
@@ -92,20 +113,40 @@ def choose_colours(
     -------
     ndarray, shape (n, 3, K), uint8
     """
-    known = table.astype(np.float64)
-    near = _nearest(values, known)
-    levels, by_step = near.copy(), np.sqrt(weights_of(steps))
+    count, known, by_step = len(values), table.astype(np.float64), _by_step(steps)
+    near, levels = empty(values.shape, np.uint8), empty(values.shape, np.uint8)
+    for some in spans(count):
+        near[some] = levels[some] = _nearest(values[some], known)
 
     def run(start: int) -> None:
         some = slice(start, start + _CHUNK)
         _choose_colours(values[some], by_step[some], known, *prices, near[some], levels[some])
 
+    stored = (
+        lambda some: levels[some, 1],
+        lambda some: levels[some, 0] - levels[some, 1],
+        lambda some: levels[some, 2] - levels[some, 1],
+    )
     for _ in range(_ROUNDS):
-        green = levels[:, 1].ravel()
-        others = [levels[:, channel].ravel() - green for channel in (0, 2)]
-        prices = [WORTH * label_bits(np.bincount(x, minlength=256)) for x in (green, *others)]
-        run_all(run, range(0, len(values), _CHUNK))
+        prices = [_price(of_channel, count, 256) for of_channel in stored]
+        run_all(run, range(0, count, _CHUNK))
     return levels
+
+
+def _by_step(steps: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Inverse step sizes."""
+    weights = weights_of(steps)
+    return np.sqrt(weights, out=weights)
+
+
+def _price(
+    levels_of: Callable[[slice], NDArray[np.uint8]], count: int, size: int
+) -> NDArray[np.float64]:
+    """Price of each of `size` levels, from the levels of spans of `count` values."""
+    frequencies = np.zeros(size, np.int64)
+    for some in spans(count):
+        frequencies += np.bincount(levels_of(some).ravel(), minlength=size)
+    return WORTH * label_bits(frequencies)
 
 
 def _nearest(values: NDArray[np.floating], table: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -9,10 +9,12 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import empty
@@ -28,12 +30,17 @@ _AT_ONCE = 1 << 16
 _END = 0.25
 
 
-def planes_of(channels: int, count: int, values: Callable[[slice], NDArray]) -> NDArray[np.float32]:
+def planes_of(
+    channels: int,
+    count: int,
+    values: Callable[[slice], NDArray],
+    dtype: DTypeLike = np.float32,
+) -> NDArray[Any]:
     """Compute planes ``(channels, N)`` for a part of the Gaussians at a time.
 
     The temporary arrays of `values`, often larger than the result, then stay small.
     """
-    planes = empty((channels, count), np.float32)
+    planes = empty((channels, count), dtype)
     for some in spans(count):
         planes[:, some] = values(some)
     return planes
@@ -152,7 +159,8 @@ class Clipped:
 
 def check_finite(scene: Scene, suffix: str) -> None:
     """Reject values that are not finite."""
-    if not all(np.isfinite(getattr(scene, group)).all() for group in GROUPS):
+    planes = chain.from_iterable(getattr(scene, group) for group in GROUPS)
+    if not all(np.isfinite(plane).all() for plane in planes):
         raise InvalidInput(f"values that are not finite, which {suffix} cannot store")
 
 

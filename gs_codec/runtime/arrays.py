@@ -79,6 +79,9 @@ class Memory:
     def watch(self, mapped: mmap.mmap) -> None:
         """Register a mapped file, shared or read-only, whose pages may be released."""
 
+    def release(self) -> None:
+        """Release all pages of mapped files; a page that is used again is read from its file."""
+
 
 class Disk(Memory):
     """Arrays in temporary files; a file is deleted with its last array, or with the process.
@@ -124,7 +127,7 @@ class Disk(Memory):
             self._maps.append(weakref.ref(mapped))
 
     def release(self) -> None:
-        """Release all pages of mapped files; a page that is used again is read from its file."""
+        """See `Memory`."""
         with self._lock:
             alive = [known() for known in self._maps]
         for mapped in alive:

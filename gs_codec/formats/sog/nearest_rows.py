@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.formats.cells import WORTH
 from gs_codec.formats.codebook import label_bits
+from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 
@@ -79,7 +80,7 @@ def nearest_rows(
     near_blocks = _means_of(blocks, first)
     block_of = np.zeros(len(rows), np.int64)
     block_of[sequence] = np.arange(len(sequence)) // _WIDTH
-    found = np.empty_like(labels)
+    found = empty(labels.shape, labels.dtype)
 
     def run(start: int) -> None:
         some = slice(start, start + _CHUNK)

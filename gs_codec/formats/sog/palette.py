@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from gs_codec.config import Effort
 from gs_codec.formats.cells import row_means, split_cells
-from gs_codec.formats.codebook import choose_colours, make_table, weights_of
+from gs_codec.formats.codebook import choose_colours, every, make_table, weights_of
+from gs_codec.formats.packed_values import planes_of
 from gs_codec.formats.sog.nearest_rows import nearest_rows
+from gs_codec.runtime.arrays import empty
 from gs_codec.scene import sh_bands
 
 #: Maximum number of rows with 16-bit labels.
@@ -74,7 +76,7 @@ def fit_palette(
     search = _SEARCHES[effort]
     depth, count = f_rest.shape
     ratios = _ratios(steps, depth // 3)
-    vectors = np.empty((count, depth), np.float32)
+    vectors = empty((count, depth), np.float32)
     np.divide(f_rest.T, ratios, out=vectors)
     weights = weights_of(steps[0])
     cells = split_cells(vectors, weights, _MOST)
@@ -96,7 +98,7 @@ def fit_palette(
 
 def _ratios(steps: NDArray[np.floating], coefficients: int) -> NDArray[np.float32]:
     """Ratio of the step of each SH-AC of all channels, ``(3 * K,)``, to that of the first band."""
-    finest = np.maximum(steps, np.finfo(np.float32).tiny)
+    finest = np.maximum(steps[:, every(steps.size)], np.finfo(np.float32).tiny)
     of_bands = np.median(finest / finest[0], axis=1) if steps.shape[1] else np.ones(3)
     by_band = [of_bands[band] for band, some in enumerate(sh_bands(coefficients)) for _ in some]
     return np.tile(np.array(by_band, np.float32), 3)
@@ -117,4 +119,5 @@ def _by_use(
     sequence = np.argsort(-counts, kind="stable")[: max(np.count_nonzero(counts), 1)]
     places = np.empty(len(levels), np.int32)
     places[sequence] = np.arange(len(sequence), dtype=np.int32)
-    return Palette(table, levels[sequence], places[labels])
+    renamed = planes_of(1, len(labels), lambda some: places[labels[some]], np.int32)[0]
+    return Palette(table, levels[sequence], renamed)

@@ -26,11 +26,14 @@ from gs_codec.formats.packed_values import (
     Clipped,
     check_finite,
     largest_omitted,
+    planes_of,
     sigmoid,
+    spans,
 )
 from gs_codec.formats.sog.files import FIRST_TAG, PALETTE_COLUMNS
 from gs_codec.formats.sog.palette import fit_palette
 from gs_codec.formats.zip_file import write_zip
+from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.threads import run_all
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene, render_mode
@@ -88,7 +91,11 @@ def sog_files_of(
     if scene.count > _LARGEST_SIDE**2:
         raise InvalidInput(f"{counted(scene.count, 'Gaussian')}, .sog holds {_LARGEST_SIDE**2:,}")
     turned, clipped = turn_axes(scene), Clipped()
-    f_rest = clipped.limited("SH", turned.f_rest, -_LARGEST_SH, _LARGEST_SH)
+    f_rest = planes_of(
+        len(turned.f_rest),
+        scene.count,
+        lambda some: clipped.limited("SH", turned.f_rest[:, some], -_LARGEST_SH, _LARGEST_SH),
+    )
     turned = replace(turned, f_rest=f_rest)
     meta: dict[str, object] = {"version": 2, "count": scene.count}
     meta["asset"] = {"generator": "gs_codec"}
@@ -111,13 +118,13 @@ def sog_files_of(
     return files, (SOG.rounding, *clipped.sentences(), *left_out_of(scene, SOG))
 
 
-def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:
+def _image(channels: Sequence[NDArray]) -> NDArray[np.uint8]:
     """An image with one pixel per Gaussian, of up to four bytes; missing bytes are 0, 0, 255."""
     count = len(channels[0])
     width = 4 * max(math.ceil(math.sqrt(count) / 4), 1)
     height = 4 * max(math.ceil(count / width / 4), 1)
-    pixels = np.zeros((height * width, 4), np.uint8)
-    pixels[:, 3] = 255
+    pixels = empty((height * width, 4), np.uint8)
+    pixels[:] = 0, 0, 0, 255
     for channel, values in enumerate(channels):
         pixels[:count, channel] = values
     return pixels.reshape(height, width, 4)
@@ -125,44 +132,66 @@ def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:
 
 def _centres(scene: Scene, steps: AttributeSteps) -> _Group:
     def pack(axis: int) -> tuple[float, float, NDArray, NDArray]:
-        values = scene.positions[axis].astype(np.float64)
-        logarithm = np.copysign(np.log1p(np.abs(values)), values)
-        ends = logarithm if len(values) else np.zeros(1)
+        values = scene.positions[axis]
+        logarithm = planes_of(1, scene.count, lambda some: _logarithm(values[some]), np.float64)[0]
+        ends = logarithm if scene.count else np.zeros(1)
         least, most = float(ends.min()), float(ends.max())
         unit = (most - least) / 65535 or 1.0
-        share = (logarithm - least) / unit
-        high = np.rint(share).astype(np.int64) >> 8
-        # A step of the logarithm spans more far from the origin.
-        wanted = steps.positions / (1 + np.abs(values)) / unit
-        return least, most, choose_levels(share - (high << 8), wanted, _BYTES), high
+
+        def place(some: slice) -> NDArray[np.float64]:
+            share = (logarithm[some] - least) / unit
+            high = np.rint(share).astype(np.int64) >> 8
+            # A step of the logarithm spans more far from the origin.
+            wanted = steps.positions[some] / (1 + np.abs(values[some].astype(np.float64))) / unit
+            return np.stack([share - (high << 8), wanted, high])
+
+        share, wanted, high = planes_of(3, scene.count, place, np.float64)
+        return least, most, choose_levels(share, wanted, _BYTES), high
 
     mins, maxs, low, high = zip(*run_all(pack, range(3)), strict=True)
     images = {"means_l.webp": _image(low), "means_u.webp": _image(high)}
     return {"mins": mins, "maxs": maxs}, images
 
 
+def _logarithm(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    wide = values.astype(np.float64)
+    return np.copysign(np.log1p(np.abs(wide)), wide)
+
+
 def _scales(scene: Scene, steps: AttributeSteps) -> _Group:
-    table = make_table(scene.log_scale.ravel(), steps.log_scale.ravel())
+    table = make_table(scene.log_scale, steps.log_scale)
     levels = _levels(scene.log_scale, steps.log_scale, table)
     return {"codebook": numbers(table)}, {"scales.webp": _image(levels)}
 
 
 def _rotations(scene: Scene, steps: AttributeSteps) -> _Group:
-    three, largest = largest_omitted(scene.rot)
     by_unit = 255 * math.sqrt(0.5)
-    exact = by_unit * three + 127.5
-    levels = np.array(_levels(exact, [by_unit * steps.rot] * 3, _BYTES))
-    # Coarse rounding may leave nothing for the largest component, which readers compute from the
-    # others.
-    long = ((levels - 127.5) ** 2).sum(axis=0) > by_unit**2
-    levels[:, long] = np.rint(exact[:, long])
-    return {}, {"quats.webp": _image([*levels, FIRST_TAG + largest])}
+
+    def place(some: slice) -> NDArray[np.float64]:
+        three, largest = largest_omitted(scene.rot[:, some])
+        exact = by_unit * three + 127.5
+        return np.vstack([exact, by_unit * steps.rot[some], FIRST_TAG + largest])
+
+    *exact, wanted, tag = planes_of(5, scene.count, place, np.float64)
+    levels = _levels(exact, [wanted] * 3, _BYTES)
+    for some in spans(scene.count):
+        part = np.stack([plane[some] for plane in levels])
+        # Coarse rounding may leave nothing for the largest component, which readers compute from
+        # the others.
+        long = np.flatnonzero(((part - 127.5) ** 2).sum(axis=0) > by_unit**2)
+        for plane, unrounded in zip(levels, exact, strict=True):
+            plane[some][long] = np.rint(unrounded[some][long])
+    return {}, {"quats.webp": _image([*levels, tag])}
 
 
 def _colours(scene: Scene, steps: AttributeSteps) -> _Group:
-    table = make_table(scene.f_dc.ravel(), np.tile(steps.f_dc, 3))
-    share = sigmoid(scene.opacity[0].astype(np.float64))
-    alpha = choose_levels(255 * share, 255 * share * (1 - share) * steps.opacity, _BYTES)
+    def place(some: slice) -> NDArray[np.float64]:
+        share = sigmoid(scene.opacity[0, some].astype(np.float64))
+        return np.stack([255 * share, 255 * share * (1 - share) * steps.opacity[some]])
+
+    share, wanted = planes_of(2, scene.count, place, np.float64)
+    alpha = choose_levels(share, wanted, _BYTES)
+    table = make_table(scene.f_dc, steps.f_dc)
     colours = choose_colours(scene.f_dc.T[:, :, None], steps.f_dc[:, None], table)
     return {"codebook": numbers(table)}, {"sh0.webp": _image([*colours[:, :, 0].T, alpha])}
 
@@ -183,7 +212,7 @@ def _sh(scene: Scene, steps: AttributeSteps, effort: Effort) -> _Group:
 
 
 def _levels(
-    planes: NDArray[np.floating], steps: Sequence[NDArray] | NDArray, table: NDArray
+    planes: Sequence[NDArray] | NDArray, steps: Sequence[NDArray] | NDArray, table: NDArray
 ) -> list[NDArray[np.uint8]]:
     return run_all(lambda i: choose_levels(planes[i], steps[i], table), range(3))
 

@@ -116,12 +116,7 @@ class BlockEncoder:
             steps = block.steps(part, last.shape if part == SHAPE else shape, some)
             if part == TURN:
                 steps = np.where(steps > _MOST_TURN, _NEVER, steps)
-                since = turns_between(self._coded[TURN][:, some], own) * (1 << FRACTION_BITS)
-                left = turns_between(last.rot[:, some], own) * (1 << FRACTION_BITS)
-                left = _settled(left, steps)
-            else:
-                since = own - self._coded[part][:, some]
-                left = own - self._decoded(last, part)[:, some]
+            since, left = self._differences(part, own, steps, some)
             # Finer steps than those it was coded with show errors that were allowed.
             changed = (np.abs(since) > _STILL * steps) | (steps < self._steps[part][:, some])
             if part == TURN:
@@ -144,6 +139,17 @@ class BlockEncoder:
                 self._again[some] = finer.any(axis=0)
         self._add_levels(changes, found[AC], shape, some)
         return changes
+
+    def _differences(
+        self, part: int, own: NDArray, steps: NDArray, some: NDArray[np.integer]
+    ) -> tuple[NDArray, NDArray]:
+        """Differences of values to those that were coded last, and to decoded ones."""
+        coded, last = self._coded[part][:, some], self.block.frame
+        if part != TURN:
+            return own - coded, own - self._decoded(last, part)[:, some]
+        unit = 1 << FRACTION_BITS
+        left = turns_between(last.rot[:, some], own) * unit
+        return turns_between(coded, own) * unit, _settled(left, steps)
 
     def _decoded(self, last: Frame, part: int) -> NDArray[np.int64]:
         return {SHAPE: last.shape, PLACE: last.places, DC: last.colours}[part]

@@ -268,6 +268,17 @@ def test_too_little_memory_for_a_sog_is_refused(files):
     assert not target.exists()
 
 
+def test_parts_of_streamed_sog_need_less_memory_than_one_sog(tmp_path, monkeypatch):
+    needed = []
+    monkeypatch.setattr(memory_limit, "_check", lambda least, what: needed.append(least))
+    write_ply(tmp_path / "scene.ply", random_scene(40_000, 0, seed=65))
+    for name in ("a.ssog", "a.sog"):
+        size = 1024 if name == "a.ssog" else Config.block_size
+        convert_file(tmp_path / "scene.ply", tmp_path / name, Config(block_size=size))
+    streamed, whole = needed
+    assert whole - streamed == 200 * (40_000 - 16 * 1024)
+
+
 def test_an_invalid_size_is_refused(files, run_codec):
     for size in ("4 apples", "", "-1GB", "GB"):
         status, out, err = run_codec("verify", str(files[1]), f"--max-memory={size}")

@@ -31,23 +31,27 @@ _OTHERS = 55
 _PALETTE = 200
 
 
-def least_memory(count: int, config: Config) -> int:
-    """Lowest memory limit, in bytes, for encoding a scene of `count` Gaussians."""
-    if config.format == SOG.name:
-        return _working(torchac=False) + count * _PALETTE
+def least_memory(count: int, config: Config, most: int | None = None) -> int:
+    """Lowest memory limit, in bytes, for encoding a scene of `count` Gaussians.
+
+    `most` is the maximum number of Gaussians of a file, if there are several.
+    """
     adaptive = config.profile in ADAPTIVE_PROFILES
     growing = count * (_ADAPTIVE if adaptive else _OTHERS)
     if not adaptive and config.profile != LOSSLESS:  # decoded to measure the loss in views
         growing = max(growing, config.block_size * _decoding(3))
+    if config.format == SOG.name:
+        growing = max(growing, min(count, most or count) * _PALETTE)
     return _working(config.coder == "torchac") + growing
 
 
-def check_encoding(count: int, config: Config) -> None:
+def check_encoding(count: int, config: Config, most: int | None = None) -> None:
     """Check that the memory limit is high enough to encode `count` Gaussians.
 
-    Raises InvalidInput.
+    `most` is as in `least_memory`. Raises InvalidInput.
     """
-    _check(least_memory(count, config), f"{counted(count, 'Gaussian')} by profile {config.profile}")
+    what = f"{counted(count, 'Gaussian')} by profile {config.profile}"
+    _check(least_memory(count, config, most), what)
 
 
 def slab_within(file: EgsFile, degree: int, wanted: int) -> int:

@@ -67,11 +67,11 @@ def stream_levels(
         Files by name, which may include a folder; `lod-meta.json` comes last.
     lost : tuple of str
     """
-    check_encoding(scene.count, config)
+    most = most or _LEAVES * config.block_size
+    check_encoding(scene.count, config, most)
     with using_threads(config.threads, scene.count):
         scene, order, moved = prepared(scene, config, STREAMED)
         leaves = _leaves(scene.take(order), config)
-        most = most or _LEAVES * config.block_size
         files: dict[str, bytes | memoryview] = {}
         runs: list[list[Run]] = []
         losses: list[str] = [*moved]

@@ -54,7 +54,7 @@ def encode_file(
     actions : sequence of gs_codec.edit.Action
         Edits to apply first, in this order; as in `convert_file`.
     max_memory : int, optional
-        As in `convert_file`; only for `.egs` and `.spz`, without `plan` and `rate`.
+        As in `convert_file`; only for `.egs`, `.spz` and `.sog`, without `plan` and `rate`.
     max_bytes : int, optional
         As in `read`.
     overwrite : bool

@@ -63,8 +63,9 @@ def folder(tmp_path_factory) -> Path:
 @pytest.fixture
 def page(folder) -> Iterator[Page]:
     cameras, scenes = str(folder / "cameras.json"), [folder / "a.ply", folder / "b.ply"]
-    inspector = Inspector(Request(*scenes, cameras=cameras, images=folder / "images"))
-    page = serve(scenes, cameras, None, None, None, None, inspector)
+    request = Request(*scenes, cameras=cameras, images=folder / "images")
+    inspector = Inspector(request)
+    page = serve(scenes, request, inspector=inspector)
     threading.Thread(target=page.serve_forever, daemon=True).start()
     yield page
     page.shutdown()

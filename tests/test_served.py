@@ -18,13 +18,16 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 import pytest
+from moving_scenes import coded, moving
 from scenes import random_scene
 from web_pages import Job, in_browser, open_pages
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.errors import GsCodecError
 from viewer import served
 from viewer.main import main
+from viewer.scenes.view_request import Request
 from viewer.served import Page, serve
 
 ROOT = Path(__file__).parents[1]
@@ -159,21 +162,34 @@ def test_the_address_is_not_in_the_browsers_arguments(page, monkeypatch, tmp_pat
 @pytest.mark.thorough
 @in_browser
 def test_a_browser_shows_it(scene):
-    page = serve([scene], "auto", None, None, None)
+    page = serve([scene], Request(cameras="auto", view=3))
     threading.Thread(target=page.serve_forever, daemon=True).start()
-    [told] = open_pages(Job(page.url, [("drawn",)]))
+    [told] = open_pages(
+        Job(page.url, [("drawn",), ("value", "document.getElementById('views').value")])
+    )
     page.shutdown()
     page.server_close()
     assert (told.state, told.status, told.errors) == ("ready", "", [])
     asked = [url for url in told.requests if not url.startswith(("blob:", "data:"))]
-    assert asked == [page.url, f"{page.url}a.egs"]
+    root = page.url.partition("#")[0]
+    assert asked == [root, f"{root}a.egs"]
+    assert told.values[1] == "3"
 
 
 def test_the_page_orbits_about_the_requested_axis(scene):
-    page = serve([scene], "auto", None, None, None, "-x")
+    page = serve([scene], Request(cameras="auto", up="-x"))
     page.server_close()
     [text] = [data for path, data in page.contents.items() if path.endswith("/")]
     assert b'"up": "-x"' in text
+
+
+def test_a_page_begins_with_the_requested_view_and_frame(tmp_path):
+    coded(tmp_path / "clip.egs", moving(200, 3))
+    page = serve([tmp_path / "clip.egs"], Request(cameras="auto", view=1, frame=2))
+    page.server_close()
+    assert page.url.endswith("/#view=1&frame=2")
+    with pytest.raises(GsCodecError, match="frame 3: expected 0 to 2"):
+        serve([tmp_path / "clip.egs"], Request(cameras="auto", frame=3))
 
 
 def test_the_server_runs_until_interrupted(scene):
@@ -215,6 +231,9 @@ def test_the_server_runs_until_interrupted(scene):
         (["a.egs", "--web", "--port", "0"], "port 0: expected 1 to 65535"),
         (["none.egs", "--web"], "none.egs: No such file"),
         (["a.egs", "--web", "--max-bytes", "99"], "the limit is 99"),
+        (["a.egs", "--web", "--view", "-1"], "view -1: expected 0 to "),
+        (["a.egs", "--web", "--view", "999"], "view 999: expected 0 to "),
+        (["a.egs", "--web", "--frame", "0"], "frame: expected a sequence"),
     ],
 )
 def test_refusals_are_one_line(scene, tmp_path, monkeypatch, capsys, arguments, message):

@@ -1,4 +1,4 @@
-"""Put the script of the inspection into a page, and a second scene."""
+"""Put the script of the inspection into a page, and a second scene; read what it shows."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 _SCENES = b'<script type="application/json" id="scene-list">'
@@ -23,11 +24,16 @@ def with_inspection(page: bytes, is_open: bool) -> bytes:
     return before + start + script + b"</script>\n" + end + after
 
 
+def shown_by(page: bytes) -> dict[str, Any]:
+    """The scenes and views of a page, as it describes them."""
+    return json.loads(page.partition(_SCENES)[2].partition(b"</script>")[0])
+
+
 def with_second(page: bytes, name: str, file: str) -> bytes:
     """The page with an `.egs` file of its folder as its second scene."""
     before, start, rest = page.partition(_SCENES)
-    listed, end, after = rest.partition(b"</script>")
-    shown = json.loads(listed)
+    _, end, after = rest.partition(b"</script>")
+    shown = shown_by(page)
     entry = {"name": name, "encoded": False, "levels": False, "url": quote(file)}
     shown["scenes"] = [shown["scenes"][0], entry]
     text = json.dumps(shown, allow_nan=False).replace("<", "\\u003c")

@@ -49,7 +49,7 @@ _OUTPUT = "Pictures and films (no display needed)"
 _BROWSER = "Browser instead of a window"
 
 #: Options allowed with ``--web``: of the page, and of what it asks the server for.
-_OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes", "up"}
+_OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes", "up", "view", "frame"}
 _OF_INSPECTION = {
     "gt_images",
     "pruned",
@@ -266,7 +266,7 @@ def command(
     request = Request(
         a,
         b,
-        cameras,
+        cameras or ("auto" if web else None),
         gt_images,
         pruned,
         parse_layers(layers, pruned),
@@ -283,7 +283,7 @@ def command(
     )
     if web:
         asks = any(is_given(ctx, name) for name in _OF_INSPECTION)
-        _serve(request, [*filter(None, (a, b))], cameras or "auto", port, asks)
+        _serve(request, [*filter(None, (a, b))], port, asks)
         return
     request.check()
     film = _film(screenshot, turntable, flythrough, frames, fps, overwrite)
@@ -318,9 +318,7 @@ def _check_web(ctx: typer.Context, a: Path | None) -> None:
         raise gs_codec.GsCodecError("web: needs a scene")
 
 
-def _serve(
-    request: Request, sources: Sequence[Path], cameras: str, port: int | None, asks: bool
-) -> None:
+def _serve(request: Request, sources: Sequence[Path], port: int | None, asks: bool) -> None:
     """Show a page in a browser; `asks` says whether options of its inspection are given."""
     from viewer.served import serve
 
@@ -335,7 +333,7 @@ def _serve(
     with progress_bar() as progress:
         if inspector is not None and asks:
             inspector.open(progress)
-        page = serve(sources, cameras, port, request.max_bytes, progress, request.up, inspector)
+        page = serve(sources, request, port, progress, inspector)
     page.run()
 
 

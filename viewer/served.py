@@ -18,18 +18,18 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import gs_codec
-from gs_codec.cameras.up import up_axis
 from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import print_text
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.report import Progress
-from viewer.inspected_page import with_inspection, with_second
+from viewer.inspected_page import shown_by, with_inspection, with_second
 
 if TYPE_CHECKING:
     from viewer.inspector import Inspector
+    from viewer.scenes.view_request import Request
 
 #: Address of this machine only.
 _HOST = "127.0.0.1"
@@ -55,6 +55,8 @@ class Page(ThreadingHTTPServer):
         Port; 0 selects a free one.
     inspector : Inspector, optional
         Answers the inspection of the page.
+    start : str
+        What the page shows first, as the part of its address after ``#``.
 
     Attributes
     ----------
@@ -65,14 +67,18 @@ class Page(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(
-        self, files: dict[str, bytes], port: int = 0, inspector: Inspector | None = None
+        self,
+        files: dict[str, bytes],
+        port: int = 0,
+        inspector: Inspector | None = None,
+        start: str = "",
     ) -> None:
         super().__init__((_HOST, port), _Handler)
         self.root = root = f"/{secrets.token_urlsafe(16)}/"
         self.contents = {root + quote(name): data for name, data in files.items()}
         self.contents[root] = self.contents.pop(root + PAGE)
         self.inspector = inspector
-        self.url = f"http://{_HOST}:{self.server_port}{root}"
+        self.url = f"http://{_HOST}:{self.server_port}{root}{start and '#'}{start}"
         self._free = threading.BoundedSemaphore(_CONNECTIONS)
 
     def verify_request(self, request: object, client_address: object) -> bool:
@@ -227,39 +233,56 @@ def _range_of(text: str, size: int) -> range | None:
 
 def serve(
     sources: Sequence[Path],
-    cameras: str,
-    port: int | None,
-    max_bytes: int | None,
-    progress: Progress | None,
-    up: str | None = None,
+    request: Request,
+    port: int | None = None,
+    progress: Progress | None = None,
     inspector: Inspector | None = None,
 ) -> Page:
     """Make a server of a page that shows one or two scenes; see `gs_codec.files.sharing.share`.
 
-    With `inspector`, the page inspects them, unless it shows a sequence.
+    Of the request, the page takes cameras, up axis, limit, view and frame. With `inspector`, it
+    inspects the scenes, unless it shows a sequence.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If the page cannot be made, or the port is not available.
+        If the page cannot be made, there is no such view or frame, or the port is not available.
     """
     if port is not None and not 1 <= port <= 65535:
         raise gs_codec.GsCodecError(f"port {port}: expected 1 to 65535")
-    if up is not None:
-        up_axis(up)
+    cameras = request.cameras
+    assert isinstance(cameras, str | Path)
     shared, files = page_of(
-        sources, cameras, alone=False, progress=progress, max_bytes=max_bytes, up=up
+        sources, cameras, alone=False, progress=progress, max_bytes=request.max_bytes, up=request.up
     )
-    if inspector is not None and not shared[0].frames:
+    frames = shared[0].frames
+    if request.frame is not None and not frames:
+        raise gs_codec.GsCodecError("frame: expected a sequence")
+    start = _start(
+        view=(request.view, len(shown_by(files[PAGE])["views"])), frame=(request.frame, frames)
+    )
+    if inspector is not None and not frames:
         files[PAGE] = with_inspection(files[PAGE], inspector.is_open)
     elif inspector is not None and inspector.is_open:
         raise gs_codec.GsCodecError("a sequence has no layers, photographs or report")
     else:
         inspector = None
     try:
-        return Page(files, port or 0, inspector)
+        return Page(files, port or 0, inspector, start)
     except OSError as error:
         raise gs_codec.GsCodecError(f"port {port}: {error.strerror or error}") from error
+
+
+def _start(**wanted: tuple[int | None, int]) -> str:
+    """The part of an address after ``#`` from the number of each thing and how many there are.
+
+    Raises GsCodecError if there is no such thing.
+    """
+    given = {name: number for name, (number, _) in wanted.items() if number is not None}
+    for name, number in given.items():
+        if not 0 <= number < wanted[name][1]:
+            raise gs_codec.GsCodecError(f"{name} {number}: expected 0 to {wanted[name][1] - 1}")
+    return urlencode(given)
 
 
 def _has_screen() -> bool:

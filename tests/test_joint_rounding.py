@@ -115,7 +115,7 @@ def test_turns_are_about_the_axes_of_the_source_despite_half_turns(half_turn):
     row = rng.normal(size=(1, 14)).astype(np.float32)
     slopes = np.zeros((1, 13), np.float32)
     joint_rounding._add(
-        row, np.array([0]), 0, np.zeros(1, np.uint32), decoded[:, None].astype(np.float32),
+        row, np.array([0]), 0, decoded[:, None].astype(np.float32),
         own[:, None].astype(np.float32), slopes,
     )  # fmt: skip
     np.testing.assert_array_equal(slopes[0, :10], row[0, :10])
@@ -132,8 +132,7 @@ def test_derivatives_that_overflow_move_nothing():
     planes = [np.zeros((rows, 1), np.float32) for rows in (3, 3, 1, 3, 4)]
     one = np.float32(1.0)
     joint_rounding._move(
-        slopes, steps, 0, np.zeros(1, np.uint32), first, second, moved, one, one, one,
-        *planes,
+        slopes, steps, 0, first, second, moved, one, one, one, *planes,
     )  # fmt: skip
     after = np.concatenate([plane[:, 0] for plane in planes[:4]])
     assert not after[:4].any()

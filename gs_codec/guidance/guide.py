@@ -121,11 +121,15 @@ class Guidance:
         other = shaped if isinstance(shaped, RoundedScene) else None
         compacting = compacting and (other is None or other.is_sparse)
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
-        operator, progress = self._operator_of(decoded), self.progress
-        iterations = _REFIT_PRUNED if self.loss > 0 else _REFIT
+        iterations, progress = _REFIT_PRUNED if self.loss > 0 else _REFIT, self.progress
         refitted, _ = refit_colour(
-            decoded, self.views, iterations, operator=operator, progress=progress
+            decoded,
+            self.views,
+            iterations,
+            operator=self._operator_of(decoded),
+            progress=progress,
         )
+        self._forget_operator()
         error = self._parameter_error(profile, refitted)
         weights, cameras = self.weights[:, shaped.order], self.views.cameras
         if other is None:
@@ -233,10 +237,14 @@ class Guidance:
 
     def _operator_of(self, scene: Scene) -> ImageOperator:
         if self.operator is None or not _same_shapes(self.operator.scene, scene):
-            self.operator = None  # Two operators would not fit into memory.
-            release_freed()
+            self._forget_operator()
             self.operator = ImageOperator(scene, self.views)
         return self.operator
+
+    def _forget_operator(self) -> None:
+        """Free the operator, which may take more than 1 GiB."""
+        self.operator = None
+        release_freed()
 
 
 def _same_shapes(first: Scene, second: Scene) -> bool:

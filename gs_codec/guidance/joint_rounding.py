@@ -9,6 +9,7 @@ nearest levels are better ones. Lattices, classes and SH-AC do not change, so th
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.rendering.image_loss import differentiate_squares
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
-from gs_codec.runtime.simd import prefetch
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -54,9 +54,6 @@ _MOVING = ("positions", "f_dc", "opacity", "log_scale", "rot")
 
 #: Number of Gaussians that a task moves.
 _CHUNK = 1 << 12
-
-#: Number of Gaussians between the one whose values are requested from memory and the one moved.
-_AHEAD = 8
 
 
 def round_jointly(
@@ -93,10 +90,7 @@ def round_jointly(
 
 
 class _Descent:
-    """The values of a scene, in their first stream order, and their running derivatives.
-
-    Later orders differ little, so memory is read from front to back.
-    """
+    """The values of a scene, in their first stream order, and their running derivatives."""
 
     def __init__(self, shaped: ShapedScene, views: ReferenceViews, error: float) -> None:
         self.shaped, self.views = shaped.in_stream_order(), views
@@ -115,8 +109,14 @@ class _Descent:
         self.decoded, self.steps = self._decode()
 
     def _decode(self) -> tuple[Scene, NDArray[np.float32]]:
-        decoded = replace(self.shaped.decoded(), f_dc=self.shaped.decoded_dc())
-        return decoded, np.ascontiguousarray(self.shaped.value_steps().T)
+        """The decoded scene, and step sizes ``(N, 13)``, in the order of the source."""
+        shaped, decoded = self.shaped, dict[str, Any]()
+        for group, plane in (shaped.decoded_shapes() | {"f_dc": shaped.decoded_dc()}).items():
+            decoded[group] = np.empty_like(plane)
+            decoded[group][:, shaped.order] = plane
+        steps = np.empty((shaped.source.count, VALUES), np.float32)
+        steps[shaped.order] = shaped.value_steps().T
+        return replace(shaped.source, **decoded), steps
 
     def step(self, number: int, rate: float) -> None:
         """Move all values by the next views."""
@@ -133,11 +133,11 @@ class _Descent:
             for view in seen:
                 first, end = np.searchsorted(view.chosen, (start, stop))
                 own, places = view.slopes(first, end, sh_ac=False), view.chosen[first:end]
-                _add(own, places, start, self.shaped.order, self.decoded.rot, source.rot, slopes)
+                _add(own, places, start, self.decoded.rot, source.rot, slopes)
             _move(
-                slopes, self.steps, start, self.shaped.order, self.first, self.second,
-                self.moved, np.float32(self.scale), np.float32(rate / decay_1),
-                np.float32(1 / decay_2), *planes,
+                slopes, self.steps, start, self.first, self.second, self.moved,
+                np.float32(self.scale), np.float32(rate / decay_1), np.float32(1 / decay_2),
+                *planes,
             )  # fmt: skip
 
         run_all(move, range(0, count, _CHUNK))
@@ -163,14 +163,14 @@ def _by_length(source: Scene) -> Scene:
 
 
 @inlined
-def _half_turn(a, b, i, j):
-    """Signs of the axes of quaternion ``a[:, i]`` relative to those of ``b[:, j]``.
+def _half_turn(a, b, i):
+    """Signs of the axes of quaternion ``a[:, i]`` relative to those of ``b[:, i]``.
 
     Both describe about the same Gaussian, but may differ by a half turn about one of its axes,
     which reverses the other two.
     """
     aw, ax, ay, az = a[0, i], a[1, i], a[2, i], a[3, i]
-    bw, bx, by, bz = b[0, j], b[1, j], b[2, j], b[3, j]
+    bw, bx, by, bz = b[0, i], b[1, i], b[2, i], b[3, i]
     none = abs(aw * bw + ax * bx + ay * by + az * bz)
     about_x = abs(-ax * bw + aw * bx + az * by - ay * bz)
     about_y = abs(-ay * bw - az * bx + aw * by + ax * bz)
@@ -184,7 +184,7 @@ def _half_turn(a, b, i, j):
 
 
 @kernel
-def _add(own, places, start, order, decoded, rot, slopes):
+def _add(own, places, start, decoded, rot, slopes):
     """Add a view's derivatives of Gaussians `places` to ``slopes (chunk, 13)`` from `start`."""
     half = np.float32(0.5)
     for row in range(len(places)):
@@ -194,53 +194,32 @@ def _add(own, places, start, order, decoded, rot, slopes):
             total[k] += slope[k]
         by_w, by_x, by_y, by_z = slope[10], slope[11], slope[12], slope[13]
         w, x, y, z = decoded[0, i], decoded[1, i], decoded[2, i], decoded[3, i]
-        one, two, three = _half_turn(decoded, rot, i, order[i])
+        one, two, three = _half_turn(decoded, rot, i)
         # A turn by t about the first axis multiplies the quaternion by (1, t / 2, 0, 0).
         total[10] += one * half * (w * by_x - x * by_w + z * by_y - y * by_z)
         total[11] += two * half * (w * by_y - y * by_w + x * by_z - z * by_x)
         total[12] += three * half * (w * by_z - z * by_w + y * by_x - x * by_y)
 
 
-@inlined
-def _request(i, first, second, moved, positions, f_dc, opacity, log_scale, rot):
-    """Let the values of Gaussian i come nearer while earlier ones move."""
-    count, columns = len(first), first.shape[1]
-    for end in (0, columns - 1):
-        prefetch(first, i * columns + end)
-        prefetch(second, i * columns + end)
-        prefetch(moved, i * columns + end)
-    for k in range(3):
-        prefetch(positions, k * count + i)
-        prefetch(f_dc, k * count + i)
-        prefetch(log_scale, k * count + i)
-    prefetch(opacity, i)
-    for k in range(4):
-        prefetch(rot, k * count + i)
-
-
 @kernel
 def _move(
-    slopes, steps, start, order, first, second, moved, scale, rate, root,
+    slopes, steps, start, first, second, moved, scale, rate, root,
     positions, f_dc, opacity, log_scale, rot,
 ):  # fmt: skip
     """Take a step of Adam with a large epsilon, in units of each value's own step size.
 
-    ``slopes (chunk, 13)`` and ``steps (N, 13)`` are in stream order, from `start`; the means of
-    derivatives `first` and `second`, and what values have `moved` so far, ``(N, 13)``, in that of
-    the source. `scale` converts a derivative by steps to units of the change that alone would
-    cancel the error; `rate` and `root` correct the means for their start at 0.
+    ``slopes (chunk, 13)`` belong to Gaussians from `start` on; the means of derivatives `first` and
+    `second`, and what values have `moved` so far, are ``(N, 13)`` like `steps`. `scale` converts a
+    derivative by steps to units of the change that alone would cancel the error; `rate` and `root`
+    correct the means for their start at 0.
     """
     old_1, new_1 = np.float32(_BETA_1), np.float32(1 - _BETA_1)
     old_2, new_2 = np.float32(_BETA_2), np.float32(1 - _BETA_2)
     by = np.empty(slopes.shape[1], np.float32)
     half = np.float32(0.5)
     for row in range(len(slopes)):
-        _request(
-            order[start + min(row + _AHEAD, len(slopes) - 1)], first, second, moved,
-            positions, f_dc, opacity, log_scale, rot,
-        )  # fmt: skip
-        i, step = order[start + row], steps[start + row]
-        mean, square = first[i], second[i]
+        i = start + row
+        step, mean, square = steps[i], first[i], second[i]
         for k in range(len(by)):
             slope = slopes[row, k] * step[k] * scale
             slope = slope if abs(slope) < LARGEST else np.float32(0.0)

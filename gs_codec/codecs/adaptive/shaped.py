@@ -43,16 +43,16 @@ class ShapedScene:
 
     def decoded(self) -> Scene:
         """The decoded scene in stream order, except for its SH, which is still the source's."""
+        shapes: dict[str, Any] = self.decoded_shapes()
+        return replace(self.source.take(self.order), **shapes)
+
+    def decoded_shapes(self) -> dict[str, NDArray[np.float32]]:
+        """All groups of `decoded` but its SH, by name."""
         opacity = np.concatenate([block.shape.opacity for block in self.blocks])
         decoded = [block.decoded(self.arranged.lattice.grid) for block in self.blocks]
         positions, log_scale, rot = (np.concatenate(p, axis=1) for p in zip(*decoded, strict=True))
-        return replace(
-            self.arranged.source.take(self.order),
-            positions=positions,
-            opacity=np.float32(to_float(opacity))[None],
-            log_scale=log_scale,
-            rot=rot,
-        )
+        shapes = {"positions": positions, "log_scale": log_scale, "rot": rot}
+        return shapes | {"opacity": np.float32(to_float(opacity))[None]}
 
     def decoded_dc(self) -> NDArray[np.float32]:
         """Decoded SH-DC ``(3, N)`` in stream order."""

@@ -1,4 +1,4 @@
-"""Put the script of the inspection into a page, and a second scene; read what it shows."""
+"""Put the script of the inspection into a page, and a second scene; count its views."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 _SCENES = b'<script type="application/json" id="scene-list">'
@@ -24,16 +23,17 @@ def with_inspection(page: bytes, is_open: bool) -> bytes:
     return before + start + script + b"</script>\n" + end + after
 
 
-def shown_by(page: bytes) -> dict[str, Any]:
-    """The scenes and views of a page, as it describes them."""
-    return json.loads(page.partition(_SCENES)[2].partition(b"</script>")[0])
+def count_views(page: bytes) -> int:
+    """The number of views of a page."""
+    listed, _, _ = page.partition(_SCENES)[2].partition(b"</script>")
+    return len(json.loads(listed)["views"])
 
 
 def with_second(page: bytes, name: str, file: str) -> bytes:
     """The page with an `.egs` file of its folder as its second scene."""
     before, start, rest = page.partition(_SCENES)
-    _, end, after = rest.partition(b"</script>")
-    shown = shown_by(page)
+    listed, end, after = rest.partition(b"</script>")
+    shown = json.loads(listed)
     entry = {"name": name, "encoded": False, "levels": False, "url": quote(file)}
     shown["scenes"] = [shown["scenes"][0], entry]
     text = json.dumps(shown, allow_nan=False).replace("<", "\\u003c")

@@ -25,7 +25,7 @@ from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import print_text
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.report import Progress
-from viewer.inspected_page import shown_by, with_inspection, with_second
+from viewer.inspected_page import count_views, with_inspection, with_second
 
 if TYPE_CHECKING:
     from viewer.inspector import Inspector
@@ -258,9 +258,7 @@ def serve(
     frames = shared[0].frames
     if request.frame is not None and not frames:
         raise gs_codec.GsCodecError("frame: expected a sequence")
-    start = _start(
-        view=(request.view, len(shown_by(files[PAGE])["views"])), frame=(request.frame, frames)
-    )
+    start = _start(view=(request.view, count_views(files[PAGE])), frame=(request.frame, frames))
     if inspector is not None and not frames:
         files[PAGE] = with_inspection(files[PAGE], inspector.is_open)
     elif inspector is not None and inspector.is_open:

@@ -68,7 +68,7 @@ def blind_share(
         Whether cameras were estimated from the scene.
     """
     some = np.arange(0, scene.count, max(1, scene.count // _SAMPLE))
-    sample, by_view = scene.take(some), weights[:, some].astype(np.float64)
+    sample, by_view = scene.take(some), weights[:, some].astype(np.float64, "C")
     scales = sort_axes(sample.log_scale, sample.rot)[1]
     blind = expected_sensitivity(sample.opacity[0], scales).colour
     total = by_view.sum(axis=0)

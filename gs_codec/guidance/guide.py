@@ -83,7 +83,9 @@ class Guidance:
         Number of pixels of all views.
     views : ReferenceViews
     weights : ndarray, shape (views, N), float32
-        Sums of (alpha T)^2 of the encoded scene, in its own order.
+        Sums of (alpha T)^2 of the encoded scene.
+    order : ndarray, shape (N,), or None
+        The stream order that `weights` have; None if it is that of the scene.
     progress : callable, optional
     compacts : bool or None
         Whether compaction of SH pays off; None until decided.
@@ -96,6 +98,7 @@ class Guidance:
     pixels: int
     views: ReferenceViews
     weights: NDArray[np.float32]
+    order: NDArray[np.integer] | None = None
     progress: Progress | None = None
     compacts: bool | None = None
     operator: ImageOperator | None = None
@@ -131,7 +134,7 @@ class Guidance:
         )
         self._forget_operator()
         error = self._parameter_error(profile, refitted)
-        weights, cameras = self.weights[:, shaped.order], self.views.cameras
+        weights, cameras = self._weights_in(shaped.order), self.views.cameras
         if other is None:
             return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
         grid = other.sh_grid()
@@ -156,7 +159,7 @@ class Guidance:
         decoded, steps = shaped.decoded(), shaped.sh_steps().min(axis=0)
         if not decoded.sh_degree:
             return decoded
-        weights = self.weights[:, shaped.order]
+        weights = self._weights_in(shaped.order)
         likely = likely_views(decoded, weights) if self.views.origin == "estimated" else None
 
         def compacted(seen: Sequence[int], every: int = 1) -> Scene:
@@ -165,17 +168,29 @@ class Guidance:
             some = decoded if every == 1 else decoded.take(part)
             return compact_sh(
                 some,
-                [self.views.cameras[i] for i in seen],
+                self.views.cameras,
                 profile.compaction / profile.left * some.count / decoded.count,
                 smallest=0.5 * steps[part],
-                weights=weights[list(seen), ::every],
-                likely=likely and likely._replace(weights=likely.weights[:, part]),
+                weights=weights[:, ::every],
+                seen=seen,
+                likely=likely and likely._replace(weights=likely.weights[:, ::every]),
                 progress=self.progress,
             )[0]
 
         if decide and self.compacts is None:
             self.compacts = self._pays(decoded, steps, compacted)
         return decoded if self.compacts is False else compacted(range(len(weights)))
+
+    def _weights_in(self, order: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Weights in a stream order, which they have from then on."""
+        if self.order is None or not np.array_equal(self.order, order):
+            rows = order.astype(np.intp)
+            if self.order is not None:
+                before = np.empty_like(rows)
+                before[self.order] = np.arange(len(rows))
+                rows = before[rows]
+            self.weights, self.order = np.take(self.weights.T, rows, axis=0).T, order
+        return self.weights
 
     def _pays(
         self,
@@ -272,7 +287,7 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     adding = steps_adding(scene, found, share)
     advance()
     pixels = sum(camera.width * camera.height for camera in views.cameras)
-    return Guidance(adding, loss, pixels, views, weights, progress)
+    return Guidance(adding, loss, pixels, views, weights, progress=progress)
 
 
 def steps_adding(

@@ -114,12 +114,13 @@ def _round_all(
     """Round SH ``(N, 3, 1 + K)`` in place."""
     band_of = _bands(sh.shape[2] - 1)
     centres = np.array([camera.position for camera in cameras])
+    by_gaussian = np.ascontiguousarray(weights.T)
     # Bits cost a factor of 4 in uniform error, hence the logarithm of 4.
     price = _WORTH * math.log(4.0) * error
 
     def run(start: int) -> None:
         stop = min(start + _CHUNK, scene.count)
-        _round(scene.positions, weights, centres, steps, band_of, price, sh, start, stop)
+        _round(scene.positions, by_gaussian, centres, steps, band_of, price, sh, start, stop)
 
     starts = range(0, scene.count, _CHUNK)
     run_all(run, starts, advance=step_counter(progress, "round", len(starts)))
@@ -128,11 +129,11 @@ def _round_all(
 @kernel
 def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
     """Round the SH ``(N, 3, 1 + K)`` of Gaussians `start` to `stop` in place."""
-    views, size = len(weights), sh.shape[2]
-    rows, seen = np.zeros((views, LANES)), np.empty(views)
+    views, size = len(centres), sh.shape[2]
+    rows, seen, every = np.zeros((views, LANES)), np.empty(views), np.arange(views)
     form, lean, step = np.empty((LANES, LANES)), np.empty(size), np.empty(size)
     for i in range(start, stop):
-        count = list_views(positions, i, weights, centres, size, rows, seen)
+        count = list_views(positions, i, weights, every, centres, size, rows, seen)
         if count == 0:
             continue
         fill_matrix(rows[:count], seen, size, form)

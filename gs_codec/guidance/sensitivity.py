@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity
 from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.preparation.sh_weights import zero_weights
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import (
     FACTOR_XX,
@@ -172,7 +173,7 @@ def sensitivity(scene: Scene, views: ReferenceViews, progress: Progress | None =
     cameras = views.cameras
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
-    weights = np.zeros((len(cameras), scene.count), np.float32)
+    weights = zero_weights(len(cameras), scene.count)
     images: list[NDArray[np.float32]] = []
     size = _VIEWS_A_THREAD * available_threads()
     for start in range(0, len(cameras), size):
@@ -182,7 +183,7 @@ def sensitivity(scene: Scene, views: ReferenceViews, progress: Progress | None =
             advance=advance,
         )
         for gaussians, found, image in looks:
-            _add_up(gaussians, found, totals, weights[len(images)])
+            _add_up(gaussians, found, len(images), totals, weights.T)
             images.append(image)
     columns = np.ascontiguousarray(totals.T)
     summed = Sensitivity(
@@ -222,10 +223,10 @@ def _look(
 
 
 @kernel
-def _add_up(gaussians, found, totals, weights):
+def _add_up(gaussians, found, view, totals, weights):
     for splat in range(len(gaussians)):
         i = gaussians[splat]
-        weights[i] = found[splat, _COLOUR]
+        weights[i, view] = found[splat, _COLOUR]
         for column in range(_COLUMNS):
             totals[i, column] += found[splat, column]
 

@@ -53,6 +53,7 @@ def compact_sh(
     *,
     smallest: float | NDArray[np.float32] = SMALLEST,
     weights: NDArray[np.float32] | None = None,
+    seen: Sequence[int] | None = None,
     likely: LikelyViews | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, dict[str, Any]]:
@@ -84,6 +85,8 @@ def compact_sh(
         step.
     weights : ndarray, shape (views, N), float32, optional
         `squared_weights` of the scene, if already computed.
+    seen : sequence of int, optional
+        Numbers of the cameras that count; by default all.
     likely : LikelyViews, optional
         Extra views whose colours should be preserved; they do not count as pixels.
     progress : callable, optional
@@ -104,19 +107,20 @@ def compact_sh(
     after = before.copy()
     unseen = unsolved = 0
     if scene.sh_degree and scene.count:
-        pixels = sum(camera.width * camera.height for camera in cameras)
+        chosen = np.array(range(len(cameras)) if seen is None else seen, np.int64)
+        pixels = sum(cameras[view].width * cameras[view].height for view in chosen)
         penalty = penalty_of(scene, pixels, strength)
         centres = np.array([camera.position for camera in cameras])
-        if likely is not None:
-            centres = np.concatenate([centres, likely.centres])
-            weights = np.concatenate([weights, likely.weights])
-        weights = np.asfortranarray(weights)  # a Gaussian's weights side by side
+        if likely is None:
+            likely = LikelyViews(centres[:0], weights[:0])
+        by_gaussian = [np.ascontiguousarray(each.T) for each in (weights, likely.weights)]
 
         def run(start: int) -> tuple[int, int]:
             stop = min(start + _CHUNK, scene.count)
             return _compact(
-                scene.positions, before, weights, centres, penalty, least, after, start, stop
-            )
+                scene.positions, before, *by_gaussian, chosen, centres, likely.centres, penalty,
+                least, after, start, stop,
+            )  # fmt: skip
 
         starts = range(0, scene.count, _CHUNK)
         counts = run_all(run, starts, advance=step_counter(progress, "compact", len(starts)))
@@ -137,14 +141,17 @@ def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
 
 
 @kernel
-def _compact(positions, before, weights, centres, penalty, smallest, after, start, stop):
+def _compact(
+    positions, before, weights, likely, chosen, centres, away, penalty, smallest, after, start, stop
+):  # fmt: skip
     """Solve for Gaussians `start` to `stop`; return how many are unseen, and unsolved."""
-    views, size = len(weights), before.shape[2]
-    rows, seen = np.zeros((views, LANES)), np.empty(views)
+    views, size = len(chosen) + len(away), before.shape[2]
+    rows, seen, every = np.zeros((views, LANES)), np.empty(views), np.arange(len(away))
     shared, solution = np.empty((LANES, LANES)), np.zeros((3, LANES))
     unseen = unsolved = 0
     for i in range(start, stop):
-        count = list_views(positions, i, weights, centres, size, rows, seen)
+        count = list_views(positions, i, weights, chosen, centres, size, rows, seen)
+        count += list_views(positions, i, likely, every, away, size, rows[count:], seen[count:])
         unseen += count == 0
         fill_matrix(rows[:count], seen, size, shared)
         finite, any_ac = True, False

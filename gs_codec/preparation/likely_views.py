@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.preparation.sh_weights import zero_weights
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
@@ -75,10 +76,12 @@ def likely_views(scene: Scene, weights: NDArray[np.float32]) -> LikelyViews:
     planes = scene.f_rest.reshape(3, -1, scene.count)
     mean = np.sum(planes.astype(np.float64) ** 2, axis=(0, 1)) / (4 * np.pi)
     least = max(float(np.quantile(mean, _WEAK)), 1e-30)
-    total = weights.sum(axis=0, dtype=np.float64)
+    total = np.zeros(scene.count)
+    for of_view in weights:
+        total += of_view
     if total.any():
         total = np.maximum(total, np.quantile(total[total > 0], _UNSEEN))
-    found = np.empty((_DIRECTIONS, scene.count), np.float32)
+    found = zero_weights(_DIRECTIONS, scene.count)
 
     def fill(start: int) -> None:
         stop = min(start + _RUN, scene.count)

@@ -152,7 +152,7 @@ def squared_weights(
     progress: Progress | None = None,
 ) -> NDArray[np.float32]:
     """Sums of (alpha T)^2 over the pixels of each view, ``(views, N)``; 0 if not visible."""
-    weights = np.empty((len(cameras), scene.count), np.float32)
+    weights = zero_weights(len(cameras), scene.count)
     advance = step_counter(progress, "weights", len(cameras))
 
     def weigh(view: int) -> None:
@@ -175,16 +175,21 @@ def sh_row(positions, i, camera, row):
     sh_basis(dx / distance, dy / distance, dz / distance, len(row) - 1, row[1:])
 
 
-@kernel
-def list_views(positions, i, weights, centres, size, rows, seen):
-    """List SH basis and weight of the views in which Gaussian i is visible; return their number.
+def zero_weights(views: int, count: int) -> NDArray[np.float32]:
+    """Zeros for the `squared_weights` of Gaussians; those of a Gaussian are side by side."""
+    return np.zeros((count, views), np.float32).T
 
-    The first `size` functions are written to ``rows (views, 16)``.
+
+@kernel
+def list_views(positions, i, weights, chosen, centres, size, rows, seen):
+    """List SH basis and weight of `chosen` views where Gaussian i is visible; return their number.
+
+    The first `size` functions are written to ``rows (views, 16)``; ``weights (N, views)``.
     """
     count = 0
-    for view in range(len(weights)):
-        if weights[view, i] > 0.0:
+    for view in chosen:
+        if weights[i, view] > 0.0:
             sh_row(positions, i, centres[view], rows[count, :size])
-            seen[count] = weights[view, i]
+            seen[count] = weights[i, view]
             count += 1
     return count

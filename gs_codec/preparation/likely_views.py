@@ -76,9 +76,7 @@ def likely_views(scene: Scene, weights: NDArray[np.float32]) -> LikelyViews:
     planes = scene.f_rest.reshape(3, -1, scene.count)
     mean = np.sum(planes.astype(np.float64) ** 2, axis=(0, 1)) / (4 * np.pi)
     least = max(float(np.quantile(mean, _WEAK)), 1e-30)
-    total = np.zeros(scene.count)
-    for of_view in weights:
-        total += of_view
+    total = weights.sum(axis=0, dtype=np.float64)
     if total.any():
         total = np.maximum(total, np.quantile(total[total > 0], _UNSEEN))
     found = zero_weights(_DIRECTIONS, scene.count)

@@ -17,6 +17,7 @@ import foreign
 import numpy as np
 import numpy.lib.recfunctions as rfn
 import pytest
+from command_line import python
 from foreign import SH_C0
 from PIL import Image
 from refusals import assert_one_line, assert_refused
@@ -404,6 +405,29 @@ def test_bad_spz_is_refused_in_one_line(name, tmp_path):
     data, message = BAD_SPZ[name]
     path = written(tmp_path / "bad.spz", data)
     assert_refused(path, message)
+
+
+#: Refuses a file; then the error can only be found by a garbage collection.
+COLLECTED = """
+import gc
+
+import gs_codec
+
+def refuse():
+    try:
+        gs_codec.read("bad.spz")
+    except gs_codec.InvalidInput as error:
+        errors = [error]
+        errors.append(errors)
+
+refuse()
+print(gc.collect() > 0)
+"""
+
+
+def test_error_of_spz_is_collected(tmp_path):
+    written(tmp_path / "bad.spz", BAD_SPZ["one more"][0])
+    assert python("-c", COLLECTED, cwd=tmp_path)[:2] == (0, "True\n")
 
 
 # .splat

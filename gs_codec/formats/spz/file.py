@@ -296,7 +296,9 @@ def _decompress(data: memoryview, max_bytes: int | None) -> tuple[SpzHeader, lis
     offset = table + 16 * number
     if not _ZSTD_HEADER.size <= table <= offset <= len(data):
         raise InvalidInput(f"table of streams at byte {table}, of a file of {len(data)}")
-    entries = iter(struct.iter_unpack("<QQ", data[table:offset]))
+    # Python up to 3.12.3 crashes when it collects an error whose frames hold an iterator over a
+    # memoryview.
+    entries = iter(struct.iter_unpack("<QQ", bytes(data[table:offset])))
     streams: list[Bytes] = []
     for name, size in zip(_STREAMS, sizes, strict=True):
         packed, stated = next(entries) if size else (0, 0)

@@ -191,7 +191,7 @@ def told(scene: Scene, sensitivity: Sensitivity, loss: float = 0.0) -> Guidance:
     """Guidance from views of a thousand pixels per Gaussian, without compaction or refitting."""
     nothing = ReferenceViews((), (), False, (0.0, 0.0, 0.0))
     adding, weights = steps_adding(scene, sensitivity), np.zeros((0, scene.count))
-    return Guidance(adding, loss, 1000 * scene.count, nothing, weights)
+    return Guidance(adding, loss, 1000 * scene.count, nothing, weights, np.arange(scene.count))
 
 
 def made_up_guide(seed: int = 0, spread: float = 3.0, error: float | None = None) -> Guide:

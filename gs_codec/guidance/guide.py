@@ -84,8 +84,8 @@ class Guidance:
     views : ReferenceViews
     weights : ndarray, shape (views, N), float32
         Sums of (alpha T)^2 of the encoded scene.
-    order : ndarray, shape (N,), or None
-        The stream order that `weights` have; None if it is that of the scene.
+    order : ndarray, shape (N,)
+        The order of Gaussians in `weights`, as indices of the scene.
     progress : callable, optional
     compacts : bool or None
         Whether compaction of SH pays off; None until decided.
@@ -98,7 +98,7 @@ class Guidance:
     pixels: int
     views: ReferenceViews
     weights: NDArray[np.float32]
-    order: NDArray[np.integer] | None = None
+    order: NDArray[np.integer]
     progress: Progress | None = None
     compacts: bool | None = None
     operator: ImageOperator | None = None
@@ -183,13 +183,10 @@ class Guidance:
 
     def _weights_in(self, order: NDArray[np.integer]) -> NDArray[np.float32]:
         """Weights in a stream order, which they have from then on."""
-        if self.order is None or not np.array_equal(self.order, order):
-            rows = order.astype(np.intp)
-            if self.order is not None:
-                before = np.empty_like(rows)
-                before[self.order] = np.arange(len(rows))
-                rows = before[rows]
-            self.weights, self.order = np.take(self.weights.T, rows, axis=0).T, order
+        if not np.array_equal(self.order, order):
+            before = np.empty(len(order), np.intp)
+            before[self.order] = np.arange(len(order))
+            self.weights, self.order = np.take(self.weights.T, before[order], axis=0).T, order
         return self.weights
 
     def _pays(
@@ -287,7 +284,7 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     adding = steps_adding(scene, found, share)
     advance()
     pixels = sum(camera.width * camera.height for camera in views.cameras)
-    return Guidance(adding, loss, pixels, views, weights, progress=progress)
+    return Guidance(adding, loss, pixels, views, weights, np.arange(scene.count), progress)
 
 
 def steps_adding(

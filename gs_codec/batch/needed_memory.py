@@ -10,9 +10,13 @@ _FIXED = 400 << 20
 #: Peak bytes per byte of raw floats: 2.6 measured (bench/LAB_NOTEBOOK.md).
 _ENCODING = 4
 
-#: The same when rendering views (16 measured); and bytes per pixel of the views (280 measured).
-_DRAWING = 20
-_PIXEL = 320
+#: The same when rendering views: 7.5 measured. Bytes per pixel of the views: 30 measured.
+_DRAWING = 10
+_PIXEL = 40
+
+#: Bytes per pixel of images as a function of SH (90 measured), and their maximum.
+_FUNCTION = 100
+_LARGEST_FUNCTION = 1 << 30
 
 #: Assumed ratio of a file's floats to those that its size suggests, if its header was not read.
 _MARGIN = 4
@@ -23,7 +27,10 @@ _LEAST = 64 << 20
 
 def needed_bytes(floats: int, pixels: int = 0) -> int:
     """Estimated peak memory for encoding `floats` bytes and rendering `pixels` of a scene."""
-    return _FIXED + (_DRAWING if pixels else _ENCODING) * floats + _PIXEL * pixels
+    if not pixels:
+        return _FIXED + _ENCODING * floats
+    function = min(_FUNCTION * pixels, _LARGEST_FUNCTION)
+    return _FIXED + _DRAWING * floats + _PIXEL * pixels + function
 
 
 def expected_floats(size: int, name: str) -> int:

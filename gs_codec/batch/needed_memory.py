@@ -10,9 +10,10 @@ _FIXED = 400 << 20
 #: Peak bytes per byte of raw floats: 2.6 measured (bench/LAB_NOTEBOOK.md).
 _ENCODING = 4
 
-#: The same when rendering views: 7.5 measured. Bytes per pixel of the views: 30 measured.
+#: The same when rendering views: 7.5 measured. Bytes per pixel of the views: 30 measured, 60 with a
+#: maximum loss.
 _DRAWING = 10
-_PIXEL = 40
+_PIXEL = 60
 
 #: Bytes per pixel of images as a function of SH (90 measured), and their maximum.
 _FUNCTION = 100

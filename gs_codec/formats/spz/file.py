@@ -296,7 +296,7 @@ def _decompress(data: memoryview, max_bytes: int | None) -> tuple[SpzHeader, lis
     offset = table + 16 * number
     if not _ZSTD_HEADER.size <= table <= offset <= len(data):
         raise InvalidInput(f"table of streams at byte {table}, of a file of {len(data)}")
-    # Python up to 3.12.3 crashes when it collects an error whose frames hold an iterator over a
+    # Python before 3.12.7 crashes when it collects an error whose frames hold an iterator over a
     # memoryview.
     entries = iter(struct.iter_unpack("<QQ", bytes(data[table:offset])))
     streams: list[Bytes] = []

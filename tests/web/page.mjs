@@ -8,13 +8,17 @@ import { readFileSync } from 'node:fs';
 import { chromium } from 'playwright-core';
 
 /** Maximum milliseconds of a step. */
-const PATIENCE = 60_000;
+const PATIENCE = 180_000;
+
+/** Milliseconds between checks, which then do not depend on the page drawing frames. */
+const polling = 50;
 
 const END = ['ready', 'error'];
 
 const STEPS = {
   /** Until everything is loaded and drawn. */
-  drawn: (page) => page.waitForFunction((end) => end.includes(document.body.dataset.state), END),
+  drawn: (page) =>
+    page.waitForFunction((end) => end.includes(document.body.dataset.state), END, { polling }),
   /** A picture of the page without what lies above the scene; its file is a value. */
   async shot(page, path) {
     await STEPS.drawn(page);
@@ -123,14 +127,16 @@ for (const { url, size, steps, before, panel, mobile, locale } of JSON.parse(rea
     for (const [name, ...given] of steps)
       told.values.push((await STEPS[name](page, ...given)) ?? null);
     // What comes late, as the last order or a request that was ended, is drawn once more.
-    const ended = await page.waitForFunction(() => {
+    const isDrawn = () => {
       const { state } = document.body.dataset;
       return state !== 'drawing' && { state };
-    });
+    };
+    const ended = await page.waitForFunction(isDrawn, undefined, { polling });
     told.state = (await ended.jsonValue()).state;
     told.status = await page.textContent('#status');
   } catch (error) {
-    told.failure = error.message;
+    const state = await page.getAttribute('body', 'data-state', { timeout: 5000 }).catch(String);
+    told.failure = `${error.message} The page's state: ${state}`;
   }
   process.stdout.write(`${JSON.stringify(told)}\n`);
   await context.close();

@@ -10,15 +10,23 @@ import { chromium } from 'playwright-core';
 /** Maximum milliseconds of a step. */
 const PATIENCE = 180_000;
 
-/** Milliseconds between checks, which then do not depend on the page drawing frames. */
-const polling = 50;
-
-const END = ['ready', 'error'];
+/** The first true value of a script of the page, whether or not the page draws frames. */
+async function firstOf(page, script) {
+  const orLoading = (error) => {
+    if (!error.message.includes('navigation')) throw error;
+  };
+  const end = performance.now() + PATIENCE;
+  for (;;) {
+    const value = await page.evaluate(script).catch(orLoading);
+    if (value) return value;
+    if (performance.now() > end) throw new Error(`never true: ${script}`);
+    await page.waitForTimeout(20);
+  }
+}
 
 const STEPS = {
   /** Until everything is loaded and drawn. */
-  drawn: (page) =>
-    page.waitForFunction((end) => end.includes(document.body.dataset.state), END, { polling }),
+  drawn: (page) => STEPS.until(page, "['ready', 'error'].includes(document.body?.dataset.state)"),
   /** A picture of the page without what lies above the scene; its file is a value. */
   async shot(page, path) {
     await STEPS.drawn(page);
@@ -75,14 +83,7 @@ const STEPS = {
   },
   /** Until a script of the page is true. */
   async until(page, script) {
-    const orLoading = (error) => {
-      if (!error.message.includes('navigation')) throw error;
-    };
-    const end = performance.now() + PATIENCE;
-    while (!(await page.evaluate(script).catch(orLoading))) {
-      if (performance.now() > end) throw new Error(`never true: ${script}`);
-      await page.waitForTimeout(20);
-    }
+    await firstOf(page, script);
   },
   /** What axe-core objects to, and where. */
   async axe(page) {
@@ -127,12 +128,8 @@ for (const { url, size, steps, before, panel, mobile, locale } of JSON.parse(rea
     for (const [name, ...given] of steps)
       told.values.push((await STEPS[name](page, ...given)) ?? null);
     // What comes late, as the last order or a request that was ended, is drawn once more.
-    const isDrawn = () => {
-      const { state } = document.body.dataset;
-      return state !== 'drawing' && { state };
-    };
-    const ended = await page.waitForFunction(isDrawn, undefined, { polling });
-    told.state = (await ended.jsonValue()).state;
+    const isDrawn = "(({ state }) => state !== 'drawing' && { state })(document.body.dataset)";
+    told.state = (await firstOf(page, isDrawn)).state;
     told.status = await page.textContent('#status');
   } catch (error) {
     const state = await page.getAttribute('body', 'data-state', { timeout: 5000 }).catch(String);

@@ -345,6 +345,13 @@ def gather(planes: NDArray, index: NDArray) -> NDArray:
     return gathered
 
 
+def inverse_of(order: NDArray[np.integer]) -> NDArray[np.integer]:
+    """The place of each index in ``order (N,)``, which has every index below N once."""
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order), dtype=order.dtype)
+    return places
+
+
 def take_columns(planes: NDArray, index: NDArray[np.integer]) -> NDArray:
     """Columns of ``planes (..., N)`` by their indices, like `gather`, on the calling thread."""
     return np.take(planes, index, axis=-1, mode="clip")

@@ -18,7 +18,7 @@ from gs_codec.formats.attribute_steps import AttributeSteps, ShGrid
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import EncodeReport, StageTimes
-from gs_codec.scene import Scene, gather
+from gs_codec.scene import Scene, gather, inverse_of
 
 
 def pack_by_steps(
@@ -35,7 +35,7 @@ def decoded_as_packed(scene: Scene, config: Config, steps: StepSizes) -> Scene:
     """A cleaned scene as decoded from a file with these step sizes, in its own order."""
     [data], _ = pack_by_steps(scene, config, steps, StageTimes())
     decoded = decode_interchange(data, config, system_of(scene))
-    return decoded.take(np.argsort(_file_order(scene, config)))
+    return decoded.take(inverse_of(_file_order(scene, config)))
 
 
 def pack_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview], EncodeReport]:
@@ -127,9 +127,8 @@ class RoundedScene:
 
     def with_colours(self, coloured: Scene) -> RoundedScene:
         """Replace the SH by that of `coloured`, which is in file order."""
-        rank = np.empty_like(self.order)
-        rank[self.order] = np.arange(len(self.order))
-        f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
+        places = inverse_of(self.order)
+        f_dc, f_rest = gather(coloured.f_dc, places), gather(coloured.f_rest, places)
         return replace(self, source=replace(self.source, f_dc=f_dc, f_rest=f_rest))
 
 

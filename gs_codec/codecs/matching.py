@@ -24,7 +24,7 @@ from gs_codec.codecs.inspection import Info
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, inverse_of
 
 if TYPE_CHECKING:
     from gs_codec.coding.quantise import Quantiser
@@ -256,7 +256,7 @@ def _matched(first: Scene, second: Scene, in_order: bool) -> tuple[Scene, Scene,
     pairing = Pairing(first, second)
     ways: list[tuple[str, Callable[[], NDArray[np.int64]]]] = [
         ("index", lambda: index),
-        ("Morton order", lambda: np.argsort(_morton_order(first))),
+        ("Morton order", lambda: inverse_of(_morton_order(first))),
         ("Morton order", lambda: _morton_order(second)),
         (NEAREST, pairing.nearest),
     ]

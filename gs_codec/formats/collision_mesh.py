@@ -22,7 +22,7 @@ from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.optional import needed
 from gs_codec.runtime.threads import available_threads, run_all
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, inverse_of
 
 if TYPE_CHECKING:
     from open3d.pybind.geometry import TriangleMesh
@@ -165,7 +165,7 @@ def _surface(open3d: Any, occupancy: NDArray[np.float32]) -> TriangleMesh:
     triangles = found.triangle.indices.numpy().astype(np.int64)
     # Threads of Open3D find vertices and triangles in any order.
     order = np.lexsort(vertices.T)
-    triangles = np.argsort(order)[triangles]
+    triangles = inverse_of(order)[triangles]
     first = triangles.argmin(axis=1)[:, None]
     triangles = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
     triangles = triangles[np.lexsort(triangles.T[::-1])]

@@ -34,7 +34,7 @@ from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.arrays import release_freed
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import Scene, channel_count
+from gs_codec.scene import Scene, channel_count, inverse_of
 
 #: Conjugate-gradient iterations of the colour refit.
 _REFIT = 6
@@ -184,9 +184,8 @@ class Guidance:
     def _weights_in(self, order: NDArray[np.integer]) -> NDArray[np.float32]:
         """Weights in a stream order, which they have from then on."""
         if not np.array_equal(self.order, order):
-            before = np.empty(len(order), np.intp)
-            before[self.order] = np.arange(len(order))
-            self.weights, self.order = np.take(self.weights.T, before[order], axis=0).T, order
+            before = inverse_of(self.order)[order]
+            self.weights, self.order = np.take(self.weights.T, before, axis=0).T, order
         return self.weights
 
     def _pays(

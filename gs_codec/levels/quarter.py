@@ -25,7 +25,7 @@ from gs_codec.merging.pairs import (
 )
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, inverse_of
 
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.3
@@ -147,9 +147,7 @@ def _renumbered(into: NDArray[np.int64], scene: Scene, number: int) -> NDArray[n
     members = np.flatnonzero(into >= 0)
     first = np.full(number, scene.count)
     np.minimum.at(first, into[members], members)
-    rank = np.empty(number, np.int64)
-    rank[np.argsort(first, kind="stable")] = np.arange(number)
-    into[members] = rank[into[members]]
+    into[members] = inverse_of(np.argsort(first, kind="stable"))[into[members]]
     return into
 
 

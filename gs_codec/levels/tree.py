@@ -20,7 +20,7 @@ from gs_codec.formats.rad.writer import pack_tree
 from gs_codec.levels.adding import COARSER
 from gs_codec.levels.quarter import Clusters, merge_group
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import Scene, join_scenes
+from gs_codec.scene import Scene, inverse_of, join_scenes
 
 #: Maximum number of Gaussians merged at once.
 _AT_ONCE = 1 << 12
@@ -106,6 +106,6 @@ def _orders(levels: list[_Level]) -> list[NDArray[np.int64]]:
     """Order of each level's Gaussians: children follow each other in the order of parents."""
     orders = [np.zeros(levels[-1].scene.count, np.int64)]
     for level in levels[-2::-1]:
-        rank = np.argsort(orders[0])
-        orders.insert(0, np.argsort(rank[level.parents], kind="stable"))
+        places = inverse_of(orders[0])
+        orders.insert(0, np.argsort(places[level.parents], kind="stable"))
     return orders

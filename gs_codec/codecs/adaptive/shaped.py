@@ -17,7 +17,7 @@ from gs_codec.coding.ycocg import from_ycocg
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.header import Header
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import Scene, gather
+from gs_codec.scene import Scene, gather, inverse_of
 
 #: Rows of `ShapedScene.value_steps`.
 VALUES = 13
@@ -100,9 +100,8 @@ class ShapedScene:
 
     def changed_source(self, scene: Scene, groups: Sequence[str]) -> Scene:
         """The source with groups of values of `scene`, which is in stream order."""
-        rank = np.empty_like(self.order)
-        rank[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
-        changes: dict[str, Any] = {group: gather(getattr(scene, group), rank) for group in groups}
+        places = inverse_of(self.order)
+        changes: dict[str, Any] = {group: gather(getattr(scene, group), places) for group in groups}
         return replace(self.source, **changes)
 
     def in_stream_order(self) -> ShapedScene:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.files.scenes import turn_scene
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
@@ -29,7 +28,7 @@ def open_frame(clip: Clip, number: int, progress: Progress | None = None) -> Ope
 
 def open_clip(source: object, max_bytes: int | None = None) -> Clip | None:
     """The sequence of a path; None if it is another scene, or a cloud."""
-    if isinstance(source, str | Path) and (is_sequence(source) or has_frames(source)):
+    if isinstance(source, str | Path) and has_frames(source):
         return Clip(source, max_bytes)
     return None
 

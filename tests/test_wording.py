@@ -48,7 +48,9 @@ def test_counted(number: int, noun: str, expected: str) -> None:
         (999_994, "999.99 kB"),
         (999_999, "1.00 MB"),
         (1_500_000, "1.50 MB"),
-        (2.5e9, "2500.00 MB"),
+        (999_994_999, "999.99 MB"),
+        (999_999_999, "1.00 GB"),
+        (2.5e12, "2500.00 GB"),
     ],
 )
 def test_size_text(size: float, expected: str) -> None:

@@ -38,8 +38,11 @@ def size_text(size: float) -> str:
     """A number of bytes with its unit, decimal."""
     if size < 1000:
         return counted(round(size), "byte")
-    kilobytes = size / 1000
-    return f"{kilobytes:.2f} kB" if kilobytes < 999.995 else f"{kilobytes / 1000:.2f} MB"
+    for unit in ("kB", "MB"):
+        size /= 1000
+        if size < 999.995:
+            return f"{size:.2f} {unit}"
+    return f"{size / 1000:.2f} GB"
 
 
 def as_typed(text: str) -> str:

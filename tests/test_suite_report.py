@@ -14,6 +14,7 @@ from PIL import Image
 
 from gs_codec.bench.suite.answers import answers
 from gs_codec.bench.suite.results import Results
+from gs_codec.bench.suite.suite_plots import plot_rate
 from gs_codec.bench.suite.suite_report import write_report
 from gs_codec.errors import InvalidInput, MissingTool
 
@@ -35,7 +36,7 @@ CODECS = [
     ("slow", 170.0, 38.0, -0.8, 2.0, 1.0),
 ]
 POINTS = {
-    "paper": [("paper-l", 197.9, 50.73), ("paper-m", 162.7, 46.99), ("paper-s", 131.4, 42.37)],
+    "paper": [("paper-l", 197.9, 50.73), ("paper-m", 162.7, 46.99), ("paper-s - 1 bit", 97.4, 37.6)],
     "camera-free": [("l", 149.9, 54.94), ("m", 113.5, 49.71), ("s, steps x 2", 58.0, 39.16)],
     "camera-guided": [("m", 80.5, 51.7), ("s", 58.5, 45.79)],
 }
@@ -183,6 +184,11 @@ def test_lines_without_one_kind_are_enough(kind: str, start: str, tmp_path: Path
 def test_no_lines_make_an_empty_report(tmp_path: Path) -> None:
     write_report([], tmp_path)
     assert "##" not in (tmp_path / "report.md").read_text()
+
+
+def test_points_have_short_names() -> None:
+    [axis, *_] = plot_rate(Results(lines_of("a", False)), "a").axes
+    assert {text.get_text() for text in axis.texts} >= {"l", "s - 1", "s x 2"}
 
 
 def test_lines_survive_json(tmp_path: Path) -> None:

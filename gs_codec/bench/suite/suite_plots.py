@@ -164,9 +164,9 @@ def _draw_profiles(
 
 
 def _short_name(line: Line) -> str:
-    """``paper-l + 1 bits`` is ``l + 1``, ``m, 39 % pruned`` ``39 %``, ``60x refined`` ``60x``."""
+    """``paper-l + 1 bit`` is ``l + 1``, ``m, 39 % pruned`` ``39 %``, ``60x refined`` ``60x``."""
     name = str(line.get("point", line.get("codec")))
-    name = name.removeprefix("paper-").removesuffix(" bits").removesuffix(GUIDED)
+    name = name.removeprefix("paper-").removesuffix(" bit").removesuffix(" bits").removesuffix(GUIDED)
     name = name.removeprefix("m, ").removesuffix(" pruned").replace(", steps", "")
     return name.partition(" refined")[0]
 

@@ -163,9 +163,9 @@ class AdaptiveProfile:
         With cameras: quantisation may also add this share of the error that the (pruned) scene
         already has before coding.
     looks : float
-        With cameras: joint rounding looks at this many views for each view that guides.
+        With cameras: number of views that joint rounding renders per guiding view.
     left : float
-        Share of the error that joint rounding leaves; steps are so much coarser that `error` stays.
+        Share of the error that joint rounding leaves; coarser steps make up for it.
     """
 
     error: float

@@ -61,7 +61,7 @@ def command(
 ) -> None:
     """Compare two versions of a scene: by attribute, or in rendered views.
 
-    Of a sequence, each may be an .egs, a folder, a pattern or a zip; views of frames are compared.
+    Both may be sequences: an .egs, a folder, a pattern or a zip. Views of each frame are compared.
     """
     from gs_codec.sequences.frame_sources import has_frames
 

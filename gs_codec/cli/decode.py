@@ -73,7 +73,7 @@ def command(
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open.
 
-    Of a sequence, OUT is a folder for a PLY of each frame (default: IN without its suffix).
+    For a sequence, OUT is a folder with a PLY of each frame (default: IN without its suffix).
     """
     if str(source) != "-":
         from gs_codec.egs.frame_sections import is_sequence

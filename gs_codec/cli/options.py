@@ -57,8 +57,8 @@ OPTIONS = {
         shown="as stated, or 30",
     ),
     "group": Option(
-        "Of a sequence: maximum number of frames that a key frame begins. In smaller groups, "
-        "readers get at any frame sooner, but the file is larger.",
+        "Of a sequence: maximum number of frames in the group of a key frame. Smaller groups give "
+        "faster access to any frame, but a larger file.",
         int, low=1, high=1 << 24, shown="30",
     ),
     "input_format": Option(

@@ -65,7 +65,7 @@ def command(
         list[str] | None,
         typer.Option(
             metavar="ORIGIN",
-            help="Another site whose pages may control this one, as https://example.org; * is any.",
+            help="Site whose pages may control this one: https://example.org, or * for any.",
         ),
     ] = None,
 ) -> None:

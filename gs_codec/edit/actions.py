@@ -175,7 +175,7 @@ KINDS: Mapping[str, Kind] = {
     ),
     "remove-nan": Kind("Remove Gaussians with NaN or infinity.", "", _nothing),
     "remove-floaters": Kind(
-        "Remove Gaussians that are isolated or, with cameras, hardly seen or far outside.",
+        "Remove Gaussians that are isolated, far outside or, with cameras, hardly seen.",
         "", _nothing, local=False, guided=True,
     ),
     "keep-largest-cluster": Kind(
@@ -193,7 +193,7 @@ KINDS: Mapping[str, Kind] = {
         "FILE|NUMBERS", _matrix, does="move",
     ),
     "edits": Kind(
-        "Move and remove Gaussians as in a project of gs-viewer, of which IN are the scenes.",
+        "Apply the edits of a project that gs-viewer saved; IN must be its scenes, in its order.",
         "FILE", _project, does="move", local=False,
     ),
     "sh-degree": Kind("Remove SH above this degree, 0-3.", "D", _whole(0, 3), "change"),

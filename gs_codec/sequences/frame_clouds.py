@@ -39,8 +39,8 @@ def encode_sequence(
 ) -> SequenceReport:
     """Encode the frames of a sequence to one file.
 
-    Frames with the same Gaussians in the same order share a key frame, and only changes are coded.
-    Frames are read one at a time. An interrupted run of files goes on when it is repeated.
+    Frames with the same Gaussians, in any order, share a key frame, and only changes are coded.
+    Frames are read one at a time. An interrupted run on files resumes when it is repeated.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def encode_sequence(
         A size, ratio, bit rate or PSNR loss to meet; the sequence is then encoded several times. A
         loss is the mean over the views of up to five frames.
     group : int
-        Maximum number of frames that a key frame begins; default 30. To show a frame, a reader
-        decodes its group.
+        Maximum number of frames in the group of a key frame; default 30. To show a frame, a reader
+        decodes the group up to it.
     fps : float, optional
         Frames per second; by default as stated in the source, or else 30.
     progress : callable, optional

@@ -127,7 +127,7 @@ def encode_frames(
     *,
     calibrates: bool = True,
 ) -> SequenceReport:
-    """Encode a sequence; if it is interrupted, the next run with the same request goes on.
+    """Encode a sequence; if it is interrupted, the next run with the same request resumes.
 
     Raises InvalidInput as `encode` does, or if frames differ in what all must share.
 
@@ -140,7 +140,7 @@ def encode_frames(
         Of profile ``l``, ``m`` or ``s``, with cameras or without, but without other steps. With a
         target, its step sizes are a trial.
     group : int
-        Maximum number of frames that a key frame begins.
+        Maximum number of frames in the group of a key frame.
     progress : callable, optional
     calibrates : bool
         Whether step sizes are chosen for the scene, if no cameras guide them.

@@ -56,7 +56,7 @@ def test_inspect_tells_the_load(folder):
         load = gpu_load(read_scene(file), orbit(1))
         assert told["gpu"]["page_bytes"] == load.page_bytes
         out = folder.run("inspect", file, "--gpu", "--cameras", "cameras.json").out
-        assert "splats over a pixel: " in out
+        assert "splats per pixel: " in out
         assert " in 1 view; " in out
         rows = [line.split() for line in out.splitlines()[-3:]]
         assert [row[0] for row in rows] == [device.name for device in DEVICES]

@@ -1,4 +1,4 @@
-"""What a scene asks of a graphics card: splats over a pixel, memory, and whether devices cope."""
+"""The load that a scene puts on a GPU: splats per pixel, memory, and which devices can show it."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ VIEWS = 24
 
 @dataclass(frozen=True)
 class Device:
-    """What a kind of device copes with.
+    """Limits of a kind of device.
 
     Attributes
     ----------
     name : str
     gaussians : int
-        Most Gaussians: the budgets that Spark's documentation recommends.
+        Maximum number of Gaussians, as Spark's documentation recommends.
     pixels : int
         Pixels of a picture, both eyes together.
     pictures : int
-        Pictures a second.
+        Frames per second.
     fragments : float
-        Most fragments a second: estimated, not measured.
+        Maximum fragments per second: estimated, not measured.
     bytes : int
         Memory that a browser lets one page use.
     """
@@ -58,13 +58,13 @@ DEVICES = (
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a device copes with a scene, and what decides it.
+    """Whether a device can show a scene, and the numbers that decide it.
 
     Attributes
     ----------
     device : Device
     fragments : float
-        Fragments a second in the densest view, if it fills the picture.
+        Fragments per second in the densest view, if it fills the picture.
     copes : bool
     """
 
@@ -75,7 +75,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class GpuLoad:
-    """What a scene asks of a graphics card.
+    """The load that a scene puts on a GPU.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class GpuLoad:
     views : int
         Number of views in which splats were counted.
     mean, percentile_95 : float
-        Splats over a pixel, over all pixels of all views.
+        Splats per pixel, over all pixels of all views.
     densest : float
         Mean over the pixels of the view that has most.
     page_bytes, float_bytes : int
@@ -107,7 +107,7 @@ class GpuLoad:
 
 
 def gpu_load(scene: Scene, cameras: list[Camera], progress: Progress | None = None) -> GpuLoad:
-    """Count the splats over each pixel of some of the views, and judge devices by them."""
+    """Count the splats per pixel in some of the views, and compare them with devices' limits."""
     cameras = evenly(cameras, VIEWS)
     step = step_counter(progress, "count", len(cameras))
     counts = []

@@ -51,7 +51,7 @@ def command(
         bool,
         typer.Option(
             "--gpu",
-            help="Count splats over each pixel, and say which devices can show it; an .egs is "
+            help="Count splats per pixel, and report which devices can show the scene; an .egs is "
             "decoded.",
         ),
     ] = False,
@@ -100,7 +100,7 @@ def command(
 
 
 def _load_of(scene: Scene, cameras: str) -> GpuLoad:
-    """What a scene asks of a graphics card."""
+    """The load that a scene puts on a GPU."""
     from gs_codec.analysis.gpu_load import gpu_load
     from gs_codec.formats.coordinates import turn_axes
     from gs_codec.views.find import find_cameras
@@ -116,15 +116,15 @@ def _load_dict(load: GpuLoad | None) -> dict[str, Any]:
 
 
 def _print_load(load: GpuLoad) -> None:
-    """Print splats over a pixel, memory, and a table of devices."""
+    """Print splats per pixel, memory, and a table of devices."""
     print_text(
         "",
-        f"splats over a pixel: {load.mean:.1f}, 95th percentile {load.percentile_95:.0f}, in "
+        f"splats per pixel: {load.mean:.1f}, 95th percentile {load.percentile_95:.0f}, in "
         f"{counted(load.views, 'view')}; {load.densest:.1f} in the densest view",
-        f"memory of a graphics card: {size_text(load.page_bytes)} in the page of `share`, "
+        f"GPU memory: {size_text(load.page_bytes)} in the page of `share`, "
         f"{size_text(load.float_bytes)} as floats",
     )
-    columns = ["device", "copes", "Gaussians", "fragments a second", "memory"]
+    columns = ["device", "can show it", "Gaussians", "fragments per second", "memory"]
     rows = [_verdict_row(one, load) for one in load.verdicts]
     print_table(Table(columns, rows, left=(0, 1)))
 

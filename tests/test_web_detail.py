@@ -289,7 +289,7 @@ def test_silent_servers_are_retried_and_then_manually(site, tmp_path, which):
         (tmp_path / "plain.egs").write_bytes(without_levels(city()))
         folder = tmp_path / "plain"
         share([tmp_path / "plain.egs"], folder, site.folder / "cameras.json")
-    job = Job("", [("key", "n"), ("until", f"{STATUS}.endsWith('asking again')")], before=HASTY)
+    job = Job("", [("key", "n"), ("until", f"{STATUS}.endsWith('retrying')")], before=HASTY)
     job.steps.append(("value", STATUS))
     if which != "whole":
         job.steps += [("until", MAY_RETRY), ("value", STATUS)]
@@ -302,7 +302,7 @@ def test_silent_servers_are_retried_and_then_manually(site, tmp_path, which):
     assert (told.state, told.status, told.errors) == ("ready", "", [])
     first, *later = [value for value in told.values if value is not None]
     assert first.startswith(f"{'plain' if which == 'whole' else 'city'}.egs: ")
-    assert first.endswith("no data for 20 seconds: asking again")
+    assert first.endswith("no data for 20 seconds: retrying")
     assert first.count(".egs") == 1
     if later:
         assert later[0].endswith("no data for 20 seconds")

@@ -146,7 +146,7 @@ class Viewer extends EventTarget {
     const lost = this.scenes.find((scene) => scene.lost);
     let text = [...new Set(errors.map((one) => one.text))].join('\n');
     if (!text && isStopped) text = say('Stopped: the page shows what was loaded.');
-    else if (!text && lost) text = say('{}: asking again', lost.told(lost.lost));
+    else if (!text && lost) text = say('{}: retrying', lost.told(lost.lost));
     else if (!text) text = this.note;
     const mayRetry = !isStopped && errors.some(({ error }) => error instanceof SourceError);
     this.panel.tell(text, errors.length > 0, mayRetry);

@@ -224,7 +224,7 @@ export class Panel {
       missing === 0
         ? ''
         : say(
-            '{} of this view missing: drawn, compared and saved coarser there.',
+            '{} of this view missing: picture, comparison and saved picture are coarser there.',
             counted(missing, 'block'),
           );
   }

@@ -150,7 +150,7 @@ class Steps:
         if self.geometry_rule != "median" and not self.prune_geometry:
             raise InvalidInput("geometry_rule: needs prune_geometry")
         if self.prune is not None and 0 < self.prune < 1:
-            raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
+            raise InvalidInput(f"prune {self.prune}: expected percent, such as 50 for half")
         if self.prune is not None and self.gaussians is not None:
             raise InvalidInput(
                 "gaussians and prune cannot be combined: both set the number of Gaussians"

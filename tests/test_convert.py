@@ -298,7 +298,7 @@ def test_encoding_keeps_the_bits_of_a_ply_that_states_another_system(tmp_path):
 def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, tmp_path):
     target = tmp_path / "out.ply"
     for system in ("up", "", "RDFX", "DRF", "RUU", "up:RDF", "RDF:", "RDF:RUB:RDF"):
-        with pytest.raises(InvalidInput, match=r"scene.spz: .*expected such as RDF"):
+        with pytest.raises(InvalidInput, match=r"scene.spz: .*expected for example RDF"):
             convert_file(spz, target, coordinates=system)
     assert not target.exists()
     _, err = run("convert", ply, target, "--coordinates", "rub")

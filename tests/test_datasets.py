@@ -144,7 +144,7 @@ def test_views_without_photographs_have_the_size_of_training(tmp_path, caplog):
     assert "cfg_args: eval=False, so test photographs were used for training" in caplog.text
     assert {camera.width for camera in open_model(path, None, 20).guides} == {20}
     assert models_of("mipnerf360", tmp_path) == [path]
-    assert "means are without bicycle, bonsai, counter" in caplog.text
+    assert "means exclude bicycle, bonsai, counter" in caplog.text
     # Without a dataset, a model is found with its cameras and name all the same.
     assert (open_with_cameras(path, 20).name, measured.name) == ("room", "room")
     assert len(open_with_cameras(path, 20).cameras) == 3

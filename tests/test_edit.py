@@ -437,7 +437,7 @@ def test_scenes_are_merged(caplog):
     np.testing.assert_array_equal(rest[:, :, 40:], two.f_rest.reshape(3, 15, 30))
     assert not caplog.messages
     merge_scenes([one, replace(two, comments=("SplatRenderMode: mip",))])
-    assert "merged scenes differ in antialiasing; all are drawn without" in caplog.messages[0]
+    assert "merged scenes differ in antialiasing; all are rendered without" in caplog.messages[0]
 
 
 def test_scenes_of_two_systems_are_merged_in_rdf():

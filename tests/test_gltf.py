@@ -178,7 +178,7 @@ def test_a_gltf_of_text_has_the_same_numbers():
 
 
 def test_an_empty_scene_cannot_be_written():
-    with pytest.raises(InvalidInput, match="no Gaussians, glTF has at least one"):
+    with pytest.raises(InvalidInput, match="no Gaussians, glTF needs at least one"):
         pack_gltf(random_scene(0))
 
 
@@ -470,8 +470,8 @@ BAD = {
     "small stride": (edited("bufferViews", 0, "byteStride", to=4), "beyond the buffer"),
     "no views": (edited("bufferViews", to=None), "bufferViews 0, expected one of 0"),
     "views of text": (edited("bufferViews", to=["a"]), "bufferViews is not a list of objects"),
-    "larger buffer": (edited("buffers", 0, "byteLength", to=1 << 20), "of fewer bytes than"),
-    "uri of a number": (edited("buffers", 0, "uri", to=7), "buffer.uri is no text"),
+    "larger buffer": (edited("buffers", 0, "byteLength", to=1 << 20), "fewer bytes than"),
+    "uri of a number": (edited("buffers", 0, "uri", to=7), "buffer.uri is not text"),
     "uri elsewhere": (
         edited("buffers", 0, "uri", to="../a.bin"),
         "expected a file in the same folder",

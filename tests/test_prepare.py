@@ -75,7 +75,7 @@ def plan(**steps) -> Plan:
         ({"prune_geometry": -1}, "prune_geometry -1: expected 0 to below 100"),
         ({"prune_importance": 100}, "prune_importance 100: expected 0 to below 100"),
         ({"prune": float("nan")}, "prune nan"),
-        ({"prune": 0.5}, "expected percent, half of all is 50"),
+        ({"prune": 0.5}, "expected percent, such as 50 for half"),
         ({"prune_max_psnr_drop": -0.1}, "prune_max_psnr_drop -0.1"),
         ({"refine": -2}, "refine -2"),
         ({"refit_colour": -1}, "refit_colour -1"),
@@ -510,7 +510,7 @@ REFUSALS = {
         "suffix '.txt', expected .egs, .spz, ",
     ),
     "itself": ("prepare scene.ply scene.ply --rectify 7", "input and output are the same file"),
-    "fraction": ("prepare scene.ply o.ply --prune 0.3", "expected percent, half of all is 50"),
+    "fraction": ("prepare scene.ply o.ply --prune 0.3", "expected percent, such as 50 for half"),
     "cameras": ("prepare scene.ply o.ply --rectify 7 --cameras none", "none: no such file"),
     "photographs": (
         "prepare scene.ply o.ply --rectify 7 --cameras cameras.json --gt-images none",

@@ -266,5 +266,5 @@ def test_values_that_cannot_be_stored_are_told_or_refused():
         assert sum(line.startswith(each) and line.endswith("format's range") for line in lost) == 1
     with pytest.raises(InvalidInput, match="values that are not finite"):
         pack_rad(replace(scene, f_dc=f_dc * np.nan))
-    with pytest.raises(InvalidInput, match=r"no Gaussians, \.rad has at least one"):
+    with pytest.raises(InvalidInput, match=r"no Gaussians, \.rad needs at least one"):
         pack_rad(random_scene(0, 0))

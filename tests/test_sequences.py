@@ -328,7 +328,7 @@ def folder(tmp_path, monkeypatch, capsys):
 def test_commands(folder, caplog):
     result = folder.run("encode", "frames/*.ply", "a.egs", "--fps", "24", "--group", "2")
     assert result.status == 0
-    assert result.out.startswith("a.egs: 4 frames at 24 a second, 1,200 Gaussians, ")
+    assert result.out.startswith("a.egs: 4 frames at 24 fps, 1,200 Gaussians, ")
     assert "\n2 key frames, " in result.out
     shown = json.loads(folder.run("inspect", "a.egs", "--json").out)
     assert (shown["frames"], shown["fps"]) == (4, 24)

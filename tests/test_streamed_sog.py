@@ -322,7 +322,7 @@ def test_incompatible_options_are_refused(case, tmp_path):
 
 
 def test_no_gaussians_and_nan_are_refused():
-    with pytest.raises(InvalidInput, match=r"no Gaussians, lod-meta\.json has at least one"):
+    with pytest.raises(InvalidInput, match=r"no Gaussians, lod-meta\.json needs at least one"):
         stream_levels(random_scene(0, 1), CONFIG)
     scene = random_scene(30, 1)
     scene.positions[1, 7] = np.nan

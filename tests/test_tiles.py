@@ -316,7 +316,7 @@ def test_a_place_is_of_tiles_alone(tmp_path):
 
 
 def test_no_gaussians_and_nan_are_refused():
-    with pytest.raises(InvalidInput, match=r"no Gaussians, tileset\.json has at least one"):
+    with pytest.raises(InvalidInput, match=r"no Gaussians, tileset\.json needs at least one"):
         tile_levels(random_scene(0, 1), CONFIG)
     scene = random_scene(30, 1)
     scene.positions[1, 7] = np.nan

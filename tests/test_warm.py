@@ -62,5 +62,5 @@ def test_an_unusable_cache_folder_is_an_error(tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
         f"gs-codec: error: {tmp_path / 'file'}: cannot be written to, expected a folder for "
-        "compiled kernels; set NUMBA_CACHE_DIR to another\n"
+        "compiled kernels; set NUMBA_CACHE_DIR to a writable one\n"
     )

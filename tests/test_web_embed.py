@@ -228,7 +228,7 @@ def _pixels(data: bytes) -> np.ndarray:
     [
         ({"url": "example.org"}, "url 'example.org': expected"),
         ({"url": "https://example.org"}, "expected the page's"),
-        ({"embed": ["https://example.org/"]}, "expected \\* or as https://example.org"),
+        ({"embed": ["https://example.org/"]}, "expected \\* or a site: https://example.org"),
         ({"embed": ["*", "null"]}, "embed 'null'"),
     ],
 )

@@ -146,7 +146,7 @@ class RemoteStorage:
             if depth > _DEEPEST:
                 shown = self.shown(self._at(folder))
                 raise InvalidInput(
-                    f"{shown}: {counted(depth, 'folder')} deep; links may form a circle"
+                    f"{shown}: {counted(depth, 'folder')} deep; links may form a cycle"
                 )
             for path, info in self._listed(folder, depth):
                 if info.get("type") != "directory":

@@ -75,7 +75,7 @@ def encode(source: Path, target: Path, typed: Typed) -> None:
 
 def _tell_encoded(target: Path, done: SequenceReport) -> None:
     print_text(
-        f"{target}: {counted(done.frames, 'frame')} at {done.fps:g} a second, "
+        f"{target}: {counted(done.frames, 'frame')} at {done.fps:g} fps, "
         f"{counted(done.count, 'Gaussian')}, "
         f"{smaller(done.input_bytes, done.file_bytes, done.ratio)}, "
         f"{done.bits_per_second / 1e6:.2f} Mbit/s, {sum(done.seconds.values()):.2f} s"
@@ -97,8 +97,8 @@ def _keys_text(keys: int, frames: int, share: float) -> str:
     text = f"{counted(keys, 'key frame')}, {share:.0%} of the file"
     if keys == frames > 1:
         text += (
-            "; each frame is a scene of its own, because its Gaussians are others than those "
-            "before, or too many change"
+            "; each frame is a scene of its own, because its Gaussians differ from those before, "
+            "or too many change"
         )
     return text
 
@@ -158,7 +158,7 @@ def inspect(source: Path, file: Path, typed: Typed) -> None:
     frames, size = shown["frames"], shown["input_bytes"]
     seconds = frames / shown["fps"]
     print_text(
-        f"{source}: sequence of {counted(frames, 'frame')} at {shown['fps']:g} a second, "
+        f"{source}: sequence of {counted(frames, 'frame')} at {shown['fps']:g} fps, "
         f"{seconds:.2f} s, {size_text(size)}, {8 * size / seconds / 1e6:.2f} Mbit/s",
         f"profile {first.profile}, SH degree {first.sh_degree}, "
         f"{counted(first.count, 'Gaussian')} in the first frame",
@@ -191,7 +191,7 @@ def _inspect_frames(source: Path, file: Path, typed: Typed) -> None:
             input_bytes=frames.stored_bytes, frames=len(frames), fps=frames.fps, names=frames.names,
         )  # fmt: skip
         return
-    rate = "" if frames.fps is None else f" at {frames.fps:g} a second"
+    rate = "" if frames.fps is None else f" at {frames.fps:g} fps"
     print_text(
         f"{source}: {counted(len(frames), 'frame')}{rate}, {size_text(frames.stored_bytes)}; "
         "`encode` makes a sequence of them",

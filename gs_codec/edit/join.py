@@ -65,7 +65,7 @@ def merge_scenes(scenes: Sequence[Scene]) -> Scene:
     first = scenes[0]
     if any(scene.antialiased != first.antialiased for scene in scenes):
         log.warning(
-            "merged scenes differ in antialiasing; all are drawn %s, like the first",
+            "merged scenes differ in antialiasing; all are rendered %s, like the first",
             "with it" if first.antialiased else "without",
         )
     others = [line for scene in scenes for line in other_comments(without_order(scene).comments)]

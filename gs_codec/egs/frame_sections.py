@@ -110,7 +110,7 @@ def read_described(data: Readable | bytes, wanted: Wanted | None = described) ->
     """
     file = read_file(data, described)
     if Feature.SEQUENCE in file.header.features:
-        log.warning("the first of %s is read", counted(timeline_of(file).count, "frame"))
+        log.warning("only the first of %s is read", counted(timeline_of(file).count, "frame"))
         file = open_key_frame(file, 0)
     return file.read(wanted)
 

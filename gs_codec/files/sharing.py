@@ -83,10 +83,10 @@ class Publication:
 
     def __post_init__(self) -> None:
         if self.url is not None and not re.fullmatch(r"https?://[^/\s]+/\S*", self.url):
-            raise InvalidInput(f"url '{self.url}': expected the page's, as https://example.org/a/")
+            raise InvalidInput(f"url '{self.url}': expected the page's: https://example.org/a/")
         for origin in self.embed:
             if origin != "*" and not re.fullmatch(r"https?://[^/\s]+", origin):
-                raise InvalidInput(f"embed '{origin}': expected * or as https://example.org")
+                raise InvalidInput(f"embed '{origin}': expected * or a site: https://example.org")
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def _axes(system: str) -> NDArray[np.float64]:
     """Directions of x, y and z of a system (rows), in terms of right, up and forward."""
     places = [next((k for k, pair in enumerate(_LETTERS) if c in pair), -1) for c in system]
     if places not in ([0, 1, 2], [0, 2, 1]):
-        raise InvalidInput(f"coordinates {system!a:.20}, expected such as RDF, RUB or LUF")
+        raise InvalidInput(f"coordinates {system!a:.20}, expected for example RDF, RUB or LUF")
     axes = np.zeros((3, 3))
     axes[range(3), places] = [
         2 * _LETTERS[k].index(c) - 1 for k, c in zip(places, system, strict=True)

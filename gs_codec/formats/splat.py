@@ -77,7 +77,7 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     """
     check_finite(scene, ".splat")
     if not scene.count:
-        raise InvalidInput("no Gaussians, .splat has at least one")
+        raise InvalidInput("no Gaussians, .splat needs at least one")
     rows, clipped = np.empty(scene.count, _ROW), Clipped()
     rows["position"] = scene.positions.T
     with np.errstate(under="ignore"):

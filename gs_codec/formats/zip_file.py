@@ -91,7 +91,7 @@ class Archive:
         if entry.flag_bits & 1:
             raise InvalidInput(f"{_shown(name)}: encrypted")
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise InvalidInput(f"{_shown(name)}: compressed otherwise than by deflate")
+            raise InvalidInput(f"{_shown(name)}: compressed, but not by deflate")
         return entry.file_size
 
     def read_part(self, name: str, start: int, stop: int) -> bytes:

@@ -108,7 +108,7 @@ def prepared(
     """
     scene = turn_axes(without_order(clean_scene(scene, config)[0]))
     if not scene.count:
-        raise InvalidInput(f"no Gaussians, {name} has at least one")
+        raise InvalidInput(f"no Gaussians, {name} needs at least one")
     nearer, moved = bring_nearer(scene, REACH)
     return nearer, spatial_order(scene.positions, scene.log_scale), moved
 

@@ -45,7 +45,7 @@ def pack_rad(
     """
     check_finite(scene, ".rad")
     if not scene.count:
-        raise InvalidInput("no Gaussians, .rad has at least one")
+        raise InvalidInput("no Gaussians, .rad needs at least one")
     own = AttributeSteps.least(scene) if steps is None else steps
     levels, own = _levels(scene), own.take(spatial_order(scene.positions, scene.log_scale))
     orders = _orders(levels)

@@ -245,7 +245,7 @@ def _checked_mask(mask: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         raise InvalidInput(f"mask of shape {mask.shape}, expected {shape[:2]}")
     half = _SSIM_WINDOW // 2
     if not mask[half:-half, half:-half].any():
-        raise InvalidInput("mask without a pixel whose window of SSIM is inside the image")
+        raise InvalidInput("mask has no pixel whose SSIM window is inside the image")
     return mask
 
 

@@ -56,7 +56,7 @@ def warm(progress: Callable[[str, int, int], None]) -> WarmReport:
     if folder is None or not is_writable():
         raise InvalidInput(
             f"{folder or 'cache folder'}: cannot be written to, expected a folder for compiled "
-            "kernels; set NUMBA_CACHE_DIR to another"
+            "kernels; set NUMBA_CACHE_DIR to a writable one"
         )
     modules: dict[str, list[Entry]] = defaultdict(list)
     for entry in entries:

@@ -87,7 +87,8 @@ class Placing:
             if edits is not self._editor.edits or edits is None:
                 return
             if scene.whole is not None or edits.whole.system_given:
-                viewer.fail(gs_codec.GsCodecError(f"{path}: add scenes as they are in files"))
+                why = "only a scene of a file can be added, to one that was not turned"
+                viewer.fail(gs_codec.GsCodecError(f"{path}: {why}"))
                 return
             if self._editor.number == 0:
                 viewer.stage.put_pruned(None)

@@ -83,7 +83,7 @@ def models_of(name: str, folder: Path) -> list[Path]:
         raise InvalidInput(f"{folder}: no models of {name}, expected {paths[0]} and others")
     missing = [scene_folder(path).name for path in paths if path not in found]
     if missing:
-        log.warning("%s: means are without %s", folder, ", ".join(missing))
+        log.warning("%s: means exclude %s", folder, ", ".join(missing))
     return found
 
 

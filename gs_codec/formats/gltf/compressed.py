@@ -129,7 +129,7 @@ def pack_gltf_spz(
     glTF. Raises InvalidInput if there are no Gaussians, or a value is not finite.
     """
     if not scene.count:
-        raise InvalidInput("no Gaussians, glTF has at least one")
+        raise InvalidInput("no Gaussians, glTF needs at least one")
     system, middle = place or (GLTF.system, (0.0, 0.0, 0.0))
     matrix = np.eye(4)
     matrix[:3, 3] = middle

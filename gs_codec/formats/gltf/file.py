@@ -126,7 +126,7 @@ class GltfFile:
         length, uri = whole(buffer.get("byteLength"), "buffer.byteLength"), buffer.get("uri")
         data = self._contents(index, uri, length)
         if data is None or len(data) < length:
-            raise InvalidInput(f"glTF: buffer {index}: of fewer bytes than {length}")
+            raise InvalidInput(f"glTF: buffer {index}: fewer bytes than {length}")
         return data[:length]
 
     def _contents(self, index: int, uri: Any, length: int) -> memoryview | None:
@@ -139,7 +139,7 @@ class GltfFile:
     def _load(self, uri: Any, length: int) -> bytes:
         """Bytes of a data URI, or of a file in the same folder."""
         if not isinstance(uri, str):
-            raise InvalidInput("glTF: buffer.uri is no text")
+            raise InvalidInput("glTF: buffer.uri is not text")
         if uri.startswith("data:"):
             with refusing("glTF: buffer.uri"):
                 return base64.b64decode(uri.partition(";base64,")[2], validate=True)

@@ -259,7 +259,7 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
     """
     check_finite(scene, "glTF")
     if not scene.count:
-        raise InvalidInput("no Gaussians, glTF has at least one")
+        raise InvalidInput("no Gaussians, glTF needs at least one")
     turned = turn_axes(scene, _SYSTEM)
     clipped = Clipped()
     share = sigmoid(turned.opacity.astype(np.float64))

@@ -105,10 +105,10 @@ def _check_alone(source: str) -> None:
     for name in inside or [""]:
         layer = Sdf.Layer.FindOrOpen(f"{source}[{name}]" if name else source)
         if not layer:
-            raise InvalidInput(f"damaged: {name or 'the file'!a:.80} is no layer")
+            raise InvalidInput(f"damaged: {name or 'the file'!a:.80} is not a layer")
         for other in _named(layer):
             if posixpath.normpath(posixpath.join(posixpath.dirname(name), other)) not in inside:
-                raise InvalidInput(f"refers to {other!a:.80}, expected all of it in this file")
+                raise InvalidInput(f"refers to {other!a:.80}, expected one file without references")
 
 
 def _is_layer(name: str) -> bool:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,8 @@ _OFFSET = re.compile(r"\s*CoordinateOffset:\s*(\S+)\s+(\S+)\s+(\S+)\s*", re.IGNO
 
 #: Translation of centres, x, y, z.
 Shift = tuple[float, float, float]
+
+Integer = TypeVar("Integer", bound=np.integer)
 
 #: Extra properties that are rotated with the Gaussians.
 NORMALS = ("nx", "ny", "nz")
@@ -345,7 +347,7 @@ def gather(planes: NDArray, index: NDArray) -> NDArray:
     return gathered
 
 
-def inverse_of(order: NDArray[np.integer]) -> NDArray[np.integer]:
+def inverse_of(order: NDArray[Integer]) -> NDArray[Integer]:
     """The place of each index in ``order (N,)``, which has every index below N once."""
     places = np.empty_like(order)
     places[order] = np.arange(len(order), dtype=order.dtype)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -166,7 +167,7 @@ def _draw_profiles(
 def _short_name(line: Line) -> str:
     """``paper-l + 1 bit`` is ``l + 1``, ``m, 39 % pruned`` ``39 %``, ``60x refined`` ``60x``."""
     name = str(line.get("point", line.get("codec")))
-    name = name.removeprefix("paper-").removesuffix(" bit").removesuffix(" bits").removesuffix(GUIDED)
+    name = re.sub(" bits?$", "", name.removeprefix("paper-")).removesuffix(GUIDED)
     name = name.removeprefix("m, ").removesuffix(" pruned").replace(", steps", "")
     return name.partition(" refined")[0]
 

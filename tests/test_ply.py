@@ -185,6 +185,18 @@ def test_ignored_content_is_reported(tmp_path, caplog):
     ]
 
 
+def test_text_after_the_last_vertex_is_reported(tmp_path, caplog):
+    path = tmp_path / "a.ply"
+    for count in (5, 0):
+        caplog.clear()
+        write_rows(path, vertex_rows(random_scene(count, 0)), text=True)
+        assert read_ply(path).count == count
+        assert caplog.messages == []
+        path.write_bytes(path.read_bytes() + b"1 2 3\n\n4\n")
+        assert read_ply(path).count == count
+        assert caplog.messages == [f"{path}: left out: 2 lines after the last vertex"]
+
+
 def test_extra_properties_are_refused_kept_or_dropped(tmp_path, caplog):
     scene = random_scene(30, 1, seed=5)
     extra = {"label": np.arange(30, dtype="<i4"), "weight": np.linspace(0, 1, 30)}

@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice, takewhile
+from itertools import chain, islice, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -114,9 +114,8 @@ class Ply:
                 f"element '{element.name}': {counted(element.count, 'row')}, but the "
                 f"file ends in row {there}"
             )
-        if len(before) == len(self.header.elements) - 1 and end < len(self.data):
-            surplus = counted(len(self.data) - end, "byte")
-            say_left_out(self.path, others=[f"{surplus} after the last {element.name}"])
+        if element is self._last:
+            self._say_surplus(element, len(self.data) - end, "byte")
 
         def read(first: int, last: int) -> NDArray:
             data = np.empty((last - first) * dtype.itemsize, np.uint8)
@@ -124,6 +123,16 @@ class Ply:
             return data.view(dtype) if dtype.itemsize else np.empty(last - first, dtype)
 
         return Rows(dtype, element.count, read)
+
+    @property
+    def _last(self) -> Element:
+        return next(reversed(self.header.elements.values()))
+
+    def _say_surplus(self, last: Element, surplus: int, unit: str) -> None:
+        """Log what follows the rows of the last element, if anything."""
+        if surplus:
+            said = f"{counted(surplus, unit)} after the last {last.name}"
+            say_left_out(self.path, others=[said])
 
     def _text_rows(self, element: Element, skipped: int) -> Rows:
         body = _plain_numbers(bytes(self.data[self.header.size :]))
@@ -135,7 +144,8 @@ class Ply:
                 f"but {counted(len(body), 'byte')} of text"
             )
         lines = io.TextIOWrapper(io.BytesIO(body), "latin-1")
-        wanted = islice((line for line in lines if line.strip()), skipped, skipped + element.count)
+        filled = (line for line in lines if line.strip())
+        wanted = islice(filled, skipped, skipped + element.count)
         table = np.empty((0, len(element.types)))
         if element.count:
             with refusing(f"element '{element.name}'"), warnings.catch_warnings():
@@ -147,6 +157,8 @@ class Ply:
                 f"{counted(table.shape[1], 'number')}, "
                 f"expected {element.count:,} of {len(element.types)}"
             )
+        if element is self._last:
+            self._say_surplus(element, sum(1 for _ in chain(wanted, filled)), "line")
         rows = _typed(table, element)
         return Rows(rows.dtype, len(rows), lambda first, last: rows[first:last])
 

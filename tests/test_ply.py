@@ -197,6 +197,21 @@ def test_text_after_the_last_vertex_is_reported(tmp_path, caplog):
         assert caplog.messages == [f"{path}: left out: 2 lines after the last vertex"]
 
 
+@pytest.mark.parametrize("form", [{}, {"byte_order": ">"}], ids=str)
+def test_16_bit_integers_are_half_floats_seed15(form, tmp_path, caplog):
+    """PLY has no type for half floats; some programs state ``ushort``."""
+    scene = random_scene(40, 1, seed=15)
+    halves = {g: getattr(scene, g).astype("<f2").astype("<f4") for g in GROUPS}
+    expected = replace(scene, **halves, extra={"label": np.arange(40, dtype="<u2")})
+    rows = vertex_rows(expected)
+    names = inria_properties(1, False)
+    stated = with_columns(rows, {n: rows[n].astype("<f2").view("<u2") for n in names})
+    path = write_rows(tmp_path / "a.ply", stated, **form)
+    assert_same_bits(expected, read_ply(path))
+    told = f"16-bit integers read as half floats: {', '.join(names[:8])}, 15 more"
+    assert caplog.messages == [f"{path}: {told}"]
+
+
 def test_extra_properties_are_refused_kept_or_dropped(tmp_path, caplog):
     scene = random_scene(30, 1, seed=5)
     extra = {"label": np.arange(30, dtype="<i4"), "weight": np.linspace(0, 1, 30)}

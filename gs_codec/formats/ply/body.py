@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.formats.limits import refusing
-from gs_codec.formats.ply.dialects import layout_names
+from gs_codec.formats.ply.dialects import layout_names, with_halves
 from gs_codec.formats.ply.ply_header import Element, PlyHeader, read_header
 from gs_codec.formats.ply.writer import TILE, for_tiles
 from gs_codec.runtime.mapped import FileBytes, located
@@ -190,4 +190,6 @@ def ply_of(path: str | Path, data: FileBytes) -> Ply:
         if "vertex" in header.elements:
             vertex = header.elements["vertex"]
             vertex.types = layout_names(vertex.types)
+            if header.byte_order:
+                vertex.types = with_halves(vertex.types)
     return Ply(Path(path), header, data)

@@ -49,6 +49,17 @@ def layout_names(types: Mapping[str, str]) -> dict[str, str]:
     return {known.get(name, name): code for name, code in types.items()}
 
 
+def with_halves(types: Mapping[str, str]) -> dict[str, str]:
+    """Types of a vertex, with half floats instead of ``ushort`` in the layout.
+
+    PLY has no type for half floats, so some programs state this one.
+    """
+    return {
+        name: "f2" if code == "u2" and not is_extra_name(name) else code
+        for name, code in types.items()
+    }
+
+
 def refuse_no_gaussians(elements: Mapping[str, Element]) -> None:
     """Reject a PLY without Gaussians, and name its content."""
     names = elements["vertex"].types
@@ -84,6 +95,13 @@ def say_dialect(where: str | Path, names: Collection[str]) -> None:
             where,
             listed(moves),
         )
+
+
+def say_halves(where: str | Path, vertex: np.dtype) -> None:
+    """Log which properties of a vertex are half floats; see `with_halves`."""
+    halves = [name for name in vertex.names or () if vertex[name].char == "e"]
+    if halves:
+        log.warning("%s: 16-bit integers read as half floats: %s", where, listed(halves))
 
 
 def is_flat(names: Collection[str]) -> bool:

@@ -24,6 +24,7 @@ from gs_codec.formats.ply.dialects import (
     moving,
     refuse_no_gaussians,
     say_dialect,
+    say_halves,
     with_flat,
     with_model,
 )
@@ -210,9 +211,7 @@ def scene_of(
         if extra == "error":
             refuse_beyond(others, elements)
         if tell:
-            say_dialect(path, data.dtype.names or ())
-            if _rest_of(data.dtype.names or ()) == 3 * DEGREE_4:
-                say_degree_4(path)
+            _say_layout(path, data.dtype)
             named = {*columns, *moving(others)}
             left_out = [name for name in others if name not in named]
             say_left_out(path, left_out, elements, _lines(ply.header))
@@ -221,6 +220,15 @@ def scene_of(
             before = offset_of(comments) or (0.0, 0.0, 0.0)
             comments = with_offset(comments, np.subtract(before, shift))
         return Scene(**parts, has_normals=has_normals, comments=comments, extra=columns)
+
+
+def _say_layout(path: Path, vertex: np.dtype) -> None:
+    """Log how the properties of a vertex are read, where they are unlike INRIA's."""
+    names = vertex.names or ()
+    say_dialect(path, names)
+    say_halves(path, vertex)
+    if _rest_of(names) == 3 * DEGREE_4:
+        say_degree_4(path)
 
 
 def _read_packed(ply: Ply, elements: list[str], extra: Extra, max_bytes: int | None) -> Scene:

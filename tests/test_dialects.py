@@ -139,6 +139,23 @@ def test_texture_coordinates_are_not_time(tmp_path, caplog):
     assert caplog.messages == [f"{tmp_path / 'a.ply'}: left out: properties s, t"]
 
 
+@pytest.mark.parametrize("linear", [["opacity"], ["log_scale"], ["opacity", "log_scale"]])
+def test_linear_values_are_named(linear, tmp_path, caplog):
+    """Some programs write values after activation."""
+    scene = random_scene(200, 0)
+    values = {"opacity": 1 / (1 + np.exp(-scene.opacity)), "log_scale": np.exp(scene.log_scale)}
+    path = tmp_path / "a.ply"
+    write_ply(path, replace(scene, **{group: values[group] for group in linear}))
+    read_scene(path)
+    named = {"opacity": "opacities (read as logits)", "log_scale": "scales (read as logarithms)"}
+    told = "these look linear, unlike a trainer's: " + ", ".join(named[group] for group in linear)
+    assert caplog.messages == [f"{path}: {told}"]
+    caplog.clear()
+    write_ply(path, scene)
+    read_scene(path)
+    assert caplog.messages == []
+
+
 def rewritten(path: Path, *pairs: tuple[bytes, bytes]) -> Path:
     """A file with some byte strings replaced, once each."""
     data = path.read_bytes()

@@ -31,6 +31,9 @@ FILTER = "filter_3D"
 #: Prefix of scalar fields written by CloudCompare, and by 3dgsconverter for it.
 _SCALAR = re.compile("(?:scalar_|scal_)+(.+)", re.DOTALL)
 
+#: Minimum number of Gaussians that show whether values are logits and logarithms.
+_ENOUGH = 100
+
 #: Properties of dynamic scenes: of SpacetimeGaussians and 4DGS.
 _MOVING = re.compile(r"t|(?:motion|omega|f_t)_\d+|trbf_\w+|scale_t|(?:rot_r|rotr)_\d+", re.ASCII)
 
@@ -102,6 +105,24 @@ def say_halves(where: str | Path, vertex: np.dtype) -> None:
     halves = [name for name in vertex.names or () if vertex[name].char == "e"]
     if halves:
         log.warning("%s: 16-bit integers read as half floats: %s", where, listed(halves))
+
+
+def say_linear(
+    where: str | Path, opacity: NDArray[np.float32], log_scale: NDArray[np.float32]
+) -> None:
+    """Log that opacities or scales look linear, not like the logits and logarithms of trainers.
+
+    Trained logits are not all from 0 to 1, nor are logarithms all positive and mostly below 1.
+    """
+    if opacity.size < _ENOUGH:
+        return
+    with np.errstate(invalid="ignore"):  # NaN
+        looks = {
+            "opacities (read as logits)": 0 <= opacity.min() < opacity.max() <= 1,
+            "scales (read as logarithms)": 0 <= log_scale.min() < np.median(log_scale) < 1,
+        }
+    if found := [name for name, linear in looks.items() if linear]:
+        log.warning("%s: these look linear, unlike a trainer's: %s", where, listed(found))
 
 
 def is_flat(names: Collection[str]) -> bool:

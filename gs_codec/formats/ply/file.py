@@ -25,6 +25,7 @@ from gs_codec.formats.ply.dialects import (
     refuse_no_gaussians,
     say_dialect,
     say_halves,
+    say_linear,
     with_flat,
     with_model,
 )
@@ -212,6 +213,7 @@ def scene_of(
             refuse_beyond(others, elements)
         if tell:
             _say_layout(path, data.dtype)
+            say_linear(path, parts["opacity"], parts["log_scale"])
             named = {*columns, *moving(others)}
             left_out = [name for name in others if name not in named]
             say_left_out(path, left_out, elements, _lines(ply.header))

@@ -276,6 +276,44 @@ def test_the_configuration_of_a_run_stands_for_its_newest_checkpoint(tmp_path):
     assert_one_line(caught.value, newest)
 
 
+def checkpoint_of_run(folder: Path) -> Path:
+    """A checkpoint in a new folder."""
+    folder.mkdir()
+    path = folder / "ckpt_99_rank0.pt"
+    write_scene(path, random_scene(9, 3), Config())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("folder", "name", "text"),
+    [
+        ("nerfstudio_models", "config.yml", "    rasterize_mode: antialiased\n    sh_degree: 3\n"),
+        ("ckpts", "cfg.yml", "absgrad: false\nantialiased: true\n"),
+        ("ckpts", "cfg.json", '{"absgrad": false, "antialiased": true, "app_opt": false}'),
+    ],
+)
+def test_the_configuration_of_a_run_states_antialiasing(folder, name, text, tmp_path):
+    path = checkpoint_of_run(tmp_path / folder)
+    assert not read_scene(path).antialiased
+    (tmp_path / name).write_text(text)
+    assert read_scene(path).antialiased
+    text = text.replace("antialiased: true", "antialiased: false").replace('": true', '": false')
+    (tmp_path / name).write_text(text.replace("mode: antialiased", "mode: classic"))
+    assert not read_scene(path).antialiased
+
+
+def test_2d_gaussians_of_gsplat_are_flat(tmp_path, caplog):
+    """Their third scale is not trained; only the configuration of the run says so."""
+    path = checkpoint_of_run(tmp_path / "ckpts")
+    whole = read_scene(path)
+    (tmp_path / "cfg.json").write_text('{"antialiased": true, "model_type": "2dgs"}')
+    scene = read_scene(path)
+    np.testing.assert_array_equal(scene.log_scale[:2], whole.log_scale[:2])
+    np.testing.assert_array_equal(scene.log_scale[2], whole.log_scale[:2].min(axis=0) - 10)
+    assert scene.comments == ("SplatRenderMode: 2dgs",)
+    assert caplog.messages == [f"{path}: a 2DGS scene; its Gaussians are flat"]
+
+
 # What trainers call
 
 

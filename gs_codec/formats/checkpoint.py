@@ -9,7 +9,8 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterator, Mapping, Sized
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from gs_codec.format_table import CHECKPOINT
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count, most_bytes, refusing
 from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
+from gs_codec.formats.ply.dialects import with_flat
 from gs_codec.formats.tensors import (
     NAMES,
     NERFSTUDIO,
@@ -32,7 +34,7 @@ from gs_codec.formats.zip_file import Archive, only_scene, opened_zip, write_zip
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, FLAT, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +57,16 @@ _MULTIPLE = 64
 
 #: Tensors of INRIA's trainer, after the SH degree; `opacities` are a column.
 _CAPTURED = ("means", "sh0", "shN", "scales", "quats", "opacities")
+
+#: Folders of checkpoints of nerfstudio and gsplat, and configurations in the folders above them.
+_CONFIGURATIONS = {"nerfstudio_models": ("config.yml",), "ckpts": ("cfg.yml", "cfg.json")}
+
+#: Maximum bytes of a configuration; those of trainers have a few thousand.
+_CONFIGURATION_BYTES = 1 << 20
+
+#: Settings of scenes with opacity compensation, and of 2D Gaussians, in YAML or JSON.
+_COMPENSATED = re.compile(rb'\b(?:rasterize_mode"?: "?antialiased|antialiased"?: true)\b')
+_SURFELS = re.compile(rb'\bmodel_type"?: "?2dgs\b')
 
 #: Prefix of splatfacto's tensor names.
 _MODEL = "_model.gauss_params."
@@ -117,7 +129,7 @@ def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
         check_count(*check_shapes(tensors), len(data), max_bytes)
         most = most_bytes(len(data), max_bytes)
         arrays = {n: _numbers(archive, folder, tensors[n], most) for n in tensors}
-        scene = scene_of_tensors(arrays, path)
+        scene = _as_configured(path, scene_of_tensors(arrays, path))
     rank = re.compile(r"_rank(\d+)\.")
     other = path.with_name(rank.sub(lambda m: f"_rank{int(m[1] == '0')}.", path.name))
     if other != path and other.exists():
@@ -127,6 +139,18 @@ def read_checkpoint(path: Path, data: Sized, max_bytes: int | None) -> Scene:
             other.name,
         )
     return scene
+
+
+def _as_configured(path: Path, scene: Scene) -> Scene:
+    """The scene of a checkpoint, with what only the configuration of its run states."""
+    folder, text = path.absolute().parent, b""
+    for name in _CONFIGURATIONS.get(folder.name, ()):
+        with suppress(OSError), open(folder.parent / name, "rb") as file:
+            text += file.read(_CONFIGURATION_BYTES)
+    if _SURFELS.search(text):
+        log.warning("%s: a 2DGS scene; its Gaussians are flat", path)
+        return replace(scene, log_scale=with_flat(scene.log_scale[:2]), comments=(FLAT,))
+    return replace(scene, comments=(ANTIALIASED,)) if _COMPENSATED.search(text) else scene
 
 
 def _numbers(archive: Archive, folder: str, tensor: StoredTensor, most: int) -> NDArray[np.float32]:

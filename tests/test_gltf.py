@@ -252,6 +252,7 @@ def test_nodes_move_an_spz(tmp_path):
     document, binary = split(pack_gltf_spz(random_scene(20, 1))[0])
     plain = read(tmp_path, document, binary)
     document["nodes"] = [{"mesh": 0, "translation": [1, 2, 3]}, {"mesh": 0}]
+    document["scenes"] = [{"nodes": [0, 1]}]
     both = read(tmp_path, document, binary)
     assert both.count == 40
     np.testing.assert_allclose(
@@ -369,6 +370,20 @@ def test_nodes_turn_and_mirror(tmp_path):
     assert_seen_alike(plain, smaller, turn)
 
 
+@pytest.mark.parametrize(("shown", "moved"), [({}, 0), ({"scene": 1}, 5)])
+def test_only_the_scene_is_read_and_the_rest_is_named(shown, moved, tmp_path, caplog):
+    document, binary = made()
+    plain = read(tmp_path, document, binary)
+    document["nodes"] = [{"children": [2]}, {"mesh": 0, "translation": [5, 0, 0]}, {"mesh": 0}]
+    document["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}}, {}]})
+    document |= {"scenes": [{"nodes": [0]}, {"nodes": [1]}], "animations": [{}], **shown}
+    assert caplog.messages == []
+    scene = read(tmp_path, document, binary)
+    np.testing.assert_allclose(scene.positions[0], plain.positions[0] + moved, rtol=1e-6)
+    told = "primitives without Gaussians (2); meshes outside the scene (1); animations (1)"
+    assert caplog.messages == [f"{tmp_path / 'a.glb'}: left out: {told}"]
+
+
 def test_a_separate_buffer_is_read(tmp_path):
     document, binary = made()
     (tmp_path / "a b.bin").write_bytes(binary + b"more")
@@ -446,6 +461,11 @@ BAD = {
         edited("nodes", to=[{"children": [1]}, {"mesh": 0, "children": [1]}]),
         "two parents",
     ),
+    "empty scene": (edited("scenes", to=[{}]), "not a scene of Gaussians"),
+    "scenes of text": (edited("scenes", to=["0"]), "scenes is not a list of objects"),
+    "nodes of text": (edited("scenes", to=[{"nodes": "0"}]), "scene.nodes is not a list of num"),
+    "node beyond": (edited("scenes", to=[{"nodes": [9]}]), "nodes 9, expected one of 1"),
+    "node twice": (edited("scenes", to=[{"nodes": [0, 0]}]), "two parents"),
     "two parents": (
         edited("nodes", to=[{"children": [2]}, {"children": [2]}, {"mesh": 0}]),
         "two parents",

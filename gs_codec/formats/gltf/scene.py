@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import GLTF
 from gs_codec.formats.coordinates import state_system, turn_axes
-from gs_codec.formats.extra_properties import left_out_of, say_degree_4
+from gs_codec.formats.extra_properties import left_out_of, say_degree_4, say_left_out
 from gs_codec.formats.gltf.compressed import (
     EXTENSION,
     check_supported,
@@ -75,10 +75,26 @@ def placed_scenes(
         plain = [each.primitive for each in placed if not is_compressed(each.primitive)]
         if any(sh_name(4, 0) in primitive["attributes"] for primitive in plain):
             say_degree_4(path)
+        _say_others(path, file)
         above = np.eye(4) if matrix is None else matrix
         return [
             state_system(_scene_of(file, each, degree, max_bytes, above), system) for each in placed
         ]
+
+
+def _say_others(path: Path, file: GltfFile) -> None:
+    """Log what a file has besides the Gaussians of its scene."""
+    primitives = [each for mesh in file.items("meshes") for each in _primitives(mesh)]
+    nodes, shown = file.items("nodes"), [*_roots(file)]
+    for index in shown:
+        shown += _children(nodes[index])
+    outside = {i for i, node in enumerate(nodes) if "mesh" in node} - {*shown}
+    others = {
+        "primitives without Gaussians": sum(not _is_marked(each) for each in primitives),
+        "meshes outside the scene": len(outside),
+        "animations": len(file.items("animations")),
+    }
+    say_left_out(path, lines=others)
 
 
 def variant_of(path: Path, view: memoryview) -> str:
@@ -115,8 +131,7 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
     """Primitives of Gaussians, in the order of nodes from the roots."""
     found = []
     nodes, splats = file.items("nodes"), _Splats(file)
-    below = {child for node in nodes for child in _children(node)}
-    pending = deque((i, np.eye(4)) for i in range(len(nodes)) if i not in below)
+    pending = deque((root, np.eye(4)) for root in _roots(file))
     for _ in range(len(nodes)):
         if not pending:
             break
@@ -136,6 +151,15 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
     if not found:
         raise InvalidInput(f"glTF: no points with {EXTENSION}, not a scene of Gaussians")
     return found
+
+
+def _roots(file: GltfFile) -> list[int]:
+    """Nodes of the scene that is shown; of a file without scenes, all that are no child."""
+    if file.items("scenes"):
+        return _numbers(file.item("scenes", file.document.get("scene", 0)), "scene", "nodes")
+    nodes = file.items("nodes")
+    below = {child for node in nodes for child in _children(node)}
+    return [i for i in range(len(nodes)) if i not in below]
 
 
 class _Splats:
@@ -163,10 +187,15 @@ def _primitives(mesh: dict[str, Any]) -> list[Any]:
 
 
 def _children(node: dict[str, Any]) -> list[int]:
-    children = node.get("children", [])
-    if not isinstance(children, list) or not all(isinstance(each, int) for each in children):
-        raise InvalidInput("glTF: node.children is not a list of numbers")
-    return children
+    return _numbers(node, "node", "children")
+
+
+def _numbers(item: dict[str, Any], kind: str, name: str) -> list[int]:
+    """The numbers of other objects in an object of the document; empty if absent."""
+    found = item.get(name, [])
+    if not isinstance(found, list) or not all(isinstance(each, int) for each in found):
+        raise InvalidInput(f"glTF: {kind}.{name} is not a list of numbers")
+    return found
 
 
 def _placement(node: dict[str, Any]) -> NDArray[np.float64]:
@@ -182,11 +211,15 @@ def _placement(node: dict[str, Any]) -> NDArray[np.float64]:
     return matrix
 
 
-def _is_splats(primitive: Any) -> bool:
+def _is_marked(primitive: Any) -> bool:
     extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
-    if not isinstance(extensions, dict) or EXTENSION not in extensions:
+    return isinstance(extensions, dict) and EXTENSION in extensions
+
+
+def _is_splats(primitive: Any) -> bool:
+    if not _is_marked(primitive):
         return False
-    splats = extensions[EXTENSION]
+    splats = primitive["extensions"][EXTENSION]
     if not isinstance(splats, dict) or not isinstance(primitive.get("attributes"), dict):
         raise InvalidInput(f"glTF: {EXTENSION} without attributes")
     check_supported(primitive)

@@ -194,7 +194,7 @@ def test_halves_are_read_if_there_are_no_floats(tmp_path):
     np.testing.assert_array_equal(read(tmp_path, HEAD + both).positions[:, 0], [7, 7, 7])
 
 
-def test_missing_attributes_have_the_schemas_defaults(tmp_path):
+def test_missing_attributes_have_the_schemas_defaults(tmp_path, caplog):
     alone = """def ParticleField3DGaussianSplat "A"
 {
     point3f[] positions.timeSamples = {3: [(1, 2, 3)], 4: [(7, 8, 9)]}
@@ -207,6 +207,35 @@ def test_missing_attributes_have_the_schemas_defaults(tmp_path):
     assert not scene.f_dc.any()
     assert not scene.f_rest.any()
     assert scene.opacity[0, 0] > 17
+    told = ["without SH, read as grey: 1 prim", "changes at 2 times; the first is read"]
+    assert caplog.messages[:2] == [f"{tmp_path / 'a.usda'}: {each}" for each in told]
+
+
+def with_line(splats: str, line: str) -> str:
+    """The prim with another property."""
+    return splats.replace("{\n", f"{{\n    {line}\n", 1)
+
+
+def test_prims_that_are_not_shown_are_left_out(tmp_path, caplog):
+    hidden = with_line(SPLATS.replace('"A"', '"B"'), 'token visibility = "invisible"')
+    guide = with_line(SPLATS.replace('"A"', '"C"'), 'uniform token purpose = "proxy"')
+    expected = read(tmp_path, HEAD + SPLATS)
+    assert_same_bits(read(tmp_path, HEAD + hidden), expected)
+    assert caplog.messages == []
+    assert_same_bits(read(tmp_path, HEAD + hidden + guide + SPLATS), expected)
+    told = "left out: prims that are not shown (2)"
+    assert caplog.messages == [f"{tmp_path / 'a.usda'}: {told}"]
+
+
+@pytest.mark.thorough
+def test_frames_may_be_prims_that_are_shown_in_turn(tmp_path):
+    first, last = ('"inherited"', '"invisible"'), ('"invisible"', '"inherited"')
+    line = "token visibility.timeSamples = {{1: {}, 2: {}}}"
+    other = SPLATS.replace('"A"', '"B"').replace("(1, 2, 3)", "(7, 8, 9)")
+    text = with_line(SPLATS, line.format(*first)) + with_line(other, line.format(*last))
+    (tmp_path / "a.usda").write_text(HEAD + text)
+    found = [frame.positions.T.tolist() for frame in open_frames(tmp_path / "a.usda")]
+    assert found == [[[1, -2, -3], [4, -5, -6]], [[7, -8, -9], [4, -5, -6]]]
 
 
 def test_times_at_which_attributes_or_places_change_are_frames(tmp_path):

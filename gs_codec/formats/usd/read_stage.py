@@ -68,9 +68,10 @@ def _arrays(source: str, most: int, time: Any) -> dict[str, NDArray]:
     _check_alone(source)
     stage = Usd.Stage.Open(source)
     every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-    prims = [prim for prim in every if _is_splats(prim)]
-    if not prims:
+    found = [prim for prim in every if _is_splats(prim)]
+    if not found:
         raise InvalidInput("no ParticleField3DGaussianSplat, not a scene of Gaussians")
+    prims = [prim for prim in found if _is_shown(prim, time)] or found
     positions, sizes, total = [], [], 0
     degrees = [_degree(prim, time) for prim in prims]
     for prim, degree in zip(prims, degrees, strict=True):
@@ -81,19 +82,21 @@ def _arrays(source: str, most: int, time: Any) -> dict[str, NDArray]:
         total += float_bytes(*sizes[-1])
         if total <= most:
             positions.append(rows)
-    found = {"sizes": np.array(sizes), "z_up": UsdGeom.GetStageUpAxis(stage) == "Z"}
-    found["has_degree_4"] = np.array(4 in degrees)
-    found["times"], found["rate"] = _times(prims), np.array(stage.GetTimeCodesPerSecond())
+    arrays = {"sizes": np.array(sizes), "z_up": UsdGeom.GetStageUpAxis(stage) == "Z"}
+    arrays["has_degree_4"] = np.array(4 in degrees)
+    arrays["hidden"] = np.array(len(found) - len(prims))
+    arrays["grey"] = np.array(sum(not _has_colours(prim) for prim in prims))
+    arrays["times"], arrays["rate"] = _times(found), np.array(stage.GetTimeCodesPerSecond())
     if total > most or len({degree for _, degree in sizes}) > 1:
-        return found
-    found["positions"] = np.concatenate(positions)
+        return arrays
+    arrays["positions"] = np.concatenate(positions)
     for name, missing in _MISSING.items():
-        found[name] = np.concatenate([
+        arrays[name] = np.concatenate([
             _first_rows(prim, name, missing, count, degree if name == _COEFFICIENTS else 0, time)
             for prim, (count, _), degree in zip(prims, sizes, degrees, strict=True)
         ])  # fmt: skip
-    found["matrices"] = np.array([_placed(prim, time) for prim in prims])
-    return found
+    arrays["matrices"] = np.array([_placed(prim, time) for prim in prims])
+    return arrays
 
 
 def _check_alone(source: str) -> None:
@@ -143,8 +146,20 @@ def _is_splats(prim: Any) -> bool:
     return True
 
 
+def _is_shown(prim: Any, time: Any) -> bool:
+    """Whether renderers show a prim by default: visible, and neither a stand-in nor a guide."""
+    image = UsdGeom.Imageable(prim)
+    visible = image.ComputeVisibility(time) != UsdGeom.Tokens.invisible
+    return visible and image.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+
+
+def _has_colours(prim: Any) -> bool:
+    names = (_COEFFICIENTS, f"{_COEFFICIENTS}h")
+    return any(prim.GetAttribute(name).HasAuthoredValue() for name in names)
+
+
 def _times(prims: Sequence[Any]) -> NDArray[np.float64]:
-    """The times at which an attribute of a prim, or its place in the stage, has a value."""
+    """The times at which an attribute of a prim, its place or its visibility has a value."""
     times = set[float]()
     for prim in prims:
         for name in ("positions", *_MISSING):
@@ -153,6 +168,8 @@ def _times(prims: Sequence[Any]) -> NDArray[np.float64]:
         while prim:
             placed = UsdGeom.Xformable(prim)
             times.update(placed.GetTimeSamples() if placed else ())
+            seen = prim.GetAttribute(UsdGeom.Tokens.visibility)
+            times.update(seen.GetTimeSamples() if seen else ())
             prim = prim.GetParent()
     return np.array(sorted(times), np.float64)
 

@@ -8,6 +8,7 @@ usd-core.
 from __future__ import annotations
 
 import io
+import logging
 import sys
 import tempfile
 from pathlib import Path
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.format_table import USD, ZIP
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.extra_properties import left_out_of, say_degree_4
+from gs_codec.formats.extra_properties import left_out_of, say_degree_4, say_left_out
 from gs_codec.formats.limits import EXPANSION, check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import (
     Clipped,
@@ -35,7 +36,10 @@ from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.optional import check_installed, missing_package
 from gs_codec.runtime.programs import Limits, run_on_files
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
+
+log = logging.getLogger(__name__)
 
 #: Suffixes of layers.
 LAYERS = (".usd", ".usda", ".usdc")
@@ -100,10 +104,23 @@ def read_usd(path: Path, view: memoryview, max_bytes: int | None, time: float = 
     with located(path):
         found = _read_in_process(view, most_bytes(len(view), max_bytes), time)
         check_count(*_total(found), len(view), max_bytes)
-        if found["has_degree_4"]:
-            say_degree_4(path)
+        _say_others(path, found, time)
         with refusing("USD"):
             return join_scenes(_scenes(found))
+
+
+def _say_others(path: Path, found: dict[str, NDArray], time: float) -> None:
+    """Log what the scene does not have of a stage, and what the stage does not have."""
+    if found["has_degree_4"]:
+        say_degree_4(path)
+    if found["grey"]:
+        log.warning("%s: without SH, read as grey: %s", path, counted(int(found["grey"]), "prim"))
+    if time != _EARLIEST:  # a frame, of which there may be hundreds
+        return
+    say_left_out(path, lines={"prims that are not shown": int(found["hidden"])})
+    if len(found["times"]) > 1:
+        many = counted(len(found["times"]), "time")
+        log.warning("%s: changes at %s; the first is read", path, many)
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:

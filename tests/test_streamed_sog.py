@@ -257,6 +257,17 @@ def test_an_environment_is_part_of_the_scene(copy, scene):
     assert read_scene(copy / STREAMED).count == scene.count + meta["counts"][2]
 
 
+def test_only_the_runs_of_the_finest_level_are_read(copy):
+    """A file may have other Gaussians, too, such as those of coarser levels."""
+    whole, meta = read_scene(copy / STREAMED), json.loads((copy / STREAMED).read_text())
+    run = next(x["lods"]["0"] for x in leaves_of(meta["tree"]) if x["lods"]["0"]["file"] == 0)
+    first = run["offset"]
+    run |= {"offset": first + 3, "count": run["count"] - 3}
+    (copy / STREAMED).write_text(json.dumps(meta))
+    kept = np.delete(np.arange(whole.count), range(first, first + 3))
+    assert_same_floats(read_scene(copy / STREAMED), whole.take(kept))
+
+
 def test_incomplete_output_has_no_meta(tmp_path):
     write_ply(tmp_path / "scene.ply", random_scene(300, 1))
     (tmp_path / "0_0").write_text("in the way")
@@ -531,6 +542,9 @@ DAMAGED: dict[str, Callable[[dict[str, Any]], Any]] = {
     "child": changed(tree={"children": [7]}),
     "file": changed(tree={"lods": {"0": {"file": 9}}}),
     "file of 10^400": changed(tree={"lods": {"0": {"file": 10**400}}}),
+    "run beyond": changed(tree={"lods": {"0": {"file": 0, "offset": 0, "count": 451}}}),
+    "run backwards": changed(tree={"lods": {"0": {"file": 0, "offset": 9, "count": -9}}}),
+    "run of text": changed(tree={"lods": {"0": {"file": 0, "offset": "0", "count": "9"}}}),
     "kind of file": changed(tree={"lods": {"0": {"file": "0"}}}),
     "missing": with_file("0_0/none.json"),
     "a folder": with_file("0_0"),

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
@@ -28,6 +30,9 @@ from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import Scene, join_scenes
 
 log = logging.getLogger(__name__)
+
+#: Runs of Gaussians by the name of their SOG scene; None for all of its Gaussians.
+Wanted = Mapping[str, list[range] | None]
 
 _VERSION = 1
 
@@ -116,12 +121,12 @@ def is_streamed(path: Path, data: FileBytes) -> bool:
 
 
 @contextmanager
-def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, list[str]]]:
-    """The files of a `lod-meta.json`, and the names of SOG scenes: finest level only, or all."""
+def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, Wanted]]:
+    """The files of a `lod-meta.json`, and what is wanted of them: the finest level, or all."""
     with located(path), opened_files(path, data) as (files, name):
         # It is much smaller than the files that it describes.
         text = files.read(name, max(len(data), _LOD_META_BYTES))
-        yield files.in_folder_of(name), _names(text, finest)
+        yield files.in_folder_of(name), _wanted(text, finest)
 
 
 def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
@@ -132,14 +137,29 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         check_count(*_whole([stated for stated, _ in sizes]), file_bytes, max_bytes)
         scenes: list[Scene] = []
         seen: set[str] = set()
-        for name in names:
+        for name, runs in names.items():
             with located(name), opened_unit(files, name) as unit:
                 _check_unseen(seen, files, unit)
                 where, spare = f"{path}: {name}", _spare(names)
-                scenes.append(scene_of_unit(where, unit, file_bytes, max_bytes, spare))
+                scene = scene_of_unit(where, unit, file_bytes, max_bytes, spare)
+                scenes.append(_in_runs(scene, runs))
     if len({scene.antialiased for scene in scenes}) > 1:
         log.warning("%s: only some parts are antialiased; all are read like the first", path)
     return join_scenes(scenes)
+
+
+def _in_runs(scene: Scene, runs: Sequence[range] | None) -> Scene:
+    """The Gaussians of runs; the same file may have coarser levels, too."""
+    if runs is None:
+        return scene
+    kept = np.zeros(scene.count, bool)
+    for run in runs:
+        if not 0 <= run.start <= run.stop <= scene.count:
+            raise InvalidInput(
+                f"Gaussians {run.start:,} to {run.stop:,} of {scene.count:,} (in {STREAMED})"
+            )
+        kept[run.start : run.stop] = True
+    return scene if kept.all() else scene.take(kept)
 
 
 def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
@@ -154,7 +174,7 @@ def check_coarser(path: Path, data: memoryview, max_bytes: int | None) -> None:
                     scene_of_unit(where, unit, size, max_bytes, _spare(names))
 
 
-def _spare(names: Sequence[str]) -> int:
+def _spare(names: Sized) -> int:
     """`SPARE` of each file; bounds the time to decode small files with many large images."""
     return min(SPARE, max(_SPARE // len(names), _LEAST_SPARE))
 
@@ -192,26 +212,30 @@ def _size(files: Files, name: str) -> tuple[tuple[int, int], int]:
         return unit.meta.stated_size, unit.stored_bytes
 
 
-def _names(text: bytes, finest: bool) -> list[str]:
+def _wanted(text: bytes, finest: bool) -> Wanted:
     with refusing(STREAMED, AttributeError):
         meta = parse_json(text)
         if not isinstance(meta, dict) or meta.get("version", _VERSION) != _VERSION:
             raise InvalidInput(f"{STREAMED}: expected version {_VERSION} of streamed SOG")
-        wanted = list(meta["filenames"])
+        names = list(meta["filenames"])
+        wanted: list[tuple[Any, list[range] | None]] = [(name, None) for name in names]
         if finest:
-            used = {run["file"] for run in _finest_runs(meta["tree"])}
-            wanted = [wanted[index] for index in sorted(used)]
-        wanted += [meta["environment"]] if meta.get("environment") else []
-        wanted = [relative_name(name, STREAMED) for name in wanted]
-    if not wanted or len(set(wanted)) != len(wanted):
+            wanted = [(names[k], runs) for k, runs in sorted(_finest_runs(meta["tree"]).items())]
+        wanted += [(meta["environment"], None)] if meta.get("environment") else []
+        found = {relative_name(name, STREAMED): runs for name, runs in wanted}
+    if not found or len(found) != len(wanted):
         raise InvalidInput(f"{STREAMED}: no files of the level, or one twice")
-    return wanted
+    return found
 
 
-def _finest_runs(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    left = [tree]
+def _finest_runs(tree: dict[str, Any]) -> dict[int, list[range]]:
+    """Runs of Gaussians of the finest level, by the number of their file."""
+    left, runs = [tree], dict[int, list[range]]()
     while left:
         node = left.pop()
         left += node.get("children", ())
         if "0" in node.get("lods", ()):
-            yield node["lods"]["0"]
+            run = node["lods"]["0"]
+            rows = range(run["offset"], run["offset"] + run["count"])
+            runs.setdefault(run["file"], []).append(rows)
+    return runs

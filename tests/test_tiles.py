@@ -373,6 +373,13 @@ def test_transforms_and_tilesets_in_tilesets(tmp_path):
     np.testing.assert_allclose(back.positions, [east, up, -north], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("start", [b"\xef\xbb\xbf", b"\r\n  ", b"\xef\xbb\xbf\n"])
+def test_a_tileset_may_begin_with_a_mark_and_blank_lines(start, tmp_path):
+    path = made(tmp_path, uri("a.glb"))
+    path.write_bytes(start + path.read_bytes())
+    assert read_scene(path).count == 5
+
+
 TREE = ("root", "children", 0)
 
 

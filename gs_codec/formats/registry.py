@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -36,6 +37,9 @@ from gs_codec.scene import Scene, Shift, float_bytes
 
 #: Suffixes of readable files.
 SUFFIXES = read()
+
+#: First character of JSON, maybe after a byte order mark and blank lines.
+_JSON = b"{"
 
 #: Formats with a `recognises` function are tried first.
 _BY_CONTENT = sorted(FORMATS, key=lambda known: known.recognises is None)
@@ -74,13 +78,13 @@ class SceneFile:
             raise InvalidInput(f"{self.path}: {found}")
         by_suffix = _BY_SUFFIX.get(suffix)
         unmarked = {} if by_suffix is None else by_suffix.unmarked
+        text = head.removeprefix(BOM_UTF8).lstrip()
         for known in _BY_CONTENT:
             begins = known.signatures
             if suffix not in unmarked:
                 begins += known.short_signatures
-            if head.startswith(begins) and (
-                known.recognises is None or known.recognises(self.path, self.data)
-            ):
+            marked = head.startswith(begins) or (_JSON in begins and text.startswith(_JSON))
+            if marked and (known.recognises is None or known.recognises(self.path, self.data)):
                 return known
         if by_suffix is None:
             needing = listed(unmarked_names(), "and")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 from gs_codec.format_table import LCC
 from gs_codec.formats.lcc.cell_tables import Grid
@@ -12,6 +14,9 @@ from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import Scene
 
+#: Commas before the end of a list or an object, which some programs write into a `.lcc2`.
+_SURPLUS = re.compile(rb",(?=\s*[]}])")
+
 
 def is_lcc(path: Path, data: FileBytes) -> bool:
     """Whether a file of JSON has a suffix of these formats."""
@@ -20,8 +25,15 @@ def is_lcc(path: Path, data: FileBytes) -> bool:
 
 def _described(path: Path, data: memoryview) -> Grid | Octree:
     with refusing("description", AttributeError):
-        about = parse_json(bytes(data))
+        about = _parsed(bytes(data))
         return Octree(path, about) if "root" in about else Grid(path, about)
+
+
+def _parsed(text: bytes) -> Any:
+    try:
+        return parse_json(text)
+    except ValueError:
+        return parse_json(_SURPLUS.sub(b"", text))
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:

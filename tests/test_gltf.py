@@ -577,7 +577,7 @@ def test_broken_containers_are_refused(tmp_path):
         (data[:16] + b"TEXT" + data[20:], "chunk b'TEXT'"),
         (data[:12] + struct.pack("<I", 1 << 31) + data[16:], "chunk b'JSON' of 2,147,483,648"),
         (data[:20], "bytes of 20"),
-        (joined(made()[0], b""), "of fewer bytes"),
+        (joined(made()[0], b""), "fewer bytes than"),
         (b"glTF" + struct.pack("<II", 2, 12), "12 bytes, expected a header and a chunk"),
     ):
         (tmp_path / "a.glb").write_bytes(change)

@@ -120,9 +120,10 @@ def test_losses_of_a_checkpoint_are_reported(tmp_path, caplog):
     assert report.lost[0] in caplog.text
 
 
-def captured(scene: Scene) -> tuple[dict, tuple]:
-    """Storages by name, and what INRIA's trainer saves of a scene."""
+def captured(scene: Scene, axes: int = 3) -> tuple[dict, tuple]:
+    """Storages by name, and what INRIA's trainer saves of a scene; with two axes, that of 2DGS."""
     arrays = tensors_of(scene)
+    arrays["scales"] = np.ascontiguousarray(arrays["scales"][:, :axes])
     arrays["opacities"] = arrays["opacities"][:, None]
     names = ("means", "sh0", "shN", "scales", "quats", "opacities")
     storages = {f"data/{i}": arrays[name].tobytes() for i, name in enumerate(names)}
@@ -145,6 +146,19 @@ def test_checkpoints_of_inrias_trainer_are_read(tmp_path):
     assert stated_bytes(path) == scene.float_bytes
     path.write_bytes(zipped(**{"data.pkl": write_pickle(((3, *root[0][1:6]), 1)), **storages}))
     assert_refused(path, "without 'means', expected one of gsplat, splatfacto or INRIA's trainer")
+
+
+def test_2d_gaussians_with_two_scales_are_flat(tmp_path, caplog):
+    """As the trainer of 2DGS saves them, which is built on INRIA's."""
+    scene = random_scene(20, 1)
+    storages, root = captured(scene, axes=2)
+    path = tmp_path / "chkpnt30000.pth"
+    path.write_bytes(zipped(**{"data.pkl": write_pickle(root), **storages}))
+    flat = read_scene(path)
+    np.testing.assert_array_equal(flat.log_scale[:2], scene.log_scale[:2])
+    np.testing.assert_array_equal(flat.log_scale[2], scene.log_scale[:2].min(axis=0) - 10)
+    assert flat.comments == ("SplatRenderMode: 2dgs",)
+    assert caplog.messages == [f"{path}: a 2DGS scene; its Gaussians are flat"]
 
 
 @needs_torch

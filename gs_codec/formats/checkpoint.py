@@ -22,7 +22,7 @@ from gs_codec.format_table import CHECKPOINT
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.limits import check_count, most_bytes, refusing
 from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
-from gs_codec.formats.ply.dialects import with_flat
+from gs_codec.formats.ply.dialects import say_flat, with_flat
 from gs_codec.formats.tensors import (
     NAMES,
     NERFSTUDIO,
@@ -148,7 +148,7 @@ def _as_configured(path: Path, scene: Scene) -> Scene:
         with suppress(OSError), open(folder.parent / name, "rb") as file:
             text += file.read(_CONFIGURATION_BYTES)
     if _SURFELS.search(text):
-        log.warning("%s: a 2DGS scene; its Gaussians are flat", path)
+        say_flat(path)
         return replace(scene, log_scale=with_flat(scene.log_scale[:2]), comments=(FLAT,))
     return replace(scene, comments=(ANTIALIASED,)) if _COMPENSATED.search(text) else scene
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import say_degree_4
 from gs_codec.formats.packed_values import sh_of_colours, sigmoid
+from gs_codec.formats.ply.dialects import say_flat, with_flat
 from gs_codec.runtime.wording import counted
-from gs_codec.scene import DEGREE_4, SH_COEFFICIENTS, Scene
+from gs_codec.scene import DEGREE_4, FLAT, SH_COEFFICIENTS, Scene
 
 #: gsplat's names of tensors, and nerfstudio's names for two of them.
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -63,7 +64,7 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
     expected: dict[str, list[tuple[int, ...]]] = {
         "means": [(count, 3)],
         "quats": [(count, 4)],
-        "scales": [(count, 3)],
+        "scales": [(count, 3), (count, 2)],  # of 3D and of 2D Gaussians
         "opacities": [(count,), (count, 1)],
         "sh0": [(count, 1, 3), (count, 3)],
         "shN": [(count, coefficients, 3)],
@@ -77,7 +78,7 @@ def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
 def scene_of_tensors(tensors: Mapping[str, NDArray], where: str | Path = "tensor 'shN'") -> Scene:
     """The scene of arrays with gsplat's or nerfstudio's names; raises like `check_shapes`.
 
-    `where` is the prefix of a warning.
+    `where` is the prefix of warnings.
     """
     count, degree = check_shapes(tensors)
     named = _by_our_names(tensors)
@@ -99,11 +100,15 @@ def scene_of_tensors(tensors: Mapping[str, NDArray], where: str | Path = "tensor
         f_rest[:] = named["shN"][:, :coefficients].transpose(2, 1, 0)
         if named["shN"].shape[1] == DEGREE_4:
             say_degree_4(where)
+    is_flat = named["scales"].shape[1] == 2
+    if is_flat:
+        say_flat(where)
     return Scene(
         planes("means", 3),
         f_dc,
         f_rest.reshape(3 * coefficients, count),
         planes("opacities", 1),
-        planes("scales", 3),
+        with_flat(planes("scales", 2)) if is_flat else planes("scales", 3),
         planes("quats", 4),
+        comments=(FLAT,) if is_flat else (),
     )

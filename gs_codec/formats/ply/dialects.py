@@ -100,6 +100,11 @@ def say_dialect(where: str | Path, names: Collection[str]) -> None:
         )
 
 
+def say_flat(where: str | Path) -> None:
+    """Log that the Gaussians of a scene are read as flat."""
+    log.warning("%s: a 2DGS scene; its Gaussians are flat", where)
+
+
 def say_halves(where: str | Path, vertex: np.dtype) -> None:
     """Log which properties of a vertex are half floats; see `with_halves`."""
     halves = [name for name in vertex.names or () if vertex[name].char == "e"]

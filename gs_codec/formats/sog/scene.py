@@ -19,7 +19,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
-from gs_codec.formats.ply.dialects import with_flat
+from gs_codec.formats.ply.dialects import say_flat, with_flat
 from gs_codec.formats.sog.files import (
     FIRST_TAG,
     PALETTE_COLUMNS,
@@ -68,7 +68,7 @@ def scene_of_unit(
     meta = unit.meta
     is_flat = meta.model == "2dgs"
     if is_flat:
-        log.warning("%s: a 2DGS scene; its Gaussians are flat", where)
+        say_flat(where)
     elif meta.model not in ("default", "antialiased"):
         say_left_out(where, others=[f"unknown model '{ascii(meta.model)[1:40]}'"])
 

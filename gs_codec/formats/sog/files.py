@@ -291,7 +291,7 @@ def scene_in(archive: Archive) -> str:
         return folder.startswith(folders) and folder not in folders
 
     others = [name for name in archive.named(UNBUNDLED) if not is_part(name)]
-    return only_scene(streamed + others, f"{UNBUNDLED}, expected a SOG scene")
+    return only_scene(streamed + others, f"{UNBUNDLED}, expected a SOG scene; unpack others")
 
 
 def unit_of(files: Files, name: str) -> Unit:

@@ -822,7 +822,7 @@ BAD_SOG = {
     "truncated": (bad_sog()[:-30], "zip: "),
     "no meta.json": (zip_of(b"{}").replace(b"meta.json", b"nota.json"), "zip without meta.json"),
     "encrypted": (encrypted(), "encrypted"),
-    "bzip2": (zip_of(b"{}", compression=zipfile.ZIP_BZIP2), "otherwise than by deflate"),
+    "bzip2": (zip_of(b"{}", compression=zipfile.ZIP_BZIP2), "but not by deflate"),
     "lying size": (with_lying_size(), "entry 'meta.json'"),
     "large meta.json": (
         zip_of(b" " * (1 << 23), compression=zipfile.ZIP_DEFLATED),

@@ -86,6 +86,15 @@ def test_empty_folder_is_accepted(folder):
     assert folder.run("render", "scene.ply", *VIEWS.split(), "--out", "out").status == 0
 
 
+def test_cameras_are_not_written_over_what_they_are_from(folder):
+    for name in ("cameras.json", "link.json"):
+        Path("link.json").unlink(missing_ok=True)
+        Path("link.json").symlink_to("cameras.json")
+        typed = ["--cameras", "cameras.json", "--out", name, "--overwrite"]
+        line = folder.refuse("render", "scene.ply", *typed)
+        assert f"{name}: input and output are the same file" in line
+
+
 def test_dangling_link_counts_as_existing(folder):
     Path("link.egs").symlink_to("nowhere.egs")
     assert "link.egs: already exists" in folder.refuse("encode", "scene.ply", "link.egs")

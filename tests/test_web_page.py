@@ -885,6 +885,19 @@ def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, cap
         assert (info.profile, info.count) == ("l", files.a.count)
 
 
+def test_a_page_does_not_replace_a_scene_that_it_encodes(files, tmp_path):
+    exact = encode_scene(files.a, Config("lossless"))[0]
+    (tmp_path / "exact.egs").write_bytes(exact)
+    with pytest.raises(InvalidInput, match=r"exact\.egs: input and output are the same file"):
+        share([tmp_path / "exact.egs"], tmp_path, files.folder / "cameras.json", overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["exact.egs"]
+    assert (tmp_path / "exact.egs").read_bytes() == exact
+    # The page reads this one as it is.
+    shutil.copy(files.folder / "a.egs", tmp_path)
+    share([tmp_path / "a.egs"], tmp_path, files.folder / "cameras.json", overwrite=True)
+    assert (tmp_path / "a.egs").read_bytes() == (files.folder / "a.egs").read_bytes()
+
+
 @in_browser
 def test_pages_show_the_loss_of_their_encoding(files, tmp_path):
     write_ply(tmp_path / "a.ply", files.a)

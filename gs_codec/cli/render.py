@@ -11,6 +11,7 @@ import typer
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import SCENES, print_text, progress_bar
 from gs_codec.cli.typed import Typed, takes
+from gs_codec.files.suffixes import check_no_source
 from gs_codec.plan import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
 from gs_codec.runtime.wording import counted
@@ -44,6 +45,7 @@ def command(
     if only_cameras:
         drawing = ("background", "device", "antialiased")
         typed.refuse(drawing, f"has no effect with --out {out}, which writes only cameras")
+        check_no_source([scene, cameras], out)
         check_writable(out, typed["overwrite"])
     else:
         check_folder(out, typed["overwrite"])

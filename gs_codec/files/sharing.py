@@ -31,6 +31,7 @@ from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.annotations import Annotation, read_annotations
 from gs_codec.files.link_preview import PICTURE, picture_of, tags_of
 from gs_codec.files.scenes import scene_in
+from gs_codec.files.suffixes import check_no_source
 from gs_codec.files.tours import read_tour
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import SceneFile, open_scene
@@ -133,7 +134,8 @@ def share(
     """Write a page that shows a scene, or two versions of it, in a browser.
 
     Raises InvalidInput, CorruptStream, TruncatedStream or UnsupportedVersion, as in `read` and
-    `render`; or if there are more than two scenes, or the target cannot be written. Raises
+    `render`; or if there are more than two scenes, the target cannot be written, or a scene encoded
+    for the page would replace its source. Raises
     MissingTool if the page is missing from the installed `viewer`.
 
     Parameters
@@ -187,6 +189,9 @@ def share(
         with atomic_writer(target) as file:
             file.write(files[PAGE])
     else:
+        for one, name in zip(shared, _file_names(shared), strict=True):
+            if one.encoded:
+                check_no_source(sources, target / name)
         write_files(target, files)
     return shared
 

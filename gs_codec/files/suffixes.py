@@ -61,6 +61,13 @@ def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODE
     return replace(config, format=form)
 
 
+def check_no_source(sources: Sequence[str | Path], target: str | Path) -> None:
+    """Raise InvalidInput if a target is the file of a source."""
+    for source in sources:
+        if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
+            raise InvalidInput(f"{target}: input and output are the same file")
+
+
 def check_target(
     sources: Sequence[str | Path],
     target: str | Path,
@@ -68,9 +75,7 @@ def check_target(
     overwrite: bool = True,
 ) -> str:
     """The suffix of a target; rejects targets that cannot be written, before any work."""
-    for source in sources:
-        if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
-            raise InvalidInput(f"{target}: input and output are the same file")
+    check_no_source(sources, target)
     check_writable(target, overwrite, Path(target).name == TILESET)
     suffix = suffix_of(target, known)
     format_of(suffix).check_installed()

@@ -30,6 +30,9 @@ WRONG_SUFFIX = {
     "convert scene.ply b.OBJ": "suffix '.obj', expected .egs, .spz, .sog, meta.json, .comp",
     "prepare scene.ply b.obj --prune 9": "suffix '.obj', expected .egs, .spz",
     "prepare scene.ply - --prune 9": "-: suffix '', expected .egs, .spz",
+    # Their other files have the same names whatever theirs is.
+    "encode scene.ply b-meta.json": "b-meta.json: expected the name meta.json, which viewers",
+    "convert scene.ply b-tileset.json": "b-tileset.json: expected the name tileset.json, which",
 }
 
 

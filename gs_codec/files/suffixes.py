@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gs_codec.config import EGS, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import FORMATS, STREAMED, TILESET, format_of, read, written
+from gs_codec.format_table import FORMATS, TILESET, format_of, read, written
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.wording import listed
 
@@ -34,8 +34,8 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
         suffix = suffix or Path(path).suffix.lower()
         other = "; `convert` writes that" if suffix in WRITTEN else ""
         raise InvalidInput(f"{path}: suffix '{suffix}', expected {listed(known)}{other}")
-    if suffix == STREAMED and Path(path).name != STREAMED:
-        raise InvalidInput(f"{path}: expected the name {STREAMED}, which viewers look for")
+    if not suffix.startswith(".") and Path(path).name != suffix:
+        raise InvalidInput(f"{path}: expected the name {suffix}, which viewers look for")
     return suffix
 
 

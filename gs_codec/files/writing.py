@@ -138,9 +138,8 @@ def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
         return
     with zipfile.ZipFile(io.BytesIO(b"".join(parts))) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
-    target = Path(path)
     last = files.pop(UNBUNDLED)
-    write_files(target.parent, files | {target.name: last})
+    write_files(Path(path).parent, files | {UNBUNDLED: last})
 
 
 def tell_lost(path: str | Path, lost: Sequence[str]) -> None:

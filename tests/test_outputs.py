@@ -33,6 +33,7 @@ WRONG_SUFFIX = {
     # Their other files have the same names whatever theirs is.
     "encode scene.ply b-meta.json": "b-meta.json: expected the name meta.json, which viewers",
     "convert scene.ply b-tileset.json": "b-tileset.json: expected the name tileset.json, which",
+    "encode scene.ply - --format ply": "--format ply: `convert` writes that",
 }
 
 

@@ -25,6 +25,8 @@ def request_of(typed: Typed, target: Path | None = None, dask: str | None = None
 
     Raises InvalidInput if an option is out of range, or has no effect.
     """
+    if typed["format"] not in (None, *CODED_FORMATS):
+        typed.refuse(["format"], f"{typed['format']}: `convert` writes that")
     config, rate = config_of(typed, target), None
     if has_target(typed):
         rate = typed.build(RateTarget)

@@ -90,6 +90,14 @@ def test_empty_folder_is_accepted(folder):
     assert folder.run("render", "scene.ply", *VIEWS.split(), "--out", "out").status == 0
 
 
+@pytest.mark.parametrize("command", ["share no.ply", "render no.ply", "compare no.ply no.ply"])
+def test_a_file_in_place_of_a_folder_is_refused_before_the_work(folder, command):
+    Path("out").touch()
+    option = "--images" if command.startswith("compare") else "--out"
+    line = folder.refuse(*command.split(), "--cameras", "auto", option, "out", "--overwrite")
+    assert line == "gs-codec: error: out: exists, expected a folder\n"
+
+
 def test_cameras_are_not_written_over_what_they_are_from(folder):
     for name in ("cameras.json", "link.json"):
         Path("link.json").unlink(missing_ok=True)

@@ -43,7 +43,9 @@ def check_writable(path: str | Path, overwrite: bool = True, makes_folder: bool 
 
 
 def check_folder(path: str | Path, overwrite: bool = True) -> None:
-    """Check that a folder for results is empty, unless files may be overwritten."""
+    """Check that a path is no file, and its folder empty unless files may be overwritten."""
+    if os.path.lexists(path) and not os.path.isdir(path):
+        raise InvalidInput(f"{path}: exists, expected a folder")
     if not overwrite and os.path.isdir(path) and os.listdir(path):
         raise InvalidInput(f"{path}: not empty; choose another folder or pass overwrite=True")
 

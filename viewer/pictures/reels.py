@@ -55,12 +55,12 @@ def check_reel(path: Path, size: tuple[int, int], overwrite: bool) -> None:
         For .mp4, if imageio-ffmpeg is not installed.
     """
     if is_folder(path):
-        check_folder(path, overwrite)
         there = path.is_dir()
         if os.path.lexists(path) and not there:
             raise gs_codec.InvalidInput(
                 f"{path}: exists and is not a folder, expected .mp4 or a folder"
             )
+        check_folder(path, overwrite)
         others = [name for name in os.listdir(path) if not _FRAME.fullmatch(name)] if there else []
         if others:
             raise gs_codec.InvalidInput(f"{path}: contains '{min(others)}', expected only frames")

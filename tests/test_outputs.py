@@ -13,6 +13,7 @@ import pytest
 from command_line import ROOT, assert_one_error_line
 
 import gs_codec
+from gs_codec.cli import streams
 from gs_codec.errors import InvalidInput
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.decode_file import decode_file
@@ -203,6 +204,24 @@ def test_named_pipe_is_read_as_a_file(folder, trio):
     with subprocess.Popen(["cp", str(trio.ply), "pipe"]):
         assert folder.run("encode", "pipe", "out.egs", "-p", "paper-m").status == 0
     assert Path("out.egs").read_bytes() == trio.egs.read_bytes()
+
+
+def test_a_full_temporary_folder_is_named(folder):
+    def full(*_) -> None:
+        raise OSError(28, "No space left on device")
+
+    folder.monkeypatch.setattr(streams.shutil, "copyfileobj", full)
+    folder.monkeypatch.setattr(streams.tempfile, "tempdir", str(folder.path))
+    line = folder.refuse("encode", "-", "out.egs")
+    assert line.endswith(f": -: copying it to {folder.path}: No space left on device\n")
+
+
+def test_commands_that_read_no_pipe_say_so(folder, trio):
+    os.mkfifo("pipe")
+    with subprocess.Popen(["cp", str(trio.ply), "pipe"], stderr=subprocess.DEVNULL):
+        status, _, err = folder.run("compare", "pipe", "scene.ply")
+    line = "gs-codec: error: pipe: a pipe or device, expected a file\n"
+    assert (status, err) == (2, line)
 
 
 @pytest.mark.one_in(2)

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 
 from gs_codec.cli.documents import leave_stdout
-from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput, one_line
 
 
 @contextmanager
@@ -104,7 +104,11 @@ def _is_pipe(path: Path) -> bool:
 def _copy_from(source: Path, file: Path) -> None:
     with ExitStack() as stack:
         pipe = sys.stdin.buffer if str(source) == "-" else stack.enter_context(open(source, "rb"))
-        shutil.copyfileobj(pipe, stack.enter_context(open(file, "wb")))
+        try:
+            shutil.copyfileobj(pipe, stack.enter_context(open(file, "wb")))
+        except OSError as error:
+            text = f"copying it to {tempfile.gettempdir()}: {one_line(error)}"
+            raise InvalidInput(f"{source}: {text}") from error
 
 
 @contextmanager

@@ -84,7 +84,7 @@ class FileBytes:
 def opened(path: str | Path) -> Iterator[FileBytes]:
     """Open a file and yield its bytes.
 
-    Raises InvalidInput if it is missing, empty, a directory, or not readable.
+    Raises InvalidInput if it is missing, empty, a directory, a pipe, or not readable.
     """
     try:
         file = open(path, "rb")  # noqa: SIM115 (closed below)
@@ -95,7 +95,8 @@ def opened(path: str | Path) -> Iterator[FileBytes]:
     with file:
         data = FileBytes(path, file.fileno())
         if not len(data):
-            raise InvalidInput(f"{path}: empty file")
+            kind = "empty file" if os.path.isfile(path) else "a pipe or device, expected a file"
+            raise InvalidInput(f"{path}: {kind}")
         yield data
 
 

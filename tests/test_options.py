@@ -31,7 +31,7 @@ VALUES = {
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
     "lpips": "--lpips weights.pth", "effort": "--effort fast",
     "gltf-compression": "--gltf-compression spz", "at": "--at 8,47,400", "level": "--level 1",
-    "lod-levels": "--lod-levels 2",
+    "lod-levels": "--lod-levels 2", "strict": "--strict",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -46,7 +46,9 @@ IGNORED = {
     "encode scene.ply o.egs": (*_ENCODE[1:], *_PAPER, "keep-order", "allow-prune"),
     "encode scene.ply o.egs -p medium": (*_ENCODE[1:], *_PAPER, "keep-order", "allow-prune"),
     "encode scene.ply o.egs --cameras cameras.json": ("gt-images",),
-    "encode scene.ply o.egs --target-ratio 9": (*_ENCODE[1:], "keep-order", *_PAPER),
+    "encode scene.ply o.egs --target-ratio 9": (
+        *_ENCODE[1:], "keep-order", *_PAPER, "strict",
+    ),
     "encode scene.ply o.egs --max-psnr-drop 1": ("max-memory",),
     "encode scene.ply o.egs --prune 10": ("allow-prune", "checkpoint", "max-memory", *_PAPER),
     "encode scene.ply o.egs -p s": ("preset",),
@@ -58,10 +60,11 @@ IGNORED = {
     "batch scene.ply out --target-ratio 9": ("max-memory",),
     "convert scene.ply o.splat": (
         *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER, "gltf-compression",
-        *("at", "level", "lod-levels"),
+        *("at", "level", "lod-levels", "strict"),
     ),
     "convert scene.ply o.sog": ("block-size", "lod-levels"),
-    "convert scene.ply tileset.json": ("block-size", "lod-levels"),
+    "convert scene.ply o.ssog": ("strict",),
+    "convert scene.ply tileset.json": ("block-size", "lod-levels", "strict"),
     "convert scene.ply o.egs": ("lod-levels",),
     "encode scene.ply o.glb": ("profile", "effort", "cameras"),
     "convert scene.egs o.ply": ("keep-order",),
@@ -105,6 +108,12 @@ def test_a_file_that_looks_like_an_option_is_told_how_to_be_named(folder, run_vi
     hint = "No such option: -x; write the name of the file as ./-x.egs\n"
     assert folder.refuse("inspect", "-x.egs") == f"gs-codec: error: {hint}"
     assert run_viewer("-x.egs")[2] == f"gs-viewer: error: {hint}"
+
+
+@pytest.mark.parametrize("command", ["encode scene.ply o.spz", "convert scene.ply o.glb"])
+def test_a_loss_can_be_limited_in_formats_with_step_sizes(folder, command):
+    compressed = ["--gltf-compression", "spz"] if command.endswith("glb") else []
+    assert folder.run(*command.split(), *compressed, "--strict").status == 0
 
 
 # Expert options

@@ -126,6 +126,8 @@ def _check_rate(config: Config, rate: RateTarget, steps: Steps) -> None:
         raise InvalidInput(
             f"target: profile '{config.profile}' has fixed steps, expected {_ADAPTIVE}"
         )
+    if config.strict and rate.psnr_drop is None:
+        raise InvalidInput("strict: has no effect with a target size, which sets the loss")
     if rate.allow_prune and steps.balanced:
         raise InvalidInput("allow_prune: not needed with refine, which prunes to meet a target")
     prunes = steps.by_leave_one_out and not steps.balanced
@@ -175,6 +177,7 @@ def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     written = (target and format_of_file(target.name)) or known  # streamed SOG is coded as SOG
     used = (*_OF_ALL, *known.options, *written.options)
     used += _OF_STEPS if known.writes == "steps" else ()
+    used += ("strict",) if known.writes == "steps" and written.writes != "levels" else ()
     used = (*used, "max_memory") if written.in_parts else used
     names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
     unused = [name for name in ("preset", "max_memory", *names) if name not in used]

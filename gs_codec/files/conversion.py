@@ -138,7 +138,7 @@ def convert_file(
     by_profile : bool
         Whether values from a format that quantises are rounded to the steps of the profile. By
         default they keep the precision of the output format, unless `config` is a profile name, or
-        changes the default profile or coarseness.
+        changes the default profile, coarseness or `strict`.
     at : tuple of three float, optional
         Longitude and latitude in degrees and height in metres of the origin of 3D Tiles, on the
         ellipsoid WGS 84: right becomes east, forward north. Default: not on the earth.

@@ -99,9 +99,10 @@ def keeps_rounding(
 ) -> bool:
     """Whether quantised values keep the precision of a format with step sizes.
 
-    False if a profile or a coarseness is requested.
+    False if a profile, a coarseness or an aim (`strict`) is requested.
     """
-    chosen = by_profile or (config.profile, config.coarseness) != (Config.profile, 1)
+    requested = config.profile, config.coarseness, config.strict
+    chosen = by_profile or requested != (Config.profile, 1, False)
     known = format_of(suffix)
     known = known.variants.get(config.gltf_compression, known)
     takes_steps = known.is_rounded and known.writes in ("steps", "levels")

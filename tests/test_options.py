@@ -31,7 +31,7 @@ VALUES = {
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
     "lpips": "--lpips weights.pth", "effort": "--effort fast",
     "gltf-compression": "--gltf-compression spz", "at": "--at 8,47,400", "level": "--level 1",
-    "lod-levels": "--lod-levels 2", "strict": "--strict",
+    "lod-levels": "--lod-levels 2", "lod": "--lod", "strict": "--strict",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -47,16 +47,19 @@ IGNORED = {
     "encode scene.ply o.egs -p medium": (*_ENCODE[1:], *_PAPER, "keep-order", "allow-prune"),
     "encode scene.ply o.egs --cameras cameras.json": ("gt-images",),
     "encode scene.ply o.egs --target-ratio 9": (
-        *_ENCODE[1:], "keep-order", *_PAPER, "strict",
+        *_ENCODE[1:], "keep-order", *_PAPER, "coarseness", "strict",
     ),
     "encode scene.ply o.egs --max-psnr-drop 1": ("max-memory",),
     "encode scene.ply o.egs --prune 10": ("allow-prune", "checkpoint", "max-memory", *_PAPER),
     "encode scene.ply o.egs -p s": ("preset",),
     "batch scene.ply out -p lossless": ("preset",),
-    "prepare scene.ply o.ply --rectify 7": ("checkpoint", "geometry-rule", *_PAPER, "keep-order"),
+    "prepare scene.ply o.ply --rectify 7": (
+        "checkpoint", "geometry-rule", *_PAPER, "keep-order", "lod",
+    ),
     "batch scene.ply out": ("views", "width", "background", "gt-images", *_PAPER, "allow-prune"),
     "batch scene.ply out -p paper-m": ("cameras", "views", "width", "background", "keep-order"),
     "batch scene.ply out --resume": ("overwrite",),
+    "batch scene.ply out --format ply": ("device",),
     "batch scene.ply out --target-ratio 9": ("max-memory",),
     "convert scene.ply o.splat": (
         *("profile", "depth", "coarseness", "block-size", "effort"), *_PAPER, "gltf-compression",

@@ -39,6 +39,8 @@ def command(
     typed: Typed,
 ) -> None:
     """Prune, refine or compact a scene before coding, and report the loss."""
+    if known_suffix(target) in PLAIN:
+        typed.refuse(["lod"], f"has no effect on {target}, expected an .egs")
     config = config_of(typed, target)
     plan = plan_of(typed, config)
     if plan is None or not plan.steps.wanted:

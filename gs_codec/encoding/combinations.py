@@ -173,7 +173,7 @@ def refuse_coding(typed: Typed, form: str, target: Path | None) -> None:
     settings: list[Any] = [Config]
     if known.writes == "floats":
         settings += [RateTarget, Steps]
-        typed.refuse(["gt_images"], f"has no effect on {where}")
+        typed.refuse(["gt_images", "device"], f"has no effect on {where}")
     written = (target and format_of_file(target.name)) or known  # streamed SOG is coded as SOG
     used = (*_OF_ALL, *known.options, *written.options)
     used += _OF_STEPS if known.writes == "steps" else ()
@@ -200,6 +200,7 @@ def refuse_paper(typed: Typed, profile: str) -> None:
 def has_target(typed: Typed) -> bool:
     """Whether a size or a quality was typed; rejects options that need one."""
     if _has_target(typed):
+        typed.refuse(["coarseness"], "has no effect with a target, which sets the step sizes")
         return True
     typed.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
     return False

@@ -246,6 +246,16 @@ def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
         as_requested(still_life, Config(strict=True), Plan(cameras=flipped))
 
 
+@pytest.mark.parametrize("target", [{"bits": 40}, {"psnr_drop": 0.1}], ids=str)
+def test_cameras_of_another_scene_are_reported_with_a_target(still_life, cameras, target, caplog):
+    as_requested(still_life, Config(), Plan(cameras=cameras), target)
+    assert not [r for r in caplog.records if r.levelno == logging.WARNING]
+    flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
+    as_requested(still_life, Config(), Plan(cameras=flipped), target)
+    [record] = [r for r in caplog.records if r.levelno == logging.WARNING]
+    assert "cameras do not fit the scene: away from them, views lose" in record.getMessage()
+
+
 def test_prepared_scenes_are_compared_with_the_scene_before(still_life, cameras):
     plan = Plan(Steps(prune=40), cameras)
     _, report = as_requested(still_life, Config("l"), plan)

@@ -384,16 +384,21 @@ def _check_whole(
 ) -> Encoded:
     """Measure the loss of views relative to the scene before preparation."""
     from gs_codec.encoding.loss import Check
-    from gs_codec.encoding.retry import warn_of_loss
+    from gs_codec.encoding.retry import warn_of_cameras, warn_of_loss
 
     config, times = request.config, StageTimes()
     with times.stage("measure"):
         clean, _ = clean_scene(scene, config)
-        loss = Check.by_plan(clean, request.plan).measure(decode_as(config, b"".join(parts)))
+        check = Check.by_plan(clean, request.plan)
+        loss = check.measure(decode_as(config, b"".join(parts)))
     if loss is not None:
         loss = replace(loss, aimed=None if request.rate is None else request.rate.psnr_drop)
         if (coded := report.rendered) is not None:
             loss = replace(loss, encodings=coded.encodings, remedy=coded.remedy)
         warn_of_loss(loss, config)
+        rate, steps = report.rate, config.has_steps and not config.depths
+        # Pruning and refinement also change what is away from the cameras.
+        if rate is not None and steps and not (rate.pruned or request.prepares):
+            warn_of_cameras(check, loss, rate.coarseness, config)
     taken = times.seconds["measure"] + report.seconds.get("measure", 0.0)
     return parts, replace(report, rendered=loss, seconds=report.seconds | {"measure": taken})

@@ -158,11 +158,22 @@ def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
     return times > (_MISFIT_IF_BARE if check.covered < _BARE else _MISFIT)
 
 
-def warn_misfit(reason: str, config: Config) -> None:
+def warn_misfit(reason: str, config: Config, reaction: str = "; encoded without them") -> None:
     """Warn that cameras do not fit the scene; raise if strict. Raises InvalidInput."""
     if config.strict:
         raise InvalidInput(f"cameras do not fit the scene: {reason}")
-    log.warning("cameras do not fit the scene: %s; encoded without them", reason)
+    log.warning("cameras do not fit the scene: %s%s", reason, reaction)
+
+
+def warn_of_cameras(check: Check, loss: RenderedLoss, coarseness: float, config: Config) -> None:
+    """Warn if given cameras, which guided an encode to a target, do not fit the scene.
+
+    Steps that are finer than those of the profile are not expected to lose less. Raises
+    InvalidInput if it is strict.
+    """
+    reached = replace(config, coarseness=max(coarseness, 1.0))
+    if loss.away is not None and _misfits(check, loss, wanted_error(reached)):
+        warn_misfit(f"away from them, views lose {loss.away:.1f} dB", config, "")
 
 
 def _measure(

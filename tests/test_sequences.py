@@ -357,6 +357,8 @@ def test_commands(folder, caplog):
         ("encode frames/f9.ply a.egs --target-bitrate 9M", "--target-bitrate has no effect on"),
         ("encode frames a.egs --prune 10", "--prune has no effect on a sequence"),
         ("encode frames a.spz", "a.spz: frames are encoded to an .egs"),
+        ("encode frames -", "-: stdout is for one scene, expected a name"),
+        ("encode frames a.egs --strict", "strict: has no effect on a sequence without cameras"),
         ("encode frames a.egs -p lossless", "a.egs: frames are encoded to an .egs by profile"),
         ("encode frames a.egs --group 0", "--group 0: expected"),
         ("encode frames/f9.ply a.egs --fps 3", "--fps has no effect on frames/f9.ply"),
@@ -449,6 +451,8 @@ def test_refused_of_sequences(folder):
     folder.run("encode", "frames", "a.egs")
     for typed, said in (
         (["--level", "1"], "--level has no effect on a.egs, a sequence"),
+        (["x.ply"], "x.ply: a file, expected a folder for the frames, or one frame"),
+        (["-"], "-: stdout is for one scene, expected a name"),
         (["x.ply", "--frame", "4"], "frames 4 to 4: expected some of 0 to 3"),
         (["--time", "soon"], "--time soon: expected START-END in seconds"),
         (["--time", "9-10"], "time 9-10: expected some of 0 to 0.133333 seconds"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import bars, print_table, print_text, progress_bar, smaller
+from gs_codec.cli.streams import is_stdout
 from gs_codec.cli.typed import Typed
 from gs_codec.config import EGS
 from gs_codec.errors import InvalidInput
@@ -52,6 +53,7 @@ def encode(source: Path, target: Path, typed: Typed) -> None:
     from gs_codec.sequences.frame_encoding import GROUP
     from gs_codec.sequences.frame_targets import encode_requested
 
+    _refuse_stdout(target)
     typed.refuse(_WHOLE_SCENES, "has no effect on a sequence of frames")
     if typed.actions:
         raise InvalidInput(f"--{typed.actions[0].typed}: has no effect on a sequence of frames")
@@ -108,6 +110,7 @@ def decode(source: Path, target: Path, typed: Typed, frame: int | None, time: st
     from gs_codec.runtime.threads import using_threads
     from gs_codec.sequences.frame_decoding import decode_to_files
 
+    _refuse_stdout(target)
     typed.refuse(_OF_SCENES, f"has no effect on {source}, a sequence")
     span = None if time is None else _seconds(time)
     if frame is not None and span is not None:
@@ -127,6 +130,11 @@ def decode(source: Path, target: Path, typed: Typed, frame: int | None, time: st
         f"{target}: {counted(done.frames, 'frame')}, {counted(done.count, 'Gaussian')}, "
         f"{size_text(done.output_bytes)}, {done.seconds:.2f} s"
     )
+
+
+def _refuse_stdout(target: Path) -> None:
+    if is_stdout(target):
+        raise InvalidInput(f"{target}: stdout is for one scene, expected a name for a sequence")
 
 
 def _seconds(text: str) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from gs_codec.egs.egs_file import EgsFile, described, read_file
 from gs_codec.egs.frame_sections import Timeline, timeline_of
 from gs_codec.egs.header import Feature
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import check_target
+from gs_codec.files.suffixes import check_target, known_suffix
 from gs_codec.formats.ply.writer import write_vertices
 from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.report import Progress, step_counter
@@ -125,7 +125,7 @@ def decode_to_files(
     Raises
     ------
     InvalidInput
-        If there are no such frames, or the target cannot be written.
+        If there are no such frames, the target is a file for several, or cannot be written.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the file is damaged.
     """
@@ -137,6 +137,8 @@ def decode_to_files(
         if frame is not None:
             check_target([source], target, (".ply",), overwrite)
             some = range(frame, frame + 1)
+        elif known_suffix(target):
+            raise InvalidInput(f"{target}: a file, expected a folder for the frames, or one frame")
         else:
             check_folder(target, overwrite)
         if time_range is not None:

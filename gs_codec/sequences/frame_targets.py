@@ -60,6 +60,8 @@ def encode_requested(
             f"{target}: frames are encoded to an .egs by profile {', '.join(ADAPTIVE_PROFILES)}, "
             "without levels of detail"
         )
+    if config.strict and (request.plan is None or request.rate is not None):
+        raise InvalidInput("strict: has no effect on a sequence without cameras, or with a target")
     encode = encode_frames if request.rate is None else _encode_to_target
     if isinstance(source, Frames):
         check_target([], target, (".egs",), overwrite)

@@ -332,6 +332,7 @@ def test_commands(folder, caplog):
     assert "\n2 key frames, " in result.out
     shown = json.loads(folder.run("inspect", "a.egs", "--json").out)
     assert (shown["frames"], shown["fps"]) == (4, 24)
+    assert (shown["gaussians"], shown["sh_degree"]) == (1200, 3)
     assert [group["name"] for group in shown["groups"]] == ["f9", "f11"]
     assert "key frame  name" in folder.run("inspect", "a.egs").out
     assert "sound" in folder.run("verify", "a.egs").out

@@ -161,7 +161,10 @@ def inspect(source: Path, file: Path, typed: Typed) -> None:
         first = describe(open_key_frame(sequence.file, 0))
         shown = _described(sequence)
     if typed["json"]:
-        print_document(input=str(source), format=EGS, profile=first.profile, **shown)
+        print_document(
+            input=str(source), format=EGS, profile=first.profile, gaussians=first.count,
+            sh_degree=first.sh_degree, **shown,
+        )  # fmt: skip
         return
     frames, size = shown["frames"], shown["input_bytes"]
     seconds = frames / shown["fps"]

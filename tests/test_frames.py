@@ -77,6 +77,16 @@ def test_files_in_a_zip_are_frames(tmp_path):
     assert open_frames(path).stored_bytes == open_frames(tmp_path).stored_bytes
 
 
+@pytest.mark.parametrize("start", ["1\u00b2", "\u0663/", "0" * 5000, "9" * 5000])
+def test_digits_of_other_scripts_and_long_numbers_are_names(tmp_path, start):
+    names = [f"{start}2", f"{start}10"]
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for name in (*names[::-1], "a/b"):
+            archive.writestr(f"{name}.ply", b"ply")
+    found = [name for name in open_frames(tmp_path / "a.zip").names if name != "b"]
+    assert found == [name.rpartition("/")[2] for name in names]
+
+
 @pytest.mark.parametrize("last", ["point_cloud", "iteration_9/point_cloud"])
 def test_frames_of_one_name_are_called_by_their_folders(tmp_path, last):
     saved(tmp_path, [f"t{number}/{last}" for number in (2, 3, 10)])

@@ -238,9 +238,10 @@ def _in_order(source: Path, paths: Sequence[PurePath]) -> tuple[list[PurePath], 
     return ordered, names
 
 
-def _natural(text: str) -> list[str | int]:
-    """A key that orders numbers in texts by their value."""
-    return [int(each) if each.isdigit() else each for each in re.split(r"([0-9]+)", text)]
+def _natural(text: str) -> list[tuple[int, str]]:
+    """A key that orders numbers in texts by their value, however long they are."""
+    parts = re.split("0*([0-9]+)", text)
+    return [(len(each) if k % 2 else 0, each) for k, each in enumerate(parts)]
 
 
 def _parts(path: PurePath) -> tuple[str, ...]:
@@ -264,7 +265,8 @@ def _names(parts: list[tuple[str, ...]]) -> list[str]:
 
 def _warn_of_gaps(source: Path, names: Sequence[str]) -> None:
     """Warn where the last number in names is not the next one."""
-    numbers = [int(found[-1]) for name in names if (found := re.findall("[0-9]+", name))]
+    # Python reads integers of at most 4300 digits.
+    numbers = [int(found[-1]) for name in names if (found := re.findall("[0-9]{1,4300}", name))]
     steps = [after - before for before, after in pairwise(numbers)]
     if len(numbers) < len(names) or not steps or min(steps) < 1:
         return

@@ -124,6 +124,15 @@ def test_output_tree_starts_at_the_first_wildcard(folder, source, outputs):
     assert sorted(found) == outputs
 
 
+def test_outputs_of_an_earlier_run_are_no_scenes(folder, caplog):
+    for count in (3, 0):
+        out = folder.run("batch", ".", "out", "--format", "ply", "--json", "--resume").out
+        summary = summary_of(out)
+        assert (summary.done, summary.skipped) == (count, 3 - count)
+    assert "skipped 3 scenes that this batch writes" in caplog.messages
+    assert not Path("out/out").exists()
+
+
 def test_options_equal_those_of_encode(folder):
     options = ("-p", "paper-s", "--depth", "rotation=9", "--extra", "drop", "--threads", "2")
     assert folder.run("batch", "in/*.ply", "out", *options, "--json").status == 0

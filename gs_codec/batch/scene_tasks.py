@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,9 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.format_table import BATCHED
 from gs_codec.runtime.redaction import without_secrets
 from gs_codec.runtime.threads import available_threads
+from gs_codec.runtime.wording import counted
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -147,8 +151,8 @@ def find_tasks(
 ) -> list[Task]:
     """The scenes of a storage, named `source` in errors, with their outputs below the target.
 
-    Raises InvalidInput if there are none, if two have the same output, or if an output is its own
-    source.
+    A scene that is the output of another is skipped. Raises InvalidInput if there are none, if two
+    have the same output, or if an output is its own source.
     """
     found = sources.find(options.sources)
     if not found:
@@ -180,7 +184,18 @@ def find_tasks(
         need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
         need = min(need, options.max_memory or need)
         tasks.append(Task(name, location, target, shown, stamp, need, mark))
-    return tasks
+    return _without_outputs(tasks, taken)
+
+
+def _without_outputs(tasks: list[Task], outputs: Container[str]) -> list[Task]:
+    """The tasks whose scene is not an output of the same batch; an earlier run may have written it.
+
+    If there are others, a warning says how many.
+    """
+    kept = [task for task in tasks if task.shown[0] not in outputs]
+    if found := len(tasks) - len(kept):
+        log.warning("skipped %s that this batch writes", counted(found, "scene"))
+    return kept
 
 
 def _stated(sources: Storage, location: Location) -> int | None:

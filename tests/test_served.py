@@ -193,9 +193,10 @@ def test_a_page_begins_with_the_requested_view_and_frame(tmp_path):
 
 
 def test_the_server_runs_until_interrupted(scene):
-    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYTHONUNBUFFERED")
+    environment = {k: v for k, v in os.environ.items() if k not in unset}
     process = subprocess.Popen(
-        [sys.executable, "-u", "-c", "from viewer.main import main; main()", scene, "--web"],
+        [sys.executable, "-c", "from viewer.main import main; main()", scene, "--web"],
         env=environment | {"PYTHONPATH": str(ROOT), "SSH_CONNECTION": "a 1 b 2"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -121,6 +121,7 @@ class Page(ThreadingHTTPServer):
                 stack.callback(self.inspector.close)
             stack.callback(self.server_close)
             stack.enter_context(suppress(KeyboardInterrupt))
+            sys.stdout.flush()  # may be a pipe, as over SSH
             self.serve_forever()
 
     def handle_error(self, request: object, client_address: object) -> None:

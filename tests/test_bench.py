@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
@@ -16,7 +17,9 @@ from gs_codec.bench.measured_scenes import held_out_views, tile_scene
 from gs_codec.bench.processes import run_in_process
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import write_png
+from gs_codec.cli.bench import _printed
 from gs_codec.cli.main import app
+from gs_codec.cli.output import set_loudness
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
@@ -170,6 +173,18 @@ def test_a_separate_process_is_measured(tmp_path):
 
 
 @pytest.mark.thorough
+def test_lines_are_printed_at_once(monkeypatch):
+    stdout = io.TextIOWrapper(io.BytesIO())
+    monkeypatch.setattr("sys.stdout", stdout)
+    set_loudness()  # another test may have been quiet
+
+    def lines():
+        yield {"a": 1}
+        assert stdout.buffer.getvalue() == b'{"a": 1}\n'
+
+    assert _printed(lines()) == [{"a": 1}]
+
+
 def test_options_of_the_paper_are_those_of_encoding(tmp_path):
     scene = random_scene(300, 1, seed=71)
     write_ply(tmp_path / "scene.ply", scene)

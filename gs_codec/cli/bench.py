@@ -66,6 +66,7 @@ def _printed(lines: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     printed = []
     for line in lines:
         print_text(json.dumps(line))
+        sys.stdout.flush()
         printed.append(line)
     return printed
 

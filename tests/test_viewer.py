@@ -706,6 +706,8 @@ def test_photographs_are_never_executed(files, tmp_path, monkeypatch, run_viewer
         (["a.ply", "--turntable", "x", "--layers", "error"], "layers error: expected two scenes"),
         (["a.ply", "--screenshot", "x.png", "--layers", "pruned"], "layers pruned: needs a report"),
         (["a.ply", "--octree-depth", "13"], "octree-depth 13: expected 1 to 12"),
+        (["a.ply", "--turntable", "x", "--octree-depth", "3"], "need the layer octree"),
+        (["a.ply", "--screenshot", "x.png", "--colour", "sh"], "colour sh: needs the layer centr"),
     ],
 )
 def test_errors_are_one_line(arguments, said, run_viewer, monkeypatch):

@@ -143,6 +143,12 @@ class Request:
                 raise gs_codec.GsCodecError("layers error: expected two scenes")
         if "pruned" in self.layers and self.pruned is None:
             raise gs_codec.GsCodecError("layers pruned: needs a report")
+        if name == "page":  # its panel adds layers
+            return
+        if self.colouring != Request.colouring and "centres" not in self.layers:
+            raise gs_codec.GsCodecError(f"colour {self.colouring}: needs the layer centres")
+        if self.octree != OctreeChoice() and "octree" not in self.layers:
+            raise gs_codec.GsCodecError("octree-depth and octree-colour: need the layer octree")
 
     @property
     def chosen(self) -> bool:

@@ -61,7 +61,10 @@ def test_usage_follows_the_missing_argument(folder, typed, error, usage):
     ("typed", "wanted"),
     [
         ("encode in/a.ply in/b.ply all.egs", ["batch 'in/*.ply' DST", "convert in/*.ply OUT"]),
-        ("encode a.spz b.spz c.spz all.egs", ["batch '*.spz' DST"]),
+        (
+            "encode a.spz b.spz c.spz all.egs",
+            ["batch '*.spz' DST", "sequence: gs-codec encode '*.spz' OUT"],
+        ),
         ("batch in/a.ply in/b.ply out", ["in quotes: gs-codec batch 'in/*.ply' DST"]),
         ("decode a.egs b.egs out", ["batch '*.egs' DST --format ply"]),
         ("verify a.egs b.egs", ["usage: gs-codec verify [OPTIONS] FILE"]),

@@ -84,7 +84,8 @@ def _of_several(ctx: Any) -> str:
     if ctx.info_name == "encode":
         return (
             "encode: more than IN and OUT; to encode each: "
-            f"gs-codec batch '{glob}' DST; to merge all: gs-codec convert {glob} OUT"
+            f"gs-codec batch '{glob}' DST; to merge all: gs-codec convert {glob} OUT; "
+            f"as frames of a sequence: gs-codec encode '{glob}' OUT"
         )
     if ctx.info_name == "decode":
         glob = os.path.join(folder, "*.egs")

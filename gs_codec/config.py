@@ -407,8 +407,8 @@ class Config:
         With ``l``, ``m``, ``s``: how long encoding may take. In an `.egs` with cameras, the time
         goes into joint rounding (see `round_jointly`), which ``fast`` omits. Without cameras,
         ``fast`` omits the local basis of SH-AC, and ``high`` is not allowed. It sets how well an
-        `.spz` is compressed, and how long rows of the palette of a `.sog` are searched. Other
-        formats have only ``normal``. Default ``normal``.
+        `.spz` or `.rad` is compressed, and how long rows of the palette of a `.sog` are searched.
+        Other formats have only ``normal``. Default ``normal``.
     strict : bool
         With ``l``, ``m``, ``s``: fail if rendered views lose more than twice the profile's target.
         Default False: only warn.
@@ -510,8 +510,8 @@ class Config:
     )  # fmt: skip
     effort: Effort = option(
         "normal",
-        "How long profiles l, m, s may take to make an .egs, .spz or .sog smaller; high needs "
-        "cameras for an .egs.",
+        "How long profiles l, m, s may take to make an .egs, .spz, .rad or .sog smaller; high "
+        "needs cameras for an .egs.",
         values=get_args(Effort),
     )
     strict: bool = option(

@@ -282,6 +282,24 @@ def test_an_interrupted_run_goes_on(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.egs", "whole.egs"]
 
 
+def test_a_run_with_other_cameras_begins_again(tmp_path, monkeypatch):
+    found = []
+
+    def stop(target: Path, identity: dict) -> None:
+        found.append(identity)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(frame_encoding, "work_folder", stop)
+    frames, cameras = given(moving(frames=2)), tmp_path / "cameras.json"
+    frames = replace(frames, paths=[tmp_path])
+    for text in ("[]", "[]", "[ ]"):
+        if not cameras.exists() or cameras.read_text() != text:
+            cameras.write_text(text)
+        with pytest.raises(KeyboardInterrupt):
+            encode_frames(frames, tmp_path / "a.egs", Request(SMALL, Plan(cameras=cameras)))
+    assert found[0]["files"][1:] == found[1]["files"][1:] != found[2]["files"][1:]
+
+
 def test_frames_in_memory_are_not_those_of_an_earlier_run(tmp_path):
     scenes, others = moving(frames=3), moving(frames=3, seed=1)
     read: list[int] = []

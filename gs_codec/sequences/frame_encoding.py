@@ -150,9 +150,12 @@ def encode_frames(
     if not source.paths:
         # Nothing tells whether frames in memory are those of an earlier run.
         settings["run"] = secrets.token_hex(8)
+    files, plan = list(source.paths), request.plan
+    if plan is not None and isinstance(plan.cameras, str | Path):
+        files += filter(Path.exists, [Path(plan.cameras)])
     with (
         using_threads(config.threads),
-        work_folder(Path(target), identity_of(source.paths, **settings)) as folder,
+        work_folder(Path(target), identity_of(files, **settings)) as folder,
     ):
         if calibrates and request.plan is None:
             if not folder.has("steps"):

@@ -217,7 +217,6 @@ def refuse_preparation(typed: Typed) -> None:
     if not typed["refine"]:
         typed.refuse(["checkpoint"], "needs --refine, whose state it saves")
         typed.refuse(["device"], "needs --refine")
-        typed.refuse(["keep_refined"], "needs --refine, whose result it keeps")
 
 
 def has_views(typed: Typed, config: Config) -> bool:

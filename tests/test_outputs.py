@@ -20,6 +20,7 @@ from gs_codec.files.decode_file import decode_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.plan import Plan, Steps
+from gs_codec.runtime.arrays import folder_on_disk
 
 WRONG_SUFFIX = {
     "encode scene.ply b.ply": ".usdc or .usdz; `convert` writes that",
@@ -211,9 +212,13 @@ def test_a_full_temporary_folder_is_named(folder):
         raise OSError(28, "No space left on device")
 
     folder.monkeypatch.setattr(streams.shutil, "copyfileobj", full)
-    folder.monkeypatch.setattr(streams.tempfile, "tempdir", str(folder.path))
+    folder.monkeypatch.setenv("TMPDIR", str(folder.path))
     line = folder.refuse("encode", "-", "out.egs")
     assert line.endswith(f": -: copying it to {folder.path}: No space left on device\n")
+    # Where --max-memory keeps large arrays: /tmp may be in memory.
+    folder.monkeypatch.delenv("TMPDIR")
+    disk = folder_on_disk()
+    assert f" copying it to {disk}: No space" in folder.refuse("encode", "-", "out.egs")
 
 
 def test_commands_that_read_no_pipe_say_so(folder, trio):

@@ -107,14 +107,16 @@ def _copy_from(source: Path, file: Path) -> None:
         try:
             shutil.copyfileobj(pipe, stack.enter_context(open(file, "wb")))
         except OSError as error:
-            text = f"copying it to {tempfile.gettempdir()}: {one_line(error)}"
-            raise InvalidInput(f"{source}: {text}") from error
+            folder = file.parents[1]
+            raise InvalidInput(f"{source}: copying it to {folder}: {one_line(error)}") from error
 
 
 @contextmanager
 def _stand_in(path: Path, name: str) -> Iterator[Path]:
     """A temporary file; errors and warnings show the path that it replaces."""
-    with tempfile.TemporaryDirectory(prefix="gs-codec-") as folder:
+    from gs_codec.runtime.arrays import folder_on_disk
+
+    with tempfile.TemporaryDirectory(prefix="gs-codec-", dir=folder_on_disk()) as folder:
         file = Path(folder, name)
 
         def renamed(text: str) -> str:

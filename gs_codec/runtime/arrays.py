@@ -94,7 +94,7 @@ class Disk(Memory):
 
     def __init__(self, limit: int | None = None) -> None:
         self.limit = limit
-        self.folder = os.environ.get("TMPDIR") or _on_disk()
+        self.folder = folder_on_disk()
         self._lock = threading.Lock()
         self._maps: list[weakref.ref[mmap.mmap]] = []
         self._segment: mmap.mmap | None = None
@@ -167,9 +167,10 @@ class Disk(Memory):
         return mapped
 
 
-def _on_disk() -> str:
-    """A folder for large files; /tmp is in memory on many systems, /var/tmp is not."""
-    return "/var/tmp" if os.access("/var/tmp", os.W_OK) else tempfile.gettempdir()
+def folder_on_disk() -> str:
+    """``TMPDIR``, or a folder for large files: /tmp is in memory on many systems."""
+    large = "/var/tmp" if os.access("/var/tmp", os.W_OK) else tempfile.gettempdir()
+    return os.environ.get("TMPDIR") or large
 
 
 _CURRENT: ContextVar[Memory] = ContextVar("storage", default=Memory())  # noqa: B039

@@ -113,6 +113,9 @@ def test_any_frame_is_decoded_alone(tmp_path):
             assert_same_floats(alone, frame)
         assert sequence.at(0.09, 0.2) == range(2, 5)
         assert sequence.at(0.0, 0.0) == range(1)
+        long = replace(sequence, timeline=replace(sequence.timeline, count=200, rate=(30, 1)))
+        assert long.at(4.1, 4.2) == range(123, 126)
+        assert long.at(0, 4.1) == range(123)
         with pytest.raises(InvalidInput, match="expected some of 0 to 6"):
             sequence.frames(7)
         with pytest.raises(InvalidInput, match=r"0 to 0\.28 seconds"):
@@ -474,6 +477,7 @@ def test_refused_of_sequences(folder):
         (["-"], "-: stdout is for one scene, expected a name"),
         (["x.ply", "--frame", "4"], "frames 4 to 4: expected some of 0 to 3"),
         (["--time", "soon"], "--time soon: expected START-END in seconds"),
+        (["--time", f"0-{'9' * 400}"], "expected START-END in seconds"),
         (["--time", "9-10"], "time 9-10: expected some of 0 to 0.133333 seconds"),
         (["x.ply", "--frame", "1", "--time", "0-1"], "--frame and --time cannot be combined"),
     ):

@@ -139,7 +139,7 @@ def _refuse_stdout(target: Path) -> None:
 
 def _seconds(text: str) -> tuple[float, float]:
     """The seconds of ``START-END``."""
-    found = re.fullmatch(r"(\d+\.?\d*)-(\d+\.?\d*)", text)
+    found = re.fullmatch(r"(\d{1,9}(?:\.\d*)?)-(\d{1,9}(?:\.\d*)?)", text)
     if not found:
         raise InvalidInput(f"--time {text}: expected START-END in seconds, for example 1.5-3")
     return float(found[1]), float(found[2])

@@ -57,11 +57,12 @@ class Sequence:
         Raises InvalidInput if `start` is after `end`, or the sequence is shorter.
         """
         timeline = self.timeline
-        first = int(start * timeline.fps)
+        # As floats, 4.1 s of 30 frames a second are a little less than 123 frames.
+        first, last = (int(round(each * timeline.fps, 6)) for each in (start, end))
         if not 0 <= start <= end or first >= timeline.count:
             length = timeline.count / timeline.fps
             raise InvalidInput(f"time {start:g}-{end:g}: expected some of 0 to {length:g} seconds")
-        return range(first, min(max(int(end * timeline.fps), first + 1), timeline.count))
+        return range(first, min(max(last, first + 1), timeline.count))
 
 
 @contextmanager

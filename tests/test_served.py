@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -95,6 +96,16 @@ def test_ranges_are_answered(page, asked, status, body, told):
 @pytest.mark.parametrize("path", ["/", "/index.html", "/a%20b.egs", "/x/", "/../a%20b.egs"])
 def test_requests_without_the_address_fail(page, path):
     assert answer(page, path)[0] == 404
+
+
+def test_trial_encodings_need_the_address_too(page, tmp_path):
+    path = tmp_path / "1.egs"
+    path.write_bytes(b"trial")
+    tried = SimpleNamespace(path=path, name="#1", number=1)
+    page.inspector = SimpleNamespace(trial={1: tried}.get)
+    assert answer(page, f"{page.root}trial-1.egs") == (200, b"trial")
+    for asked in ("trial-1.egs", "?b=1", "/trial-1.egs", "/?b=1"):
+        assert answer(page, asked)[0] == 404
 
 
 def test_nothing_else_is_served(page):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
+import os
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -421,6 +423,28 @@ def test_the_files_of_a_scene_may_be_in_a_folder(tmp_path):
         np.testing.assert_array_equal(getattr(first, group), getattr(second, group))
     with pytest.raises(InvalidInput, match="exists"):
         encode_file(tmp_path / "scene.ply", tmp_path / "apart" / "meta.json", overwrite=False)
+
+
+def test_a_full_disk_leaves_the_old_files_of_a_scene(tmp_path, monkeypatch):
+    for seed in (1, 2):
+        write_ply(tmp_path / f"{seed}.ply", random_scene(300, 1, seed=seed))
+    encode_file(tmp_path / "1.ply", tmp_path / "meta.json")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    synced, original = itertools.count(1), os.fsync
+
+    def fsync(descriptor: int) -> None:
+        if next(synced) == 5:  # each file, and its folder
+            raise OSError(28, "No space left on device")
+        original(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    said = rf"^{tmp_path}/\w+\.webp: No space left on device$"
+    with pytest.raises(InvalidInput, match=said):
+        encode_file(tmp_path / "2.ply", tmp_path / "meta.json", overwrite=True)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    monkeypatch.undo()
+    encode_file(tmp_path / "2.ply", tmp_path / "meta.json", overwrite=True)
+    assert sorted(before) == sorted(tmp_path.iterdir())
 
 
 def test_converting_counts_all_files(tmp_path):

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -198,11 +199,26 @@ def _keep_name(folder: Path) -> None:
 def write_files(folder: str | Path, files: Mapping[str, bytes | memoryview]) -> None:
     """Write files by name into a folder; missing folders are created.
 
-    Raises InvalidInput if a folder cannot be made, or a file cannot be written; files already
-    written remain.
+    They are moved there, in their order, once all are complete. A process killed until then leaves
+    a hidden folder. Raises InvalidInput if a folder cannot be made, or a file cannot be written.
     """
     target = make_folder(folder)
-    for name, content in files.items():
-        make_folder((target / name).parent)
-        with atomic_writer(target / name) as file:
-            file.write(content)
+    hidden = target / temporary_name(target.name)
+    for name in files:
+        if (target / name).parent.is_dir():
+            check_writable(target / name)
+    try:
+        for name, content in files.items():
+            make_folder((hidden / name).parent)
+            with atomic_writer(hidden / name) as file:
+                file.write(content)
+        for name in files:
+            make_folder((target / name).parent)
+            os.replace(hidden / name, target / name)
+        _keep_name(target)
+    except OSError as error:
+        raise InvalidInput(f"{target}: {one_line(error)}") from error
+    except InvalidInput as error:
+        raise InvalidInput(str(error).replace(str(hidden), str(target))) from error
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)

@@ -137,7 +137,7 @@ def test_verbose_prints_stages_and_memory(folder, caplog):
     status, out, err = folder.run("encode", "scene.ply", "a.egs", "-p", "paper-m", "-v")
     assert (status, bool(out)) == (0, True)
     assert re.fullmatch(r"read: \d+\.\d{3} s", caplog.messages[0])
-    assert re.search(r"^\d+\.\d\d s, [\d.]+ MB of memory$", err, re.MULTILINE)
+    assert re.search(r"^\d+\.\d\d s, [\d.]+ [MG]B of memory$", err, re.MULTILINE)
     assert "of memory" not in folder.run("verify", "a.egs").err
 
 

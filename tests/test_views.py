@@ -516,7 +516,10 @@ REFUSALS = {
     "empty split": ("--cameras cameras.json --split train", "none of the 3 is marked 'train'"),
     "background": ("--cameras cameras.json --background blue", "expected black or white"),
     "device": ("--cameras cameras.json --device tpu", "expected one of auto, cpu, cuda"),
-    "images in a file": ("--cameras cameras.json --images a.ply", "a.ply: File exists"),
+    "images in a file": (
+        "--cameras cameras.json --images a.ply",
+        "a.ply: exists, expected a folder",
+    ),
     "tiny": ("--cameras cameras.json --width 5", "5x4 pixels, expected at least 11"),
 }  # fmt: skip
 

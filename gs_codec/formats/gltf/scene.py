@@ -85,13 +85,11 @@ def placed_scenes(
 def _say_others(path: Path, file: GltfFile) -> None:
     """Log what a file has besides the Gaussians of its scene."""
     primitives = [each for mesh in file.items("meshes") for each in _primitives(mesh)]
-    nodes, shown = file.items("nodes"), [*_roots(file)]
-    for index in shown:
-        shown += _children(nodes[index])
-    outside = {i for i, node in enumerate(nodes) if "mesh" in node} - {*shown}
+    meshes = sum("mesh" in node for node in file.items("nodes"))
+    shown = sum("mesh" in node for node, _ in _shown_nodes(file))
     others = {
         "primitives without Gaussians": sum(not _is_marked(each) for each in primitives),
-        "meshes outside the scene": len(outside),
+        "meshes outside the scene": meshes - shown,
         "animations": len(file.items("animations")),
     }
     say_left_out(path, lines=others)
@@ -129,10 +127,24 @@ class _Placed(NamedTuple):
 
 def _placed_primitives(file: GltfFile) -> list[_Placed]:
     """Primitives of Gaussians, in the order of nodes from the roots."""
-    found = []
-    nodes, splats = file.items("nodes"), _Splats(file)
+    found, splats = [], _Splats(file)
+    for node, matrix in _shown_nodes(file):
+        if "mesh" in node:
+            found += [_Placed(each, matrix) for each in splats.of(node["mesh"])]
+            if len(found) > splats.most:
+                raise InvalidInput(
+                    f"glTF: nodes show more than {counted(splats.most, 'primitive')}"
+                )
+    if not found:
+        raise InvalidInput(f"glTF: no points with {EXTENSION}, not a scene of Gaussians")
+    return found
+
+
+def _shown_nodes(file: GltfFile) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
+    """The nodes of the scene, from its roots, each with its matrix ``(4, 4)`` in the scene."""
+    shown = []
     pending = deque((root, np.eye(4)) for root in _roots(file))
-    for _ in range(len(nodes)):
+    for _ in range(len(file.items("nodes"))):
         if not pending:
             break
         index, above = pending.popleft()
@@ -140,17 +152,10 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
         with np.errstate(over="ignore", invalid="ignore"):  # rejected when the scene is placed
             matrix = above @ _placement(node)
         pending.extend((child, matrix) for child in _children(node))
-        if "mesh" in node:
-            found += [_Placed(each, matrix) for each in splats.of(node["mesh"])]
-            if len(found) > splats.most:
-                raise InvalidInput(
-                    f"glTF: nodes show more than {counted(splats.most, 'primitive')}"
-                )
+        shown.append((node, matrix))
     if pending:
         raise InvalidInput("glTF: a node has two parents")
-    if not found:
-        raise InvalidInput(f"glTF: no points with {EXTENSION}, not a scene of Gaussians")
-    return found
+    return shown
 
 
 def _roots(file: GltfFile) -> list[int]:

@@ -96,9 +96,8 @@ class Page(ThreadingHTTPServer):
 
     def find(self, path: str) -> bytes | None:
         """The bytes at an address: a file, a trial encoding, or the page with one as B."""
-        # A path without the random part may also begin without a slash.
-        name = path.removeprefix(self.root) if path.startswith(self.root) else ""
-        found = re.fullmatch(r"(?:trial-(\d{1,6})\.egs|\?b=(\d{1,6}))", name)
+        root = re.escape(self.root)
+        found = re.fullmatch(rf"{root}(?:trial-(\d{{1,6}})\.egs|\?b=(\d{{1,6}}))", path)
         if found is None or self.inspector is None:
             return self.contents.get(path)
         tried = self.inspector.trial(int(found[1] or found[2]))

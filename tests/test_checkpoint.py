@@ -317,7 +317,7 @@ def test_the_configuration_of_a_run_states_antialiasing(folder, name, text, tmp_
 
 
 def test_2d_gaussians_of_gsplat_are_flat(tmp_path, caplog):
-    """Their third scale is not trained; only the configuration of the run says so."""
+    """Only the configuration of the run says that their third scale is not trained."""
     path = checkpoint_of_run(tmp_path / "ckpts")
     whole = read_scene(path)
     (tmp_path / "cfg.json").write_text('{"antialiased": true, "model_type": "2dgs"}')

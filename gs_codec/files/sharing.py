@@ -135,8 +135,8 @@ def share(
 
     Raises InvalidInput, CorruptStream, TruncatedStream or UnsupportedVersion, as in `read` and
     `render`; or if there are more than two scenes, the target cannot be written, or a scene encoded
-    for the page would replace its source. Raises
-    MissingTool if the page is missing from the installed `viewer`.
+    for the page would replace its source. Raises MissingTool if the page is missing from the
+    installed `viewer`.
 
     Parameters
     ----------

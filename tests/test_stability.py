@@ -18,6 +18,8 @@ from gs_codec.codecs.entropygs.models import MAX_COMPONENTS, LaplaceModel, choos
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.frequency_table import MAX_PRECISION, SentModel
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config, Models
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.scene import GROUPS
 
 #: Gaussians of a case, and copies of one: by default, and with --rounds 2 or more.
@@ -74,6 +76,15 @@ def test_log_scales_may_have_the_maximum_difference(profile, seed):
     decoded = decode_scene(data)
     assert error_over_bound(scene, decoded, data, config)[0] <= 1.0
     assert np.abs(decoded.log_scale).max() < 402
+
+
+@pytest.mark.parametrize("log_scale", [-1e30, 710, 1e30])
+@pytest.mark.parametrize("count", [1, 50])
+def test_scenes_of_gaussians_of_any_size_are_encoded(count, log_scale):
+    scene = random_scene(count, 1, seed=83)
+    scene.log_scale[:] = log_scale
+    parts, _ = encode(scene, Request(Config("paper-m")))
+    assert decode_scene(b"".join(parts)).count == count
 
 
 @pytest.mark.parametrize("depths", [{"sh1": 1}, {"sh-dc": 1, "sh1": 12}, {"rotation": 8}])

@@ -60,6 +60,9 @@ _FLOOR = 0.3
 #: real orbit whose estimated cameras mislead reaches 0.31, a quantised garden 0.22.
 _TELLING = 0.35
 
+#: Maximum logarithm of the typical size of Gaussians, so that squares of distances are finite.
+_LARGEST = 80.0
+
 #: Number of points whose SH are evaluated together.
 _AT_ONCE = 64
 
@@ -145,7 +148,8 @@ def gather_evidence(
     distance = np.linalg.norm(points - centre, axis=1)
     # View a single Gaussian from a distance of its own size, but not below float resolution.
     least = max(float(np.spacing(np.float32(np.abs(centre).max()))), 1e-6)
-    size = max(float(np.median(distance)), float(np.exp(np.median(sizes))), least)
+    typical = float(np.exp(min(np.median(sizes), _LARGEST)))
+    size = max(float(np.median(distance)), typical, least)
     reach = max(float(np.quantile(distance, 0.75)), size)
     shown = _shown(thumb)
     tried = _QUICK if quick else _THOROUGH

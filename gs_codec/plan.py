@@ -208,7 +208,8 @@ class Plan:
     Raises
     ------
     InvalidInput
-        If there are both ground-truth images and a width, or no views.
+        If there are both ground-truth images and a width, no views, or the background is not three
+        finite numbers.
 
     Examples
     --------
@@ -261,6 +262,9 @@ class Plan:
         if self.gt_images is not None and self.width is not None:
             raise InvalidInput("width: cannot be combined with ground-truth images, which set it")
         check_options(self)
+        from gs_codec.runtime.arrays import finite  # NumPy is not needed for help
+
+        finite("background", self.background, 3)
 
     @property
     def estimates(self) -> bool:

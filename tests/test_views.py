@@ -58,6 +58,24 @@ def test_equal_images_are_equal_whatever_lies_beyond_white():
     assert compare_images(image + 1.5, image + 1).psnr == math.inf
 
 
+@pytest.mark.parametrize("kind", ["u1", "u2", "i8", "?"])
+def test_images_of_other_numbers_than_floats_are_refused(kind):
+    image = np.zeros((20, 30, 3))
+    with pytest.raises(InvalidInput, match=rf"image of {np.dtype(kind)}, expected floats"):
+        compare_images(image, image.astype(kind))
+
+
+@pytest.mark.parametrize("background", [(1.0,), (1.0,) * 4, (0.0, 0.0, math.nan), np.eye(3)])
+def test_a_background_is_three_finite_numbers(background):
+    scene = random_scene(20, 0, seed=94)
+    for start in (
+        lambda: list(gs_codec.render(to_cloud(scene), [camera()], background=background)),
+        lambda: gs_codec.Plan(background=background),
+    ):
+        with pytest.raises(InvalidInput, match="background: expected 3 finite numbers"):
+            start()
+
+
 def test_psnr_of_yuv_is_that_of_its_planes():
     """Known for one colour: a plane of constant error d has -20 log10 |d| dB."""
     image = np.full((20, 30, 3), 0.25)

@@ -1,15 +1,11 @@
-"""Let functions on scenes take Open3D point clouds too; check their arguments."""
+"""Let functions on scenes take Open3D point clouds too."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import checked
 from gs_codec.scene import Scene
 
@@ -35,11 +31,3 @@ def on_clouds(
         return to_cloud(change(from_cloud(scene, "keep"), *arguments, **options))
 
     return edited
-
-
-def finite(name: str, numbers: Sequence[float], count: int) -> NDArray[np.float64]:
-    """Convert to an array; raise `InvalidInput` unless there are `count` finite numbers."""
-    array = np.asarray(numbers, np.float64)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise InvalidInput(f"{name}: expected {count} finite numbers")
-    return array

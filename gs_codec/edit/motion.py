@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gs_codec.codecs.matching import without_order
-from gs_codec.edit.clouds import finite, on_clouds
+from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.project_file import Move, Project
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import move_scene, rotation_of
+from gs_codec.runtime.arrays import finite
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 

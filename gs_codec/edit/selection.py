@@ -12,10 +12,10 @@ from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import sound_gaussians
 from gs_codec.coding.morton import spatial_order
 from gs_codec.edit.actions import COMPARED, read_condition
-from gs_codec.edit.clouds import finite, on_clouds
+from gs_codec.edit.clouds import on_clouds
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import sigmoid, spans
-from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.arrays import empty, finite
 from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
 
 

@@ -187,12 +187,12 @@ def compare_images(
     lpips: str | Path | None = None,
     mask: NDArray[np.bool_] | None = None,
 ) -> Quality:
-    """Compare two images, clipped to 0-1.
+    """Compare two images of floats, clipped to 0-1.
 
     Parameters
     ----------
     first, second : ndarray, shape (H, W, 3)
-        RGB.
+        RGB, from 0 to 1.
     lpips : path, optional
         As in `compare`; by default LPIPS is not measured.
     mask : ndarray, shape (H, W), bool, optional
@@ -206,8 +206,9 @@ def compare_images(
     Raises
     ------
     InvalidInput
-        If the sizes differ, or are too small for SSIM or LPIPS; if the mask has no pixel whose
-        window of SSIM is inside the image; or if the file has no such weights.
+        If an image is not of floats; if the sizes differ, or are too small for SSIM or LPIPS; if
+        the mask has no pixel whose window of SSIM is inside the image; or if the file has no such
+        weights.
     MissingTool
         If LPIPS is requested, and its package is not installed.
 
@@ -221,6 +222,8 @@ def compare_images(
     for image in (first, second):
         if image.ndim != 3 or image.shape[2] != 3:
             raise InvalidInput(f"image of shape {image.shape}, expected (H, W, 3)")
+        if image.dtype.kind != "f":
+            raise InvalidInput(f"image of {image.dtype}, expected floats from 0 to 1")
     if first.shape != second.shape:
         raise InvalidInput(f"images of {_size(first)} and {_size(second)} pixels")
     least, metric = (_SSIM_WINDOW, "SSIM") if lpips is None else (LPIPS_SIZE, "LPIPS")

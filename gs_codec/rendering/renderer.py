@@ -16,6 +16,7 @@ from gs_codec.cameras.inria import as_camera
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.frame import make_frame
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.arrays import finite
 from gs_codec.runtime.atomic import make_folder
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
@@ -94,8 +95,8 @@ def render(
     """Render a scene like the 3DGS rasteriser (Kerbl et al. 2023, Section 6).
 
     Gaussians with an attribute or a projection that is not finite are not drawn. On the CPU the
-    result does not depend on the number of threads. Raises MissingTool if ``cuda`` is requested but
-    not available.
+    result does not depend on the number of threads. Raises InvalidInput if the background is not
+    three finite numbers. Raises MissingTool if ``cuda`` is requested but not available.
 
     Parameters
     ----------
@@ -112,6 +113,7 @@ def render(
         ``cuda`` renders with gsplat; its images agree with the CPU's to 40 dB or better. ``auto``
         uses it if it is installed and torch sees a device.
     """
+    background = finite("background", background, 3).tolist()
     if antialiased is None:
         antialiased = scene.antialiased
     if gsplat_backend.is_chosen(device) and not accumulate:

@@ -14,7 +14,7 @@ import os
 import tempfile
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any
@@ -171,6 +171,15 @@ def folder_on_disk() -> str:
     """``TMPDIR``, or a folder for large files: /tmp is in memory on many systems."""
     large = "/var/tmp" if os.access("/var/tmp", os.W_OK) else tempfile.gettempdir()
     return os.environ.get("TMPDIR") or large
+
+
+def finite(name: str, numbers: Sequence[float], count: int) -> NDArray[np.float64]:
+    """Convert to an array; raise `InvalidInput` unless there are `count` finite numbers."""
+    with suppress(TypeError, ValueError):
+        array = np.asarray(numbers, np.float64)
+        if array.shape == (count,) and np.isfinite(array).all():
+            return array
+    raise InvalidInput(f"{name}: expected {count} finite numbers")
 
 
 _CURRENT: ContextVar[Memory] = ContextVar("storage", default=Memory())  # noqa: B039

@@ -108,6 +108,13 @@ def test_levels_do_not_change_the_coded_scene():
     assert_same_floats(decode_scene(data), decode_scene(stripped))
 
 
+def test_extra_properties_are_those_of_the_scene():
+    labels = np.arange(300, dtype="<i4")
+    data = encoded(replace(random_scene(300, 1, seed=339), extra={"label": labels}))
+    assert sorted(decode_scene(data).extra["label"]) == list(labels)
+    assert not decode_part(data, Part(level=1))[0].extra
+
+
 def test_levels_precede_the_blocks_coarsest_first():
     file = read_file(sample())
     assert list(file.table)[:5] == [(16, 0), (13, 0), (20, 3), (20, 2), (20, 1)]

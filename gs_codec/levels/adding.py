@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 from gs_codec.codecs.adaptive.encode import encode_level
@@ -55,7 +56,7 @@ def add_levels(
     with times.stage("levels"), using_threads(config.threads, report.count):
         data = b"".join(parts)
         file = read_file(data)
-        scene = decode_scene(data, max_bytes=file.header.float_bytes)
+        scene = decode_scene(data, max_bytes=sys.maxsize)
         scene = replace(scene, extra={}, has_normals=False)
         levels = build_levels(scene, file.header.block_size, progress)
         sections = [Section(SectionId(s), b, content) for (s, b), content in file.sections.items()]

@@ -380,7 +380,10 @@ def test_missing_dask_is_named(folder):
     assert err == "gs-codec: error: dask: needs distributed; pip install 'gs-codec[cluster]'\n"
 
 
-def test_one_process_needs_no_dask(tmp_path):
+def test_one_process_needs_no_dask(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "gs_codec.workers.dask", raising=False)
+    for name in ("dask", "distributed"):
+        monkeypatch.setitem(sys.modules, name, None)
     path = saved(tmp_path / "a.ply", random_scene(3000, 0, seed=3))
     expected, _ = whole(path, tmp_path / "whole.egs", Config("m", block_size=BLOCK))
     target, back = tmp_path / "tasks.egs", [tmp_path / "whole.ply", tmp_path / "tasks.ply"]
@@ -394,6 +397,8 @@ def test_one_process_needs_no_dask(tmp_path):
     decode_file(target, back[0])
     decode_distributed(target, back[1], dask=None, max_memory=400_000_000)
     assert back[1].read_bytes() == back[0].read_bytes()
+    with pytest.raises(InvalidInput, match="profile 'lossless', expected l, m, s"):
+        encode_distributed(path, tmp_path / "exact.egs", "lossless", dask=None)
 
 
 def test_a_pool_of_processes_gives_the_same_file(tmp_path):

@@ -98,24 +98,25 @@ def encode_distributed(
     >>> report.count
     2000
     """
-    request = Request(as_config(config), max_memory=max_memory, dask=dask)
-    return encode_divided(source, target, request, progress, overwrite)
+    request = Request(as_config(config), max_memory=max_memory, dask=dask or "local")
+    return encode_divided(source, target, request, dask, progress, overwrite)
 
 
 def encode_divided(
     source: str | Path | Sequence[str | Path],
     target: str | Path,
     request: Request,
+    dask: str | None,
     progress: Progress | None = None,
     overwrite: bool = False,
 ) -> EncodeReport:
-    """Encode one scene as requested; see `encode_distributed`."""
+    """Encode one scene as requested, by workers at an address; see `encode_distributed`."""
     config = request.config
     paths = [Path(source)] if isinstance(source, str | Path) else [Path(each) for each in source]
     check_target(paths, target, (".egs",), overwrite)
     sources = open_sources([path.absolute() for path in paths], config.chosen_extra())
     least = max(FANOUT * config.block_size, *(each.block_size for each in sources.listed))
-    with using_threads(config.threads), crew_at(request.dask or "local", progress) as crew:
+    with using_threads(config.threads), crew_at(dask, progress) as crew:
         at_once = crew.workers.at_once
         size = size_within(request.max_memory, at_once, sources.head.sh_degree, least)
         return encode_in_tasks(crew, sources, Path(target).absolute(), config, size)

@@ -518,6 +518,8 @@ def test_functions_on_clouds_do_the_same(scene, action):
     edited = FUNCTIONS[action](cloud)
     expected = replace(act(scene, action), comments=())
     assert_same_bits(from_cloud(edited, "keep"), expected)
+    for name in edited.point:
+        edited.point[name] *= 0
     for name, values in before.items():
         np.testing.assert_array_equal(cloud.point[name].numpy(), values)
 
@@ -526,6 +528,8 @@ def test_clouds_are_merged(scene):
     clouds = [to_cloud(scene), to_cloud(scene.take(np.arange(3)))]
     expected = merge_scenes([scene, scene.take(np.arange(3))])
     assert_same_bits(from_cloud(edit.merge(clouds), "keep"), replace(expected, comments=()))
+    edit.merge(clouds[:1]).translate([1, 2, 3])
+    np.testing.assert_array_equal(clouds[0].point.positions.numpy().T, scene.positions)
     with pytest.raises(InvalidInput, match="no scenes, expected at least one"):
         edit.merge([])
 

@@ -249,7 +249,7 @@ def prepare(
         scene = scene_of(source, max_bytes)
         prepared, report = prepare_scene(scene, plan, progress)
         rendered = Check.by_plan(cleaned(scene), plan).measure(prepared)
-    return to_cloud(prepared), replace(report, rendered=rendered)
+    return to_cloud(prepared).clone(), replace(report, rendered=rendered)
 
 
 def scene_of(source: PointCloud | str | Path, max_bytes: int | None = None) -> Scene:

@@ -28,6 +28,7 @@ def on_clouds(
             return change(scene, *arguments, **options)
         from gs_codec.formats.cloud import from_cloud, to_cloud
 
-        return to_cloud(change(from_cloud(scene, "keep"), *arguments, **options))
+        # Open3D's methods change clouds in place, so the result shares no memory with its source.
+        return to_cloud(change(from_cloud(scene, "keep"), *arguments, **options)).clone()
 
     return edited

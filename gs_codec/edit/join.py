@@ -49,7 +49,7 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
     """
     from gs_codec.formats.cloud import from_cloud, to_cloud
 
-    return to_cloud(merge_scenes([from_cloud(cloud, "keep") for cloud in clouds]))
+    return to_cloud(merge_scenes([from_cloud(cloud, "keep") for cloud in clouds])).clone()
 
 
 def merge_scenes(scenes: Sequence[Scene]) -> Scene:

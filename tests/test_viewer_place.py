@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,11 @@ import gs_codec
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.scene import ANTIALIASED
 from viewer.pictures.screenshot import shown_of
 from viewer.scenes.edits import Edits
 from viewer.scenes.gizmo import _RING, Gizmo, about
-from viewer.scenes.opened import Opened, open_scene
+from viewer.scenes.opened import Opened, joined, open_scene
 from viewer.scenes.pose import look_at
 from viewer.scenes.saving import command_of, open_file, save_project, save_scene
 from viewer.scenes.selecting import (
@@ -180,6 +182,12 @@ def test_scenes_are_joined_placed_hidden_named_and_removed(folder, run_codec):
     while edits.redone_next:
         edits.redo()
     assert edits.parts == [(1, "chair", 200, False)]
+
+
+def test_joined_scenes_are_antialiased_if_the_first_is(folder):
+    for name in ("a.ply", "b.ply"):
+        write_ply(folder / name, replace(read_ply(name), comments=(ANTIALIASED,)))
+    assert joined([open_scene("a.ply"), open_scene("b.ply")]).gaussians.antialiased
 
 
 def test_joined_scenes_equal_merged_ones(folder, run_codec):

@@ -350,7 +350,9 @@ def keep(scene: Opened, left: NDArray[np.bool_], moves: tuple[Move, ...] = ()) -
 
 def joined(scenes: Sequence[Opened]) -> Opened:
     """Several whole scenes as one, as by `gs_codec.edit.merge`."""
-    merged = merge_scenes([from_cloud(scene.cloud, "keep") for scene in scenes])
+    merged = merge_scenes(
+        [replace(from_cloud(scene.cloud, "keep"), comments=scene.comments) for scene in scenes]
+    )
     parts = tuple(part for scene in scenes for part in scene.parts)
     return Opened(
         " + ".join(part.name for part in parts),

@@ -440,6 +440,21 @@ def test_scenes_are_merged(caplog):
     assert "merged scenes differ in antialiasing; all are rendered without" in caplog.messages[0]
 
 
+def test_merged_scenes_are_flat_or_have_an_offset_if_all_do(caplog):
+    flat, near, far = "SplatRenderMode: 2dgs", "CoordinateOffset: 1 2 3", "CoordinateOffset: 4 5 6"
+
+    def comments(*each: tuple[str, ...]) -> tuple[str, ...]:
+        return merge_scenes([replace(random_scene(9, 0), comments=own) for own in each]).comments
+
+    assert comments((flat, near), (near, flat), (flat,)) == (near, flat)
+    assert comments((flat,), ()) == ()
+    assert not caplog.messages
+    assert comments((near, "one"), (far,)) == ("one",)
+    assert caplog.messages == [
+        "merged scenes differ in CoordinateOffset, so it is dropped; none is moved"
+    ]
+
+
 def test_scenes_of_two_systems_are_merged_in_rdf():
     one, two = random_scene(4, 2, seed=1), random_scene(5, 2, seed=2)
     both, _ = edit_scenes([turn_axes(one, "RUB"), two], [])

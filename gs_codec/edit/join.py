@@ -11,7 +11,16 @@ from gs_codec.codecs.matching import without_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.extra_properties import say_left_out
 from gs_codec.runtime.arguments import checked
-from gs_codec.scene import Scene, join_scenes, other_comments, stated_comments
+from gs_codec.scene import (
+    FLAT,
+    Scene,
+    join_scenes,
+    offset_of,
+    other_comments,
+    render_mode,
+    stated_comments,
+    with_offset,
+)
 
 if TYPE_CHECKING:
     from open3d.pybind.t.geometry import PointCloud
@@ -55,7 +64,7 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
 def merge_scenes(scenes: Sequence[Scene]) -> Scene:
     """Concatenate scenes in one coordinate system; see `merge`.
 
-    Comments of all are kept, without repetitions.
+    Comments of all are kept, without repetitions; an offset only if no scene states another.
     """
     if not scenes:
         raise InvalidInput("no scenes, expected at least one")
@@ -69,6 +78,11 @@ def merge_scenes(scenes: Sequence[Scene]) -> Scene:
             "with it" if first.antialiased else "without",
         )
     others = [line for scene in scenes for line in other_comments(without_order(scene).comments)]
+    if len({offset_of(scene.comments) for scene in scenes} - {None}) > 1:
+        log.warning("merged scenes differ in CoordinateOffset, so it is dropped; none is moved")
+        others = [*with_offset(others, None)]
+    if all(render_mode(scene.comments) == render_mode([FLAT]) for scene in scenes):
+        others.append(FLAT)
     stated = stated_comments(first.coordinates, first.antialiased)
     return replace(join_scenes(scenes), comments=(*dict.fromkeys(others), *stated))
 

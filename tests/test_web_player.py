@@ -19,6 +19,7 @@ from web_pages import (
 
 from gs_codec.cameras.camera import Camera, facing
 from gs_codec.cameras.camera_files import write_cameras
+from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import InvalidInput
 from gs_codec.files.sharing import share
 from gs_codec.formats.ply.writer import write_ply
@@ -168,6 +169,23 @@ def test_damage_in_a_later_group_is_reported(folder, tmp_path):
     with serving(tmp_path) as url:
         [opened] = open_pages(Job(url, [("until", "document.body.dataset.state === 'error'")]))
     assert opened.status.startswith("clip.egs: frame 7: ")
+
+
+@in_browser
+def test_other_frames_can_be_shown_after_one_that_is_damaged(folder, tmp_path):
+    """Also one after it in its group, which fails, and then one of another group."""
+    (tmp_path / "index.html").write_bytes((folder / "site" / "index.html").read_bytes())
+    data = bytearray((folder / "site" / "clip.egs").read_bytes())
+    position, _, _ = read_file(bytes(data)).table[SectionId.MOTION, 2]
+    data[position + 20] ^= 4
+    (tmp_path / "clip.egs").write_bytes(data)
+    stopped = ("until", "viewer.errors.length && !viewer.player.isJumping")
+    steps = [stopped, ("value", "viewer.player.seek(3)"), stopped]
+    steps += [("value", "viewer.player.seek(5)"), ("until", "viewer.player.shown === 5")]
+    with serving(tmp_path) as url:
+        [opened] = open_pages(Job(f"{url}#frame=1", steps))
+    assert not opened.failure
+    assert opened.status.startswith("clip.egs: frame 2: ")
 
 
 def test_a_sequence_is_shared_alone(folder, tmp_path):

@@ -14,6 +14,7 @@ export class Player {
   #queue = []; // frames decoded ahead
   #run = 0; // number of the current decoding, which a jump replaces
   #target = null; // frame of a jump that is being decoded
+  #hasFailed = false; // decoding, since the last jump
   #held = false; // the slider, by a pointer
   #room; // continues decoding when the queue has room
 
@@ -83,7 +84,7 @@ export class Player {
     const { sequence, shown } = this;
     const group = sequence.groupOf(frame);
     const isAfter = shown !== null && shown < frame && sequence.groupOf(shown) === group;
-    if (isAfter) this.#advance();
+    if (isAfter && !this.#hasFailed) this.#advance();
     else this.#decode(group);
   }
 
@@ -96,6 +97,7 @@ export class Player {
   async #decode(first) {
     const { sequence, stage } = this;
     const run = ++this.#run;
+    this.#hasFailed = false;
     const isOver = () => run !== this.#run;
     for (const { splats } of this.#queue.splice(0)) stage.drop(splats);
     this.#room?.();
@@ -131,6 +133,7 @@ export class Player {
       }
     } catch (error) {
       if (isOver()) return;
+      this.#hasFailed = true;
       this.#target = null;
       stage.stopped(error);
     }

@@ -724,6 +724,28 @@ def test_slow_devices_draw_drafts_during_a_move_but_save_and_compare_in_full(
     assert found[1].values[-1] == WIDTH
 
 
+@in_browser
+def test_a_picture_is_sorted_for_its_view(pages):
+    """Also if sorting takes long; one while the camera moves does not wait for its rest."""
+    asked = """(async () => {
+      const [{ sorter }] = viewer.scenes;
+      const post = sorter.postMessage.bind(sorter);
+      sorter.postMessage = (...given) => setTimeout(post, 400, ...given);
+      viewer.choose(1);
+      await viewer.picture();
+      const isSorted = viewer.scenes[0].isInOrder(viewer.pose);
+      viewer.turn(true);
+      await new Promise(requestAnimationFrame);
+      await viewer.picture();
+      const { isTurning } = viewer;
+      viewer.turn(false);
+      return [isSorted, isTurning];
+    })()"""
+    [opened] = open_pages(Job(pages["one"].as_uri(), [("drawn",), ("value", asked)]))
+    assert not opened.errors
+    assert opened.values[1] == [True, True]
+
+
 @pytest.mark.thorough
 @in_browser
 def test_splats_reaching_into_the_picture_are_drawn(files, tmp_path):

@@ -188,6 +188,21 @@ def test_other_frames_can_be_shown_after_one_that_is_damaged(folder, tmp_path):
     assert opened.status.startswith("clip.egs: frame 2: ")
 
 
+@in_browser
+def test_a_picture_shows_the_frame_that_is_asked_for(folder):
+    asked = """(() => {
+      const { sequence } = viewer.player;
+      const open = sequence.group.bind(sequence);
+      sequence.group = (number) => new Promise((done) => setTimeout(() => done(open(number)), 500));
+      viewer.player.seek(7);
+      return viewer.picture().then(() => viewer.player.shown);
+    })()"""
+    page = f"{(folder / 'page.html').as_uri()}#frame=0"
+    [opened] = open_pages(Job(page, [("drawn",), ("value", asked)]))
+    assert not opened.errors
+    assert opened.values[1] == 7
+
+
 def test_a_sequence_is_shared_alone(folder, tmp_path):
     with pytest.raises(InvalidInput, match="a sequence is shown alone"):
         share([folder / "clip.egs", folder / "one.ply"], tmp_path / "page.html")

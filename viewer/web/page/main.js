@@ -59,7 +59,7 @@ class Viewer extends EventTarget {
     this.abort = new AbortController();
     this.pace = new Pace();
     this.shrink = null; // divisor of the last picture's sides
-    this.takers = []; // functions that wait for a picture drawn in full
+    this.takers = []; // what waits for a picture drawn in full: functions, each with the pose then
     this.failures = []; // of the device
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.budget = defaultBudget();
@@ -517,11 +517,18 @@ class Viewer extends EventTarget {
     this.paint(pose, this.#lens(this.canvas.width, this.canvas.height));
     this.notes.place(pose, this.#lens(this.canvas.clientWidth, this.canvas.clientHeight));
     if (this.shrink > 1) this.#sharpen();
-    else for (const take of this.takers.splice(0)) this.canvas.toBlob(take);
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
     const isDrawn = inOrder && !this.player?.isJumping;
+    if (this.shrink === 1) this.#pass(isDrawn || this.player?.isPlaying);
     const state = !isDrawn ? 'drawing' : this.#isThere ? 'ready' : 'loading';
     document.body.dataset.state = state === 'ready' && this.errors.length ? 'error' : state;
+  }
+
+  /** Pass on the picture; unless it `isDrawn`, only to those for whom the camera moved since. */
+  #pass(isDrawn) {
+    const isDue = ({ pose }) => isDrawn || pose !== this.pose;
+    for (const { take } of this.takers.filter(isDue)) this.canvas.toBlob(take);
+    this.takers = this.takers.filter((one) => !isDue(one));
   }
 
   /** Draw a picture on the canvas or, without a wipe, into another target. */
@@ -561,8 +568,8 @@ class Viewer extends EventTarget {
 
   /** The picture, drawn in full, as a PNG. */
   picture() {
-    return new Promise((resolve) => {
-      this.takers.push(resolve);
+    return new Promise((take) => {
+      this.takers.push({ take, pose: this.pose });
       this.redraw();
     });
   }

@@ -93,9 +93,7 @@ def _encode_divided(source: Path, target: Path, request: Request, typed: Typed) 
     if not tiles:
         raise InvalidInput(f"{source}: no such file, or no .ply or .egs in this folder")
     with progress_bar() as progress:
-        return encode_divided(
-            tiles, target, request, request.dask, progress, typed["overwrite"]
-        )
+        return encode_divided(tiles, target, request, request.dask, progress, typed["overwrite"])
 
 
 def _tell(source: Path, target: Path, config: Config, typed: Typed, done: EncodeReport) -> None:

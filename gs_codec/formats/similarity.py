@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gs_codec.coding.clean import identity_for_zero
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import spans
 from gs_codec.runtime.arrays import empty
@@ -69,6 +70,7 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
     axial = np.eye(4)
     axial[1:, 1:] = own * np.round(np.linalg.det(own))
     sh = sh_turn(turn, scene.sh_degree)
+    rot = scene.rot if swaps else identity_for_zero(scene)[0].rot
     offset = offset_of(scene.comments)
     if offset is not None:
         shifts = np.array_equal(wide[:3, :3], np.eye(3))
@@ -78,7 +80,7 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
         scene,
         positions=_weighted(scene.positions, factor * turn, wide[:3, 3]),
         log_scale=_weighted(scene.log_scale, np.abs(own), np.full(3, np.log(factor))),
-        rot=_weighted(scene.rot, _product(_quaternion(turn @ own.T)) @ axial),
+        rot=_weighted(rot, _product(_quaternion(turn @ own.T)) @ axial),
         f_rest=_weighted(scene.f_rest, np.kron(np.eye(3), sh)),
         extra=_with_normals(scene.extra, turn),
     )

@@ -149,6 +149,9 @@ def test_tensors_of_the_cpu_are_the_scene(tmp_path, profile):
     assert gs_codec.encode_tensors(splats, Config("lossless")) == encode_by(
         decode_scene(data), Config("lossless")
     )
+    halves = replace(splats, sh=splats.sh.bfloat16())
+    floats = replace(splats, sh=splats.sh.bfloat16().float())
+    assert gs_codec.encode_tensors(halves) == gs_codec.encode_tensors(floats)
 
 
 def test_missing_devices_are_refused(monkeypatch):

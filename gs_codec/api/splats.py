@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from numba import config
 
+from gs_codec.api.trainer_tensors import array_of
 from gs_codec.codecs.decode import ChosenPart, carried, choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
@@ -162,7 +163,7 @@ def encode_tensors(splats: Splats, config: Config | str | None = None) -> bytes:
             f"{name}: cannot be encoded from tensors, expected .egs without coarser levels"
         )
     tensors = named_tensors(splats)
-    scene = scene_of_tensors({name: each.detach().cpu().numpy() for name, each in tensors.items()})
+    scene = scene_of_tensors({name: array_of(each) for name, each in tensors.items()})
     if config.profile != LOSSLESS:
         scene = with_finite_ends(scene)
     return b"".join(encode(scene, Request(config))[0])

@@ -66,7 +66,7 @@ def scene_of_trainer(tensors: Mapping[str, Any]) -> Scene:
         given = type(tensors).__name__
         raise InvalidInput(f"tensors: {given}, expected a mapping of names to tensors")
     return with_finite_ends(
-        scene_of_tensors({name: _array(each) for name, each in tensors.items()})
+        scene_of_tensors({name: array_of(each) for name, each in tensors.items()})
     )
 
 
@@ -120,7 +120,7 @@ def to_tensors(
     return {name: torch.from_numpy(array) for name, array in tensors.items()}
 
 
-def _array(value: Any) -> NDArray:
+def array_of(value: Any) -> NDArray:
     """Convert a NumPy array-like or a tensor to an array; NumPy lacks some tensor types."""
     if hasattr(value, "detach"):
         value = value.detach().cpu()

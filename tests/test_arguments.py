@@ -153,6 +153,26 @@ def test_paths_are_accepted_as_strings():
         gs_codec.decode("a.ply")
 
 
+def test_integers_may_be_floats():
+    cloud = gs_codec.read("a.ply")
+    assert len(gs_codec.edit.decimate(cloud, 20.0).point.positions) == 20
+    assert gs_codec.edit.limit_sh_degree(cloud, 0.0).point.f_rest.shape[1] == 0
+    [(_, drawn), *_] = gs_codec.render(cloud, width=np.float32(16))
+    assert drawn.alpha.shape[1] == 16
+    gs_codec.encode_sequence([cloud, cloud], "two.egs", fps=np.float32(25))
+    assert len(list(gs_codec.decode_sequence("two.egs", 1.0, 2.0))) == 1
+
+
+def test_what_lists_contain_is_checked():
+    gs_codec.convert_file("a.ply", "some.ply", chosen=[True] * 10 + [False] * 50)
+    assert len(gs_codec.read("some.ply").point.positions) == 10
+    with pytest.raises(InvalidInput, match="source: no scenes, expected at least one"):
+        gs_codec.convert_file([], "none.ply")
+    for fps in (0, float("nan"), float("inf")):
+        with pytest.raises(InvalidInput, match=r"fps: .*, expected more than 0"):
+            gs_codec.encode_sequence([gs_codec.read("a.ply")], "one.egs", fps=fps)
+
+
 @pytest.mark.parametrize(
     ("call", "text"),
     [

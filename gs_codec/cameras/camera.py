@@ -82,6 +82,8 @@ class Camera:
         check_fields(self)
         where = f"camera '{self.name}'"
         check_view(where, self)
+        for side in ("width", "height"):  # 64.0 is an integer, too
+            object.__setattr__(self, side, int(getattr(self, side)))
         object.__setattr__(self, "position", np.asarray(self.position))
         if np.shape(self.position) != (3,) or not np.isfinite(self.position).all():
             raise InvalidInput(f"{where}: position is not three finite numbers")

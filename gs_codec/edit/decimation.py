@@ -83,6 +83,7 @@ def decimate(
     """
     if number < 1:
         raise InvalidInput(f"gaussians {number}: expected at least 1")
+    number = int(number)
     if scene.count <= number:
         return scene
     finite, _ = identity_for_zero(_finite(scene, number))

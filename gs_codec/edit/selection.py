@@ -212,7 +212,7 @@ def limit_sh_degree(scene: Scene, sh_degree: int) -> Scene:
         raise InvalidInput(f"sh_degree {sh_degree}: expected 0 to 3")
     if sh_degree >= scene.sh_degree:
         return scene
-    each, kept = len(scene.f_rest) // 3, SH_COEFFICIENTS[sh_degree]
+    each, kept = len(scene.f_rest) // 3, SH_COEFFICIENTS[int(sh_degree)]
     rest = empty((3 * kept, scene.count), np.float32)
     for colour in range(3):
         rest[colour * kept : (colour + 1) * kept] = scene.f_rest[colour * each :][:kept]

@@ -164,6 +164,8 @@ def convert_file(
     by_profile |= isinstance(config, str)
     config = as_config(config)
     sources = [source] if isinstance(source, str | Path) else list(source)
+    if not sources:
+        raise InvalidInput("source: no scenes, expected at least one")
     suffix = check_target(sources, target, overwrite=overwrite)
     check_conversion(target, suffix, config, plan, actions, max_memory, at)
     stated, _, wanted = coordinates.rpartition(":")
@@ -183,7 +185,7 @@ def convert_file(
             before = system_of(scenes[0])
             with times.stage("edit"):
                 if chosen is not None:
-                    scenes = [_choose(scenes, chosen)]
+                    scenes = [_choose(scenes, np.asarray(chosen))]
                 scene, done = edit_scenes(scenes, actions, plan, progress, shifts is not None)
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":

@@ -16,7 +16,7 @@ from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
 from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.sequences.frame_encoding import GROUP, SequenceReport
-from gs_codec.sequences.frame_sources import Frames
+from gs_codec.sequences.frame_sources import Frames, checked_fps
 from gs_codec.sequences.frame_targets import encode_requested
 
 if TYPE_CHECKING:
@@ -101,6 +101,7 @@ def _frames_of(clouds: Sequence[PointCloud], fps: float | None) -> Frames:
     if not len(clouds):
         raise InvalidInput("no frames, expected at least one")
     names = [f"{number:04d}" for number in range(len(clouds))]
+    fps = checked_fps(fps)
     return Frames(names, 0, fps, lambda number: from_cloud(clouds[number]), is_compressed=True)
 
 

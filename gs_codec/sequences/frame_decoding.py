@@ -49,7 +49,7 @@ class Sequence:
         if not 0 <= first < last <= self.timeline.count:
             count = self.timeline.count
             raise InvalidInput(f"frames {first} to {last - 1}: expected some of 0 to {count - 1}")
-        return decode_frames(self.file, self.timeline, first, last, max_bytes=max_bytes)
+        return decode_frames(self.file, self.timeline, int(first), int(last), max_bytes=max_bytes)
 
     def at(self, start: float, end: float) -> range:
         """The frames that are shown from `start` to `end`, in seconds; at least one.

@@ -119,8 +119,7 @@ def open_frames(
     InvalidInput
         If there are no frames, files of several formats, or `fps` is out of range.
     """
-    if fps is not None and not 0 < fps < math.inf:
-        raise InvalidInput(f"fps: {fps}, expected more than 0")
+    fps = checked_fps(fps)
     path, options = Path(source), (extra, max_bytes)
     kind, found = scenes_in(source)
     if kind:
@@ -129,7 +128,14 @@ def open_frames(
         frames = _of_sequence(path, max_bytes)
     else:
         frames = _of_animation(path, *options)
-    return frames if fps is None else replace(frames, fps=float(fps))
+    return frames if fps is None else replace(frames, fps=fps)
+
+
+def checked_fps(fps: float | None) -> float | None:
+    """Frames per second, if given; raises InvalidInput unless they are above 0."""
+    if fps is not None and not 0 < fps < math.inf:
+        raise InvalidInput(f"fps: {fps}, expected more than 0")
+    return None if fps is None else float(fps)
 
 
 def _of_files(

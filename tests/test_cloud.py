@@ -19,7 +19,7 @@ from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene
 
 PLY_TYPES = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 
@@ -95,6 +95,24 @@ def test_every_cloud_is_right_down_forward_seed14(tmp_path):
     assert_same_scene(replace(turned, comments=()), from_cloud(unsaid))
     with pytest.raises(InvalidInput, match="coordinates 'up'"):
         turn_cloud(unsaid, "up")
+
+
+def test_a_lost_antialias_flag_is_reported_once(tmp_path, caplog):
+    scene = replace(random_scene(60, 1), comments=(ANTIALIASED,))
+    write_scene(tmp_path / "a.ply", scene, gs_codec.Config())
+    encode_file(tmp_path / "a.ply", tmp_path / "a.egs")
+    data, _ = encode_scene(scene, gs_codec.Config())
+    gs_codec.encode_sequence(str(tmp_path / "a*.ply"), tmp_path / "frames.egs")
+    for read in (
+        lambda: gs_codec.read(tmp_path / "a.ply"),
+        lambda: gs_codec.decode(tmp_path / "a.egs"),
+        lambda: gs_codec.decode(data),
+        lambda: list(gs_codec.decode_sequence(tmp_path / "frames.egs")),
+    ):
+        caplog.clear()
+        read()
+        [message] = caplog.messages
+        assert message.startswith("a cloud does not keep the antialias flag")
 
 
 @pytest.mark.parametrize("group", sorted(set(GROUPS) - {"rot"}))

@@ -16,7 +16,7 @@ from gs_codec.files.encode_file import read_source
 from gs_codec.files.scenes import inspect_file, read_scene
 from gs_codec.files.suffixes import PLAIN
 from gs_codec.files.writing import tell_lost, write_scene
-from gs_codec.formats.cloud import from_cloud, to_cloud
+from gs_codec.formats.cloud import from_cloud, public_cloud
 from gs_codec.formats.ply.writer import vertex_rows
 from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.plan import Plan
@@ -61,7 +61,8 @@ def read(
         3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down, forward: a
         scene that states another system is converted. Opacities of 0 and 1 and
         scales of 0, whose logits and logarithms are infinite, are replaced by finite numbers that
-        render the same; a warning counts them.
+        render the same; a warning counts them. Comments are not kept, nor is the antialias flag,
+        which a warning says.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def read(
     >>> del larger.point["log_scale"]
     >>> gs_codec.write("larger.ply", larger)
     """
-    return to_cloud(read_scene(path, extra, progress, max_bytes=max_bytes))
+    return public_cloud(read_scene(path, extra, progress, max_bytes=max_bytes))
 
 
 @checked
@@ -303,8 +304,8 @@ def decode(
     if isinstance(source, str | Path):
         refuse_several(source)
         with opened(source) as data, located(source):
-            return to_cloud(decode_part(data, part, threads, max_bytes, progress, tmc3)[0])
-    return to_cloud(decode_part(bytes(source), part, threads, max_bytes, progress, tmc3)[0])
+            return public_cloud(decode_part(data, part, threads, max_bytes, progress, tmc3)[0])
+    return public_cloud(decode_part(bytes(source), part, threads, max_bytes, progress, tmc3)[0])
 
 
 @checked

@@ -93,7 +93,7 @@ class Statistics:
     coordinates : str or None
         Directions of x, y and z as three letters (such as ``RDF``), if stated.
     antialiased : bool
-        Whether the scene uses opacity compensation.
+        Whether the scene uses opacity compensation; False for a cloud, which does not state it.
     raw_bytes, bytes_per_gaussian : int
         Size of the attributes as float32, without extra properties: of all Gaussians, and per
         Gaussian.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
 if TYPE_CHECKING:
     import open3d
+
+log = logging.getLogger(__name__)
 
 #: Attributes of a cloud that are not extra properties.
 _KNOWN = {*GROUPS, "scale", "normals"}
@@ -52,6 +55,16 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     for name, array in attributes.items():
         cloud.point[name] = tensor(array)
     return cloud
+
+
+def public_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
+    """Like `to_cloud`; a warning says that the antialias flag is not kept."""
+    if scene.antialiased:
+        log.warning(
+            "a cloud does not keep the antialias flag: pass the path instead, or antialiased to "
+            "render"
+        )
+    return to_cloud(scene)
 
 
 def check_cloud(cloud: Any) -> None:

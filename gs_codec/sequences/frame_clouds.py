@@ -10,7 +10,7 @@ from gs_codec.config import Config, RateTarget, as_config, as_rate_target
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import config_for
-from gs_codec.formats.cloud import from_cloud, to_cloud
+from gs_codec.formats.cloud import from_cloud, public_cloud, to_cloud
 from gs_codec.plan import Plan
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
@@ -146,5 +146,7 @@ def decode_sequence(
     [2000]
     """
     with opened_sequence(source) as sequence:
+        to_public = public_cloud
         for scene in sequence.frames(first, stop, max_bytes):
-            yield to_cloud(scene)
+            yield to_public(scene)
+            to_public = to_cloud

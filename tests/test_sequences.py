@@ -22,7 +22,7 @@ from gs_codec.codecs.pairing import Pairing
 from gs_codec.coding.axes import reordered, rotation_matrix, sort_axes
 from gs_codec.coding.morton import spatial_order
 from gs_codec.coding.neighbours import Neighbours
-from gs_codec.config import RateTarget
+from gs_codec.config import Config, RateTarget
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
@@ -201,6 +201,23 @@ def test_frames_must_be_alike(tmp_path):
     with pytest.raises(InvalidInput, match="frames differ in SH degree"):
         coded(tmp_path / "a.egs", scenes)
     assert not (tmp_path / "a.egs").exists()
+
+
+def test_only_the_first_frame_must_have_gaussians(tmp_path):
+    full, empty = random_scene(30, 0), random_scene(0, 0)
+    coded(tmp_path / "a.egs", [full, empty, full])
+    with opened_sequence(tmp_path / "a.egs") as sequence:
+        assert [scene.count for scene in sequence.frames()] == [30, 0, 30]
+    with pytest.raises(InvalidInput, match="the first frame has no Gaussians"):
+        coded(tmp_path / "b.egs", [empty, full])
+    assert not (tmp_path / "b.egs").exists()
+
+
+@pytest.mark.parametrize("fps", [1e-4, 1e7])
+def test_frames_per_second_are_checked_before_frames_are_encoded(tmp_path, fps):
+    frames = replace(given([random_scene(30, 0)]), fps=fps, open_frame=None)
+    with pytest.raises(InvalidInput, match="frames per second, expected"):
+        encode_frames(frames, tmp_path / "a.egs", Request(Config()))
 
 
 def test_bytes_do_not_depend_on_threads(tmp_path):

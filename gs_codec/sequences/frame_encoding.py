@@ -145,6 +145,7 @@ def encode_frames(
     calibrates : bool
         Whether step sizes are chosen for the scene, if no cameras guide them.
     """
+    rate_of(source)  # raises before frames are encoded
     times, config = StageTimes(), request.config
     settings = {"group": group, "names": source.names, "request": repr(request)}
     if not source.paths:
@@ -241,6 +242,8 @@ class _Groups:
         else:
             parts, _ = encode_prepared(ordered, self._request)
         file = read_file(b"".join(parts))
+        if not (number or file.header.count):
+            raise InvalidInput("the first frame has no Gaussians, expected at least one")
         found = np.zeros(0, np.int32)
         if file.header.count:
             extra = file.section(SectionId.EXTRA)

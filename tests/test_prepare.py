@@ -17,6 +17,8 @@ from gs_codec.cli.main import app
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config
+from gs_codec.encoding.order import encode
+from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
@@ -238,11 +240,26 @@ def test_drop_of_photographs_and_of_own_renders(scene):
     assert real.drop(*views) == pytest.approx(10 * np.log10(4))  # the mean is over decibels
 
 
+def test_nan_is_refused_before_the_steps(scene, monkeypatch):
+    damaged = replace(scene, opacity=scene.opacity.copy())
+    damaged.opacity[0, 7] = np.nan
+    monkeypatch.setattr("gs_codec.preparation.pipeline.prepare_scene", None)
+    with pytest.raises(InvalidInput, match="not finite: 1 in opacity"):
+        encode(damaged, Request(Config(), plan(prune=10)))
+
+
 def test_rectification_clips_values_out_of_range(scene):
     outlier = scene.f_rest.copy()
     outlier[2, 5], outlier[4] = 40.0, 0.5
     wild = replace(scene, f_rest=outlier)
     result, report = prepare_scene(wild, plan(rectify=5.0))
+    others = np.delete(np.arange(wild.count), 7)
+    damaged = replace(wild, f_rest=wild.f_rest.copy())
+    damaged.f_rest[:, 7] = np.nan
+    np.testing.assert_array_equal(
+        prepare_scene(damaged, plan(rectify=5.0))[0].f_rest[:, others],
+        prepare_scene(wild.take(others), plan(rectify=5.0))[0].f_rest,
+    )
     medians = np.quantile(outlier, 0.5, axis=1, method="lower", keepdims=True)
     offsets = np.abs(outlier.astype(np.float64) - medians)
     off_centre = np.maximum(np.count_nonzero(offsets, axis=1, keepdims=True), 1)

@@ -217,6 +217,28 @@ def test_rounds_remove_exactly_the_requested_number(percent):
     assert counts[0] == 150
 
 
+@pytest.mark.parametrize("rule", ["median", "largest"])
+def test_nan_is_the_farthest(rule):
+    scene = random_scene(300, 0, seed=17)
+    scene.positions[:, 50:250] = 0  # so that the median does not depend on one
+    scene.positions[:, 7] = 1e9
+    expected = keep_near(scene, 10, rule)
+    scene.positions[:, 7] = np.nan
+    np.testing.assert_array_equal(keep_near(scene, 10, rule), expected)
+    assert 7 not in expected
+
+
+@pytest.mark.parametrize("group", ["positions", "opacity", "log_scale"])
+def test_nan_does_not_change_the_importance_of_others(group):
+    scene = visible_scene(200, seed=18)
+    getattr(scene, group)[0, 7] = np.nan
+    others = np.delete(np.arange(200), 7)
+    found = importance(scene, CAMERAS)
+    expected = importance(scene.take(others), CAMERAS)
+    np.testing.assert_allclose(found[others], expected, rtol=1e-3)  # its volume may count
+    assert found[7] == 0
+
+
 def test_rounds_beat_importance():
     scene = visible_scene(300, 117)
     targets = references(scene)

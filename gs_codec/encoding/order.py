@@ -162,6 +162,7 @@ def _prepare(scene: Scene, request: Request, progress: Progress | None, ply_byte
 
     config, plan, rate, times = request.config, request.plan, request.rate, StageTimes()
     assert plan is not None
+    clean_scene(scene, config)  # raises before the steps, which may take hours
     steps_of, at_size = profile_steps(config), False
     if rate is not None:
         steps_of = partial(step_error_for, scene, ply_bytes, config, rate, progress=progress)

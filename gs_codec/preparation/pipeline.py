@@ -209,7 +209,7 @@ def _rectify(scene: Scene, context: _Context) -> _Outcome:
     """Clip each SH-AC channel to its Laplace range; see `fit_centred`."""
     clipped = scene.f_rest.copy()
     for row in clipped:
-        quantiser, _ = fit_centred(row, 1, context.plan.steps.rectify)
+        quantiser, _ = fit_centred(row[np.isfinite(row)], 1, context.plan.steps.rectify)
         if isinstance(quantiser, CentredQuantiser):
             centre, reach = quantiser.centre, quantiser.half_range
             np.clip(row, centre - reach, centre + reach, out=row)

@@ -1,7 +1,7 @@
 """Select Gaussians to prune: by position, by importance, or by leave-one-out error.
 
 Every rule returns the indices of the remaining Gaussians, in the scene's order. Ties are removed in
-the scene's order.
+the scene's order. A Gaussian whose score is NaN is removed first.
 
 Removing splat k changes the pixels that it covers by ``S alpha / (1 - alpha) - alpha T c``, where S
 is the light of everything behind it. The leave-one-out error sums the squared change over pixels
@@ -79,12 +79,14 @@ def keep_near(scene: Scene, percent: float, rule: GeometryRule) -> NDArray[np.in
     capture; our default is the median.
     """
     centre = np.zeros(3)
-    if rule == "median" and scene.count:
-        centre = np.median(scene.positions.astype(np.float64), axis=1)
+    known = scene.positions[:, np.isfinite(scene.positions).all(axis=0)]
+    if rule == "median" and known.size:
+        centre = np.median(known.astype(np.float64), axis=1)
     kept = np.arange(scene.count)
     for axis in range(3):
         distance = np.abs(scene.positions[axis, kept].astype(np.float64) - centre[axis])
-        kept = kept[keep_highest(-distance, portion(len(kept), percent))]
+        nearness = np.nan_to_num(-distance, nan=-np.inf, neginf=-np.inf)
+        kept = kept[keep_highest(nearness, portion(len(kept), percent))]
     return kept
 
 
@@ -105,9 +107,10 @@ def importance(
         seen += sums.transmittance
         advance()
     log_volume = scene.log_scale.sum(axis=0, dtype=np.float64)
-    largest = np.quantile(log_volume, _VOLUME_QUANTILE) if scene.count else 0.0
+    known = log_volume[np.isfinite(log_volume)]
+    largest = np.quantile(known, _VOLUME_QUANTILE) if known.size else 0.0
     volume = np.exp(_VOLUME_POWER * np.minimum(log_volume - largest, 0.0))
-    return seen * sigmoid(scene.opacity[0].astype(np.float64)) * volume
+    return np.nan_to_num(seen * sigmoid(scene.opacity[0].astype(np.float64)) * volume)
 
 
 def leave_one_out(

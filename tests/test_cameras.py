@@ -355,11 +355,18 @@ def test_windows_line_ends_comments_and_a_missing_last_line_are_read(tmp_path):
     assert [camera.name for camera in read_cameras(tmp_path)] == ["a b.jpg", "c.jpg", "d.jpg"]
 
 
-def test_images_without_point_lines_are_read(tmp_path):
-    write_model(tmp_path, ".txt", [Image("a.jpg"), Image("b.jpg"), Image("c.jpg")])
+@pytest.mark.parametrize("second", ["b.jpg", "17"])
+def test_images_without_point_lines_are_refused(tmp_path, second):
+    write_model(tmp_path, ".txt", [Image("a.jpg"), Image(second), Image("c.jpg")])
     path = tmp_path / "images.txt"
     path.write_bytes(path.read_bytes().replace(b"\n\n", b"\n"))
-    assert_refused(tmp_path, "line 3: b'b.jpg' at its end, expected 2D points", path)
+    text = f"line 3: 10 words, b'{second}' at its end, expected 2D points"
+    assert_refused(tmp_path, text, path)
+
+
+def test_long_lines_of_points_are_counted(tmp_path):
+    write_model(tmp_path, ".txt", [Image("a.jpg", points=9000), Image("b.jpg")])
+    assert [camera.name for camera in read_cameras(tmp_path)] == ["a.jpg", "b.jpg"]
 
 
 @both_forms

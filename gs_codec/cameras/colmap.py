@@ -301,15 +301,19 @@ class _Lines:
     def skip_points(self) -> None:
         """Skip an image's line of 2D points, which may be empty or, at the end, missing."""
         self._number += 1
-        end = b""
+        end, words, apart = b"", 0, True
         while part := self._file.readline(1 << 16):
-            end = (end + part)[-64:]
+            words += len(part.split()) - (not apart and not part[:1].isspace())
+            end, apart = (end + part)[-64:], part[-1:].isspace()
             if part.endswith(b"\n"):
                 break
-        # If empty lines were lost, this line describes an image, and ends in a name.
+        # If empty lines were lost, this line describes an image: nine numbers and a name.
         for word in end.split()[-1:]:
-            if not word.removeprefix(b"-").isdigit():
-                raise InvalidInput(f"{self.where}: {word!r} at its end, expected 2D points or none")
+            if words % 3 or not word.removeprefix(b"-").isdigit():
+                raise InvalidInput(
+                    f"{self.where}: {counted(words, 'word')}, {word!r} at its end, expected 2D "
+                    "points (X Y ID) or none"
+                )
 
 
 def _read_text(path: Path, parse: Callable[[_Lines, bytes], T]) -> list[T]:

@@ -28,6 +28,7 @@ from gs_codec.batch.run import Batch, Summary, Watcher, run_batch
 from gs_codec.batch.scene_tasks import Options, Task
 from gs_codec.cli import batch, encode
 from gs_codec.config import Config, RateTarget
+from gs_codec.edit.actions import Action
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.writing import write_scene
@@ -131,6 +132,18 @@ def test_outputs_of_an_earlier_run_are_no_scenes(folder, caplog):
         assert (summary.done, summary.skipped) == (count, 3 - count)
     assert "skipped 3 scenes that this batch writes" in caplog.messages
     assert not Path("out/out").exists()
+
+
+@pytest.mark.parametrize("suffixes", [(".ply",), (".ply", ".spz.ply"), (".ply", ".splat")])
+def test_outputs_next_to_their_scenes_are_no_scenes(folder, suffixes):
+    for suffix in suffixes[1:]:
+        folder.run("convert", "in/a.ply", f"in/a{suffix}")
+    for resumed in (False, True):
+        args = ["--resume"] if resumed else []
+        assert folder.run("batch", "in/a*", "in", "--format", "spz", *args, "--json").status == 0
+        outputs = sorted(path.name for path in Path("in").glob("*.spz"))
+        stems = ["a.ply", "a.splat"] if ".splat" in suffixes else ["a", "a.spz"][: len(suffixes)]
+        assert outputs == [f"{stem}.spz" for stem in stems]
 
 
 def test_options_equal_those_of_encode(folder):
@@ -624,6 +637,17 @@ def test_digest_covers_everything_the_bytes_depend_on(tmp_path):
     before = model.digest()
     (tmp_path / "model/images.bin").touch()
     assert model.digest() != before
+
+
+def test_digest_covers_all_rows_of_a_project(tmp_path):
+    def digest(removed):
+        file = tmp_path / "a.gsproj"
+        file.write_text(json.dumps(project | {"removed": removed}))
+        return Options(Config(), actions=(Action("edits", str(file)),)).digest()
+
+    scenes = [{"path": "a.ply", "name": "a", "gaussians": 5000}]
+    project = {"project": 1, "scenes": scenes, "moves": [], "hidden": ""}
+    assert digest("2500") != digest("2501")
 
 
 # Memory

@@ -7,9 +7,11 @@ import json
 import logging
 import os
 from collections import Counter
-from collections.abc import Container, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from gs_codec.batch.local import LocalStorage, Location, Stamp, file_sha256
 from gs_codec.batch.needed_memory import expected_floats, needed_bytes
@@ -62,7 +64,8 @@ class Options(Request):
             "by_profile": self.by_profile,
             "files": list(self._files()),
         }
-        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+        text = json.dumps(parts, sort_keys=True, default=_text_of)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def with_share(self, jobs: int) -> Options:
         """The same options, with threads for each of `jobs` concurrent scenes."""
@@ -118,6 +121,13 @@ class Options(Request):
                     yield str(file), f"{found.st_size} {found.st_mtime_ns}"
 
 
+def _text_of(value: object) -> str:
+    """An argument as text; of an array its digest, because the text of a long one is shortened."""
+    if isinstance(value, np.ndarray):
+        return hashlib.sha256(value.tobytes()).hexdigest()
+    return str(value)
+
+
 @dataclass(frozen=True)
 class Task:
     """A scene to encode.
@@ -160,11 +170,7 @@ def find_tasks(
         text = "no such file or folder" if missing else "no scenes found"
         raise InvalidInput(f"{without_secrets(source)}: {text}")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
-    stems = Counter(os.path.splitext(name)[0] for name, _ in found)
-    for name, location in found:
-        stem = os.path.splitext(name)[0]
-        # Scenes that differ only in their suffix keep it.
-        target = targets.location(f"{name if stems[stem] > 1 else stem}.{options.format}")
+    for name, location, target in _planned(found, sources, targets, options.format):
         shown = sources.shown(location), targets.shown(target)
         if ".." in name.split("/"):  # possible in keys of object stores
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected a path inside the folder")
@@ -184,18 +190,35 @@ def find_tasks(
         need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
         need = min(need, options.max_memory or need)
         tasks.append(Task(name, location, target, shown, stamp, need, mark))
-    return _without_outputs(tasks, taken)
+    return tasks
 
 
-def _without_outputs(tasks: list[Task], outputs: Container[str]) -> list[Task]:
-    """The tasks whose scene is not an output of the same batch; an earlier run may have written it.
+def _planned(
+    found: Sequence[tuple[str, Location]], sources: Storage, targets: Storage, form: str
+) -> list[tuple[str, Location, Location]]:
+    """Names, sources and targets of the scenes that are not the output of another.
 
-    If there are others, a warning says how many.
+    An earlier run may have written the others; a warning says how many there are.
     """
-    kept = [task for task in tasks if task.shown[0] not in outputs]
-    if found := len(tasks) - len(kept):
-        log.warning("skipped %s that this batch writes", counted(found, "scene"))
-    return kept
+    stems = {name: os.path.splitext(name)[0] for name, _ in found}
+
+    def written(outputs: Mapping[str, Location]) -> set[str]:
+        """Names of the scenes that are outputs of others."""
+        shown = {name: targets.shown(output) for name, output in outputs.items()}
+        counts = Counter(shown.values())
+        own = ((name, sources.shown(location)) for name, location in found)
+        return {name for name, source in own if counts[source] > (shown[name] == source)}
+
+    outputs = {name: targets.location(f"{stem}.{form}") for name, stem in stems.items()}
+    perhaps = written(outputs)
+    taken = Counter(stem for name, stem in stems.items() if name not in perhaps)
+    for name, stem in stems.items():
+        if taken[stem] > 1:  # scenes that differ only in their suffix keep it
+            outputs[name] = targets.location(f"{name}.{form}")
+    left_out = written(outputs)
+    if left_out:
+        log.warning("skipped %s that this batch writes", counted(len(left_out), "scene"))
+    return [(name, location, outputs[name]) for name, location in found if name not in left_out]
 
 
 def _stated(sources: Storage, location: Location) -> int | None:

@@ -87,6 +87,17 @@ def test_existing_outputs_are_replaced_with_overwrite(folder, command):
     assert (existing.parent / "beside").read_text() == "other"
 
 
+@pytest.mark.parametrize("name", ["tileset.json", "lod-meta.json", "meta.json"])
+def test_the_other_files_of_a_scene_are_refused_too(folder, name):
+    command = ("convert", "scene.ply", f"there/{name}")
+    Path("there").mkdir()
+    assert folder.run(*command).status == 0
+    Path(command[-1]).unlink()
+    line = folder.refuse(*command)
+    assert "already exists; choose another folder or pass --overwrite" in line
+    assert folder.run(*command, "--overwrite").status == 0
+
+
 def test_empty_folder_is_accepted(folder):
     Path("out").mkdir()
     assert folder.run("render", "scene.ply", *VIEWS.split(), "--out", "out").status == 0

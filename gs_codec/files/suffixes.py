@@ -9,7 +9,15 @@ from pathlib import Path
 
 from gs_codec.config import EGS, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import FORMATS, TILESET, format_of, read, written
+from gs_codec.format_table import (
+    FORMATS,
+    STREAMED,
+    TILESET,
+    UNBUNDLED,
+    format_of,
+    read,
+    written,
+)
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.wording import listed
 
@@ -19,6 +27,9 @@ ENCODED = written("steps", "fixed")
 PLAIN = written("floats")
 LEVELLED = written("levels")
 WRITTEN = (*ENCODED, *LEVELLED, *PLAIN)
+
+#: Patterns of the other files of scenes in several files.
+_BESIDE = {TILESET: "tiles/*", STREAMED: "[0-9]*_[0-9]*/*", UNBUNDLED: "means_[lu].webp"}
 
 #: Names of formats that are read from a single file.
 READ_NAMES = tuple(known.name for known in FORMATS if f".{known.name}" in read())
@@ -76,7 +87,18 @@ def check_target(
 ) -> str:
     """The suffix of a target; rejects targets that cannot be written, before any work."""
     check_no_source(sources, target)
-    check_writable(target, overwrite, Path(target).name == TILESET)
+    check_place(target, overwrite)
     suffix = suffix_of(target, known)
     format_of(suffix).check_installed()
     return suffix
+
+
+def check_place(target: str | Path, overwrite: bool) -> None:
+    """Like `check_writable`, for all files of a scene."""
+    folder, name = Path(target).parent, Path(target).name
+    check_writable(target, overwrite, name == TILESET)
+    if not overwrite and name in _BESIDE:
+        for found in folder.glob(_BESIDE[name]):
+            raise InvalidInput(
+                f"{found}: already exists; choose another folder or pass overwrite=True"
+            )

@@ -15,7 +15,7 @@ from gs_codec.coding.clean import clean_scene, finite_ends
 from gs_codec.config import Config
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
-from gs_codec.files.suffixes import LEVELLED, config_for, suffix_of
+from gs_codec.files.suffixes import LEVELLED, check_place, config_for, suffix_of
 from gs_codec.format_table import SSOG, STREAMED, TILESET, UNBUNDLED, format_of
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.registry import open_scene
@@ -24,7 +24,7 @@ from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.levels.tiling import Blocks, tile_levels
 from gs_codec.report import RenderedLoss
-from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
+from gs_codec.runtime.atomic import atomic_writer, write_files
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
 
@@ -65,7 +65,7 @@ def write_scene(
     suffix is not supported, or the file cannot be written or, without `overwrite`, exists.
     """
     suffix = suffix_of(path)
-    check_writable(path, overwrite, suffix == TILESET)
+    check_place(path, overwrite)
     known = format_of(suffix)
     if known.writes == "floats":
         assert known.writer is not None

@@ -19,10 +19,12 @@ from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import encode_cleaned
 from gs_codec.config import Config
+from gs_codec.edit.actions import Action
 from gs_codec.encoding import order as planned
 from gs_codec.encoding import retry as checked
 from gs_codec.encoding.loss import Check, error_of
 from gs_codec.errors import InvalidInput
+from gs_codec.files.conversion import convert_file
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.guidance.calibrate import finer, wanted_error
 from gs_codec.guidance.windows import choose_windows, sample_of, windows_of
@@ -156,7 +158,7 @@ def test_other_formats_come_closer_to_the_aim(known, encodings):
         loss = psnr_loss(1.6 * wanted_error(chosen))
         return chosen, RenderedLoss(50.0, loss, loss, windows=64, views="likely")
 
-    chosen, loss = checked.encode_within_loss(attempt, config, config, check=None)
+    chosen, loss = checked.encode_within_loss(attempt, config, config, check=Check(None, None))
     assert loss.encodings == encodings
     if encodings > 1:
         assert chosen.coarseness < config.coarseness
@@ -176,7 +178,7 @@ def test_needlessly_fine_steps_are_made_coarser(first, share, power, found):
         return chosen, RenderedLoss(50.0, loss, loss, windows=64, views="likely")
 
     calibrated = Config(coarseness=first)
-    chosen, loss = checked.encode_within_loss(attempt, config, calibrated, check=None)
+    chosen, loss = checked.encode_within_loss(attempt, config, calibrated, check=Check(None, None))
     assert chosen.coarseness == pytest.approx(found, rel=0.01)
     assert loss.remedy is None
 
@@ -191,9 +193,23 @@ def test_finer_steps_must_come_halfway_to_the_aim(power, found):
         loss = psnr_loss(40 * wanted_error(config) * chosen.coarseness**power)
         return chosen, RenderedLoss(40.0, loss, loss, windows=64, views="likely")
 
-    chosen, loss = checked.encode_within_loss(attempt, config, config, check=None)
+    chosen, loss = checked.encode_within_loss(attempt, config, config, check=Check(None, None))
     assert chosen.coarseness == pytest.approx(found, rel=0.05)
     assert (loss.remedy is None) == (found == 1)
+
+
+def test_what_pruning_lost_does_not_count():
+    before = 20 * wanted_error(Config())
+
+    def attempt(chosen):
+        loss = psnr_loss(before + wanted_error(Config()))
+        return chosen, RenderedLoss(40.0, loss, loss, windows=64, views="given")
+
+    strict, pruned = Config(strict=True), Check(None, None, before=before)
+    chosen, loss = checked.encode_within_loss(attempt, strict, strict, pruned)
+    assert (chosen, loss.encodings) == (strict, 1)
+    with pytest.raises(InvalidInput, match="views lose"):
+        checked.encode_within_loss(attempt, strict, strict, Check(None, None))
 
 
 def test_views_of_few_pixels_are_measured_in_smaller_windows(still_life, cameras, monkeypatch):
@@ -246,14 +262,40 @@ def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
         as_requested(still_life, Config(strict=True), Plan(cameras=flipped))
 
 
-@pytest.mark.parametrize("target", [{"bits": 40}, {"psnr_drop": 0.1}], ids=str)
-def test_cameras_of_another_scene_are_reported_with_a_target(still_life, cameras, target, caplog):
-    as_requested(still_life, Config(), Plan(cameras=cameras), target)
-    assert not [r for r in caplog.records if r.levelno == logging.WARNING]
+def _warnings(caplog):
+    found = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
+    caplog.clear()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("prune", "target"),
+    [
+        (0, {"bits": 25}),
+        (0, {"bits": 40, "allow_prune": True}),
+        (0, {"psnr_drop": 0.1}),
+        (50, None),
+    ],
+    ids=str,
+)
+def test_cameras_of_another_scene_are_reported(still_life, cameras, prune, target, caplog):
+    strict = Config(strict=target is None)
+    steps = Steps(prune=prune)
+    as_requested(still_life, strict, Plan(steps, cameras), target)
+    assert not _warnings(caplog)
     flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
-    as_requested(still_life, Config(), Plan(cameras=flipped), target)
-    [record] = [r for r in caplog.records if r.levelno == logging.WARNING]
-    assert "cameras do not fit the scene: away from them, views lose" in record.getMessage()
+    as_requested(still_life, Config(), Plan(steps, flipped), target)
+    assert "cameras do not fit the scene: away from them, views lose" in _warnings(caplog)[-1]
+
+
+def test_actions_by_cameras_of_another_scene_are_reported(still_life, cameras, tmp_path, caplog):
+    write_ply(tmp_path / "a.ply", still_life)
+    flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
+    for given, fits in ((cameras, True), (flipped, False)):
+        target, keep = tmp_path / f"{fits}.ply", [Action("keep", "30%")]
+        convert_file(tmp_path / "a.ply", target, actions=keep, plan=Plan(cameras=given))
+        said = "cameras do not fit the scene: away from them"
+        assert fits != any(said in text for text in _warnings(caplog))
 
 
 def test_prepared_scenes_are_compared_with_the_scene_before(still_life, cameras):

@@ -241,14 +241,15 @@ def prepare(
     >>> [step.name for step in report.steps]
     ['original', 'leave-one-out pruning']
     """
-    from gs_codec.encoding.loss import Check
+    from gs_codec.encoding.retry import loss_by_plan
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.pipeline import prepare_scene
 
-    with using_threads(as_config(config).threads):
+    config = as_config(config)
+    with using_threads(config.threads):
         scene = scene_of(source, max_bytes)
         prepared, report = prepare_scene(scene, plan, progress)
-        rendered = Check.by_plan(cleaned(scene), plan).measure(prepared)
+        rendered = loss_by_plan(cleaned(scene), prepared, plan, config)
     return to_cloud(prepared).clone(), replace(report, rendered=rendered)
 
 

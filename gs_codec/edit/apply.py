@@ -11,7 +11,7 @@ import numpy as np
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.extent import box_text, centre_box
 from gs_codec.edit import motion, selection
-from gs_codec.edit.actions import Action
+from gs_codec.edit.actions import KINDS, Action
 from gs_codec.edit.join import merge_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import turn_axes
@@ -36,12 +36,14 @@ def edit_scenes(
     plan: Plan | None = None,
     progress: Progress | None = None,
     translated: bool = False,
+    check: Callable[[Scene, Scene], None] | None = None,
 ) -> tuple[Scene, tuple[ActionReport, ...]]:
     """Merge scenes and apply actions in order; everything is in ``RDF``.
 
     A single scene without actions is returned unchanged. Actions that need cameras use those of the
-    plan. If the scenes are `translated`, the first action was applied when they were read. Raises
-    InvalidInput if an action does not apply to the scene, or removes all Gaussians.
+    plan; `check` gets the scene before and after each of them. If the scenes are `translated`, the
+    first action was applied when they were read. Raises InvalidInput if an action does not apply to
+    the scene, or removes all Gaussians.
     """
     reports: list[ActionReport] = []
     if translated:
@@ -61,6 +63,8 @@ def edit_scenes(
                 raise InvalidInput(f"no Gaussian is left of {before.count:,}, {found}")
         except InvalidInput as error:
             raise InvalidInput(f"{action.typed}: {error}") from error
+        if check is not None and KINDS[action.name].guided and scene is not before:
+            check(before, scene)
         seconds = time.perf_counter() - start
         done = ActionReport(str(action), before.count, scene.count, context.details, seconds)
         reports.append(done)

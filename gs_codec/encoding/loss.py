@@ -96,13 +96,15 @@ class Check:
     """Windows on a scene, from likely camera positions and from given cameras if there are any.
 
     Given cameras measure the loss. Windows from likely positions then show whether those cameras
-    fit the scene. `telling` is as in `Windows`.
+    fit the scene. `telling` is as in `Windows`. `before` is the mean squared error that pruning
+    caused before encoding.
     """
 
     scene: Scene
     likely: _Seen | None
     given: _Seen | None = None
     telling: bool = True
+    before: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene, likely: Sequence[Camera]) -> Check:
@@ -128,6 +130,11 @@ class Check:
         check, cameras = cls.of(scene, windows.checking), checking_cameras(scene, plan)
         return replace(check, given=_look_from(check.scene, cameras), telling=windows.telling)
 
+    def of_pruned(self, scene: Scene) -> Check:
+        """The same for the encoding of a pruned scene."""
+        loss = self.measure(scene)
+        return self if loss is None else replace(self, before=error_of(loss.loss))
+
     @property
     def covered(self) -> float:
         """Mean opacity of the windows of given cameras, 0-1; 1 without such cameras."""
@@ -143,9 +150,12 @@ class Check:
         return [window for seen in self._seen for window in seen.windows]
 
     def watch(self) -> Watched | None:
-        """The Gaussians in the windows, whose decoded values an encoder should keep."""
+        """The Gaussians in the windows, whose decoded values an encoder should keep.
+
+        None if there are none, or the encoder has fewer than the scene.
+        """
         shown = [own for seen in self._seen for own in seen.shown]
-        return Watched.shown(self.scene, shown) if shown else None
+        return Watched.shown(self.scene, shown) if shown and not self.before else None
 
     def measure_watched(self, watched: Watched) -> RenderedLoss | None:
         """The loss, from the decoded values that an encoder kept of those from `watch`."""

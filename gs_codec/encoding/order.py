@@ -16,6 +16,7 @@ To meet a rate target, `gs_codec.rate` repeats shape, colour and code with diffe
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -113,8 +114,23 @@ def _edit(
         return scene, ()
     from gs_codec.edit.apply import edit_scenes
 
+    plan, actions = request.plan, request.actions
     with times.stage("edit"):
-        return edit_scenes([scene], request.actions, request.plan, progress, translated)
+        return edit_scenes([scene], actions, plan, progress, translated, check_by(plan))
+
+
+def check_by(plan: Plan | None) -> Callable[[Scene, Scene], None] | None:
+    """Warns if given cameras, which guided an action, do not fit the scene; None without them."""
+    if plan is None or plan.estimates:
+        return None
+
+    def check(before: Scene, after: Scene) -> None:
+        from gs_codec.encoding.retry import loss_by_plan
+        from gs_codec.guidance.windows import cleaned
+
+        loss_by_plan(cleaned(before), cleaned(after), plan, Config())
+
+    return check
 
 
 def _encode_finest(scene: Scene, config: Config) -> Encoded:
@@ -294,6 +310,7 @@ def _encode_by(
     """Guide or calibrate, shape, colour, code and check; None if the views do not fit the scene."""
     from gs_codec.encoding.loss import Check
     from gs_codec.encoding.retry import encode_within_loss, measuring
+    from gs_codec.guidance.windows import cleaned
 
     config, guidance, times = request.config, None, StageTimes()
     check_encoding(scene.count, config)
@@ -315,6 +332,9 @@ def _encode_by(
     with times.stage("measure"):
         if windows is not None:
             check = Check.of(clean, windows.checking)
+        elif views is not None and views.images and views.source is not None:
+            # Colours are fitted to the scene before pruning.
+            check = Check.by_plan(cleaned(views.source), request.plan).of_pruned(clean)
         else:
             check = Check.by_plan(clean, request.plan)
     attempt = measuring(code, config, check, times)
@@ -384,22 +404,16 @@ def _check_whole(
     scene: Scene, request: Request, parts: list[bytes | memoryview], report: EncodeReport
 ) -> Encoded:
     """Measure the loss of views relative to the scene before preparation."""
-    from gs_codec.encoding.loss import Check
-    from gs_codec.encoding.retry import warn_of_cameras, warn_of_loss
+    from gs_codec.encoding.retry import loss_by_plan, warn_of_loss
 
     config, times = request.config, StageTimes()
     with times.stage("measure"):
         clean, _ = clean_scene(scene, config)
-        check = Check.by_plan(clean, request.plan)
-        loss = check.measure(decode_as(config, b"".join(parts)))
+        loss = loss_by_plan(clean, decode_as(config, b"".join(parts)), request.plan, config)
     if loss is not None:
         loss = replace(loss, aimed=None if request.rate is None else request.rate.psnr_drop)
         if (coded := report.rendered) is not None:
             loss = replace(loss, encodings=coded.encodings, remedy=coded.remedy)
         warn_of_loss(loss, config)
-        rate, steps = report.rate, config.has_steps and not config.depths
-        # Pruning and refinement also change what is away from the cameras.
-        if rate is not None and steps and not (rate.pruned or request.prepares):
-            warn_of_cameras(check, loss, rate.coarseness, config)
     taken = times.seconds["measure"] + report.seconds.get("measure", 0.0)
     return parts, replace(report, rendered=loss, seconds=report.seconds | {"measure": taken})

@@ -22,6 +22,7 @@ from gs_codec.runtime.arrays import current, empty
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
+    from gs_codec.plan import Plan
     from gs_codec.preparation.reference_views import Origin
 
 log = logging.getLogger(__name__)
@@ -111,6 +112,8 @@ def encode_within_loss(
         Result and loss of the best attempt; None if the cameras do not fit the scene.
     """
     aim = wanted_error(config) if config.has_steps and not config.depths else None
+    if aim is not None:
+        aim += config.adaptive_profile().of_loss * check.before
     sure = origin != "estimated" and config.format == EGS
     allowed = _ALLOWED if sure else _ALLOWED_IF_UNSURE
     calibrated = origin is None and config.format == EGS and chosen != config
@@ -120,16 +123,17 @@ def encode_within_loss(
         result, loss = attempt(chosen)
         if loss is None:
             return result, None
-        if origin is not None and aim is not None and _misfits(check, loss, aim):
+        if origin is not None and aim is not None and _misfits(check, loss, check.before + aim):
             worst = max(loss.loss, loss.away or 0.0)
             warn_misfit(f"guided by them, views lose {worst:.1f} dB", config)
             return None
-        error = error_of(loss.loss)
-        loss = replace(loss, aimed=None if aim is None else psnr_loss(aim), encodings=encodings)
+        error = error_of(loss.loss) - check.before
+        aimed = None if aim is None else psnr_loss(check.before + aim)
+        loss = replace(loss, aimed=aimed, encodings=encodings)
         if best is not None:
             if error > most:
                 break
-            if most < error_of(best[1].loss):
+            if most < error_of(best[1].loss) - check.before:
                 remedy = f"{chosen.coarseness / config.coarseness:.2f}x those of the profile"
                 loss = replace(loss, remedy=remedy)
         best = result, loss
@@ -165,15 +169,21 @@ def warn_misfit(reason: str, config: Config, reaction: str = "; encoded without 
     log.warning("cameras do not fit the scene: %s%s", reason, reaction)
 
 
-def warn_of_cameras(check: Check, loss: RenderedLoss, coarseness: float, config: Config) -> None:
-    """Warn if given cameras, which guided an encode to a target, do not fit the scene.
+def loss_by_plan(
+    before: Scene, after: Scene, plan: Plan | None, config: Config
+) -> RenderedLoss | None:
+    """The loss of views of a finite scene that was changed by the views of a plan.
 
-    Steps that are finer than those of the profile are not expected to lose less. Raises
-    InvalidInput if it is strict.
+    If given cameras do not fit the scene, views from other places lose far more: a warning says so.
+    Raises InvalidInput if the configuration is strict.
     """
-    reached = replace(config, coarseness=max(coarseness, 1.0))
-    if loss.away is not None and _misfits(check, loss, wanted_error(reached)):
-        warn_misfit(f"away from them, views lose {loss.away:.1f} dB", config, "")
+    check = Check.by_plan(before, plan)
+    loss = check.measure(after)
+    if loss is not None and loss.away is not None:
+        expected = max(wanted_error(Config()), error_of(loss.loss))
+        if _misfits(check, loss, expected):
+            warn_misfit(f"away from them, views lose {loss.away:.1f} dB", config, "")
+    return loss
 
 
 def _measure(

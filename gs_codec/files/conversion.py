@@ -18,6 +18,7 @@ from gs_codec.config import LOSSLESS, Config, as_config
 from gs_codec.edit.actions import Action
 from gs_codec.edit.apply import edit_scenes
 from gs_codec.encoding.combinations import check_conversion
+from gs_codec.encoding.order import check_by
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import blocks_in, early_shifts, read_scene, turn_scene
 from gs_codec.files.suffixes import check_target
@@ -186,7 +187,9 @@ def convert_file(
             with times.stage("edit"):
                 if chosen is not None:
                     scenes = [_choose(scenes, np.asarray(chosen))]
-                scene, done = edit_scenes(scenes, actions, plan, progress, shifts is not None)
+                scene, done = edit_scenes(
+                    scenes, actions, plan, progress, shifts is not None, check_by(plan)
+                )
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)

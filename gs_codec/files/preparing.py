@@ -82,7 +82,7 @@ def prepare_file(
     if coded:
         config = config_for(target, config)
     # Loaded here, because encoding alone needs no rendering.
-    from gs_codec.encoding.loss import Check
+    from gs_codec.encoding.retry import loss_by_plan
     from gs_codec.guidance.windows import cleaned
     from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene, without_refinement
@@ -103,7 +103,7 @@ def prepare_file(
             data = b"".join(parts)
             prepared = prepared.coded(scene, config, data, report)
             result = decode_as(config, data) if coded else scene
-            loss = Check.by_plan(cleaned(original), plan).measure(result)
+            loss = loss_by_plan(cleaned(original), result, plan, config)
             prepared = replace(prepared, rendered=loss)
             if report_folder is not None:
                 save_report(report_folder, prepared)

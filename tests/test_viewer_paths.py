@@ -57,6 +57,10 @@ def test_paths_are_typed_and_pasted(folder, text, expected):
     assert typed_path(text, folder) == folder.parent / expected
 
 
+def test_files_are_saved_to_the_folder_listed(folder):
+    assert typed_path("here.ply", folder, saves=True) == folder / "here.ply"
+
+
 @pytest.mark.parametrize(
     "text", ["{}/c d.ply", "file://{}/c%20d.ply", "file://localhost{}/c d.ply"]
 )

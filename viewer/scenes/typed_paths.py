@@ -62,7 +62,7 @@ REPORTS = Kind("reports of prepare", ("report.json",))
 FOLDERS = Kind("folders")
 
 
-def typed_path(text: str, folder: Path) -> Path:
+def typed_path(text: str, folder: Path, saves: bool = False) -> Path:
     """Parse a typed path.
 
     Parameters
@@ -72,6 +72,8 @@ def typed_path(text: str, folder: Path) -> Path:
         file (``file://``).
     folder : Path
         Folder for relative paths; the working directory is used if the file does not exist there.
+    saves : bool
+        Whether the file is to be written: then `folder` is used in any case.
     """
     line = (text.strip().splitlines() or [""])[0].strip()
     if len(line) > 1 and line[0] == line[-1] and line[0] in "'\"":
@@ -80,7 +82,8 @@ def typed_path(text: str, folder: Path) -> Path:
         line = unquote(urlsplit(line).path)
     path = Path(os.path.expanduser(line))
     inside = folder / path
-    return path.absolute() if os.path.exists(path) and not os.path.exists(inside) else inside
+    elsewhere = not saves and os.path.exists(path) and not os.path.exists(inside)
+    return path.absolute() if elsewhere else inside
 
 
 def check_readable(path: Path, kind: Kind) -> None:

@@ -162,7 +162,7 @@ class FileDialog:
     def accept(self) -> None:
         """Accept the path in the field if it is valid; list it if it is a folder."""
         question, text = self._question, self.field.text_value
-        path = typed_path(text, self._folder)
+        path = typed_path(text, self._folder, question.saves)
         chosen = not question.kind.suffixes and (not text.strip() or path == self._folder)
         try:
             if path.is_dir() and not chosen and (text.strip() or question.kind.suffixes):

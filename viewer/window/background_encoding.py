@@ -117,9 +117,10 @@ class Encoding(TrialJobs):
         def done(_: None) -> None:
             viewer.panel.say(f"{Path(path).name} saved")
 
-        viewer.worker.submit(
-            "save", lambda stale: trials.save(tried, Path(path)), done, viewer.fail
-        )
+        def job(stale: Stale) -> None:
+            trials.save(tried, Path(path))
+
+        viewer.worker.submit(f"save {path}", job, done, viewer.fail)
 
     def close(self) -> None:
         """Remove the temporary files."""

@@ -175,4 +175,4 @@ class Controls(Host, Protocol):
         def done(_: None) -> None:
             self.panel.say(f"{Path(path).name} saved")
 
-        self.worker.submit("save", draw, done, self.fail)
+        self.worker.submit(f"save {path}", draw, done, self.fail)

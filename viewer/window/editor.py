@@ -265,7 +265,7 @@ class Editor:
             then()
 
         viewer.panel.say(f"saving {target.name} ...")
-        self.worker.submit("save scene", write, done, viewer.fail)
+        self.worker.submit(f"save {target}", write, done, viewer.fail)
 
     def ask_unsaved(self, numbers: Sequence[int], then: Callable[[], None]) -> bool:
         """Ask what to do with unsaved edits of these scenes, if any, before calling `then`.

@@ -1,0 +1,24 @@
+"""What is kept in the viewer's window while jobs run, or fail."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from windows import drive, make_folder, needs_display
+
+pytestmark = [needs_display, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return make_folder(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def found(display, folder) -> dict:
+    return drive("drive_kept.py", display, folder)
+
+
+def test_each_of_several_saves_writes_its_file(found):
+    assert found["saves"] == [True] * 4

@@ -9,8 +9,10 @@ import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 from drive_viewer import Driver, tell
 
+from viewer.scenes.edits import Edits
 from viewer.scenes.worker import Stale, Worker
 
 
@@ -42,7 +44,45 @@ def saves(driver: Driver) -> list[bool]:
     return [path.exists() for path in paths]
 
 
+def escape(driver: Driver) -> bool:
+    """Whether Esc clears the pick, and does not close, after the window was closed and stayed."""
+    viewer = driver.viewer
+    viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 9, "delete"))
+    driver.key("ctrl+q")
+    driver.wait(lambda: viewer.modal.dialog is not None)
+    driver.tick(5)
+    driver.key("Escape")
+    driver.wait(lambda: viewer.modal.dialog is None)
+    viewer.editor.do(Edits.undo)
+    driver.rest()
+    pane, (wide, high) = viewer.stage.panes[0], viewer.stage.picture_size
+    viewer.picking.click(pane, (wide / 2, high / 2))
+    driver.wait(lambda: viewer.picking.hit is not None)
+    driver.rest()
+    driver.key("Escape")
+    driver.wait(lambda: viewer.picking.hit is None)
+    return True
+
+
+def close(driver: Driver) -> list[bool]:
+    """Whether a window closes while it saves, and if that fails; and after it, and a file exists."""
+    viewer, window, found = driver.viewer, driver.viewer.window, []
+    for name in ("none/3.ply", "3.ply"):
+        event = held(viewer.editor.worker)
+        viewer.editor.save(str(driver.folder / name))
+        window.close()
+        found.append(any(not driver.app.run_one_tick() for _ in range(50)))
+        event.set()
+        if name == "none/3.ply":
+            driver.wait(lambda: viewer.message is not None)
+            driver.tick(20)
+            viewer.dismiss()
+            driver.rest()
+    found.append(any(not driver.app.run_one_tick() for _ in range(1000)))
+    return [*found, (driver.folder / "3.ply").exists()]
+
+
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    tell({"saves": saves(driver)})
+    tell({"saves": saves(driver), "escape": escape(driver), "closes": close(driver)})

@@ -22,3 +22,11 @@ def found(display, folder) -> dict:
 
 def test_each_of_several_saves_writes_its_file(found):
     assert found["saves"] == [True] * 4
+
+
+def test_escape_clears_the_pick_after_closing_was_cancelled(found):
+    assert found["escape"]
+
+
+def test_a_window_closes_once_files_are_saved_and_stays_if_that_fails(found):
+    assert found["closes"] == [False, False, True, True]

@@ -89,8 +89,9 @@ class Modal:
             self._escaping = False
             return False
         # Esc or the window's close button: Open3D reports the key only afterwards.
-        self._close_requested = not self._closing
-        return self._closing
+        closing, self._closing = self._closing, False
+        self._close_requested = not closing
+        return closing
 
     def tick(self) -> bool:
         """Let the dialog work; return whether to draw the window.

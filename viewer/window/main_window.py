@@ -120,7 +120,7 @@ class Viewer(Controls):
         self.player = Player(self, self.visits, self.editor, self.loading, self.encoding)
         self.panel: Panel = Panel(self, font)
         self.keys, self.notice = Keys(self), Notice(self)
-        self._ticked = time.monotonic()
+        self._ticked, self._closes = time.monotonic(), False
         self._unseen = rendering.Open3DScene(self.window.renderer)
         self.window.set_on_layout(self._lay_out)
         self.window.set_on_tick_event(self._tick)
@@ -141,6 +141,7 @@ class Viewer(Controls):
 
     def fail(self, error: Exception) -> None:
         """Show an error in a dialog; the scenes shown stay."""
+        self._closes = False
         if not isinstance(error, (gs_codec.GsCodecError, OSError, MemoryError)):
             raise error
         self.panel.say("")
@@ -181,6 +182,8 @@ class Viewer(Controls):
         self.panel.show_speed(self.stage.painter.seconds)
         self.visits.tick()
         self.watching.tick()
+        if self._closes and not self._saving:
+            self.post(self._close_saved)  # after the result of saving
         return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)
 
     @property
@@ -216,8 +219,24 @@ class Viewer(Controls):
         """Show the list of keys."""
         self.tell("Keys", help_text())
 
+    @property
+    def _saving(self) -> bool:
+        kinds = self.worker.kinds | self.editor.worker.kinds
+        return any(kind.startswith("save ") for kind in kinds)
+
+    def _close_saved(self) -> None:
+        """Close the window, unless saving has failed."""
+        if self._closes:
+            self._closes = False
+            self.window.close()
+
     def _close(self) -> bool:
-        if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):
+        if not self.modal.close():
+            return False
+        if self._saving:
+            self._closes = True
+            return False
+        if self.editor.ask_unsaved((0, 1), self.window.close):
             return False
         self.timeline.close()
         self.worker.end()

@@ -44,6 +44,35 @@ def saves(driver: Driver) -> list[bool]:
     return [path.exists() for path in paths]
 
 
+def brush(driver: Driver) -> list:
+    """Numbers of Gaussians and of selected ones after Delete and Esc in strokes of the brush.
+
+    The last is whether Esc brings the panes back.
+    """
+    viewer, found = driver.viewer, []
+    viewer.editor.set_tool("brush")
+    frame = viewer.stage.panes[0].widget.frame
+    x, y = frame.x + frame.width // 2, frame.y + frame.height // 2
+    for key in ("", "Delete", "Escape"):
+        driver.move(frame.x + 5, frame.y + 5)
+        before = driver.scenes(driver.rest())
+        y += 60 * (key == "Escape")  # where none are deleted
+        driver.move(x, y)
+        driver.xdotool("mousedown", 1)
+        driver.move(x + 10, y)
+        if key:
+            driver.key(key)
+        driver.move(x + 20, y + 5)
+        driver.xdotool("mouseup", 1)
+        driver.move(frame.x + 5, frame.y + 5)
+        after = driver.scenes(driver.rest())
+        found.append([viewer.stage.scenes[0].count, viewer.editor.edits.count])
+    viewer.editor.set_tool("brush")
+    viewer.editor.do(Edits.undo)
+    viewer.editor.do(Edits.undo)
+    return [*found, bool(np.array_equal(before, after))]
+
+
 def escape(driver: Driver) -> bool:
     """Whether Esc clears the pick, and does not close, after the window was closed and stayed."""
     viewer = driver.viewer
@@ -85,4 +114,5 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    tell({"saves": saves(driver), "escape": escape(driver), "closes": close(driver)})
+    steps = (saves, brush, escape, close)
+    tell({step.__name__: step(driver) for step in steps})

@@ -29,4 +29,11 @@ def test_escape_clears_the_pick_after_closing_was_cancelled(found):
 
 
 def test_a_window_closes_once_files_are_saved_and_stays_if_that_fails(found):
-    assert found["closes"] == [False, False, True, True]
+    assert found["close"] == [False, False, True, True]
+
+
+def test_a_stroke_ends_when_its_gaussians_are_deleted_and_leaves_no_preview(found):
+    (every, some), deleted, dropped, same = found["brush"]
+    assert some > 0
+    assert deleted == dropped == [every - some, 0]
+    assert same

@@ -72,7 +72,7 @@ class Editor:
         self.worker = viewer.worker.another()
         self.tools: dict[str, Tool] = {kind: RegionTool(kind, viewer, self) for kind in REGIONS}
         self.tools |= {kind: SeedTool(kind, viewer, self) for kind in SEEDS}
-        viewer.modal.cancels.append(self._drop)
+        viewer.modal.cancels.append(self._cancel)
 
     def put(self, scenes: Sequence[Opened]) -> None:
         """Set the scenes shown; scenes shown before keep their edits."""
@@ -81,7 +81,7 @@ class Editor:
         self.all = [known.get(scene) or Edits(scene) for scene in scenes]
         self.number = min(self.number, max(len(scenes) - 1, 0))
         self._show_drawn()
-        self._mark()
+        self.mark()
 
     @property
     def edits(self) -> Edits | None:
@@ -107,7 +107,7 @@ class Editor:
 
     def set_tool(self, tool: str) -> None:
         """Choose a tool by name; the same tool again switches back to moving the camera."""
-        self._drop()
+        self._cancel()
         self.tool = NAVIGATE if tool == self.tool else tool
         self._viewer.stage.mouse.tool = self.tools.get(self.tool)
         self._viewer.panel.refresh()
@@ -138,6 +138,12 @@ class Editor:
     def _drop(self) -> bool:
         return self.tool in self.tools and self.tools[self.tool].drop()
 
+    def _cancel(self) -> bool:
+        """Drop what a tool has begun, and its preview; return whether there was anything."""
+        dropped = self._drop()
+        self.mark()
+        return dropped
+
     # Steps
 
     def do(self, step: Callable[[Edits], None]) -> None:
@@ -157,9 +163,10 @@ class Editor:
         stage = self._viewer.stage
         for number, edits in enumerate(self.all):
             if stage.scenes[number] is not edits.scene:
+                self._drop()
                 stage.replace(number, edits.scene)
         self._show_drawn()
-        self._mark()
+        self.mark()
         self._dock.unmark()
         self._viewer.refresh_panel()
 
@@ -167,7 +174,8 @@ class Editor:
         drawn = {edits.scene: edits.drawn for edits in self.all if edits.drawn is not None}
         self._viewer.stage.draw_only(drawn)
 
-    def _mark(self) -> None:
+    def mark(self) -> None:
+        """Show the selections, not previews."""
         for number, edits in enumerate(self.all):
             self._viewer.stage.show_selected(number, edits.selected)
 
@@ -232,8 +240,9 @@ class Editor:
         self.worker.submit("select", lambda stale: step(scene, before), done, viewer.fail)
 
     def stop(self) -> None:
-        """Stop selecting by a rule."""
+        """Stop selecting in the background."""
         self.worker.cancel("select")
+        self.mark()
 
     # Saving
 

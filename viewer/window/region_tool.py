@@ -68,6 +68,7 @@ class RegionTool(SelectingTool):
             return False
         self.drop()
         if pane not in stage.visible or stage.pose is None or stage.pose is not self._pose:
+            self._chooser.mark()
             return True
         options, scene, pose = self._chooser.selecting, pane.scene, stage.pose
         look, size = stage.shown.look(scene), stage.picture_size

@@ -36,6 +36,9 @@ class Chooser(Protocol):
     def preview(self, pane: Pane, chosen: Mask, how: str) -> None:
         """Only show the selection that `choose` would make."""
 
+    def mark(self) -> None:
+        """Show the selections, not previews."""
+
 
 class SelectingTool(Tool):
     """A tool of a viewer that selects; see `Tool`.

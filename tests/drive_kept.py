@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,34 @@ def brush(driver: Driver) -> list:
     return [*found, bool(np.array_equal(before, after))]
 
 
+def fails(driver: Driver) -> bool:
+    """Whether scenes shown before their cameras failed can be edited."""
+    viewer, request = driver.viewer, driver.viewer.request
+    bad = driver.folder / "bad.json"
+    bad.write_text("{")
+    viewer.request = replace(request, cameras=str(bad))
+    viewer.loading.begin()
+    driver.wait(lambda: viewer.message is not None)
+    viewer.dismiss()
+    viewer.request = request
+    driver.rest()
+    return [edits.scene for edits in viewer.editor.all] == viewer.stage.scenes
+
+
+def reload(driver: Driver) -> list:
+    """What the panel says after a scene was edited while its file was read again."""
+    viewer = driver.viewer
+    event = held(viewer.worker)
+    viewer.loading.reload(0, driver.folder / "a.ply")
+    viewer.editor.number = 0
+    viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 9, "delete"))
+    event.set()
+    driver.rest()
+    found = [" ".join(viewer.panel.status.text.split()), viewer.panel.doing]
+    viewer.editor.do(Edits.undo)
+    return found
+
+
 def escape(driver: Driver) -> bool:
     """Whether Esc clears the pick, and does not close, after the window was closed and stayed."""
     viewer = driver.viewer
@@ -114,5 +143,5 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    steps = (saves, brush, escape, close)
+    steps = (saves, brush, fails, reload, escape, close)
     tell({step.__name__: step(driver) for step in steps})

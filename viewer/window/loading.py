@@ -58,6 +58,7 @@ class Loading:
 
         def show(_: float) -> None:
             viewer.stage.put(scenes, None)
+            self._editor.put(scenes)
             self._visits.put(Views(), 0)
             viewer.stage.painter.until = stale
 
@@ -122,6 +123,7 @@ class Loading:
         def done(opened: Opened) -> None:
             stage = viewer.stage
             if before not in stage.scenes:
+                viewer.panel.say("not reloaded, because the scene was edited: ctrl + R reloads it")
                 return
             viewer.panel.say(f"{path.name} reloaded")
             if pane == 0:
@@ -158,11 +160,11 @@ class Loading:
         """
         viewer = self._viewer
         viewer.panel.say("")
+        stage = viewer.stage
+        previewed, stage.painter.until = stage.painter.waits, None
         dropped = [k for k, edits in enumerate(self._editor.all) if edits.scene not in scenes]
         if self._editor.ask_unsaved(dropped, partial(self.show, scenes, views, pruned, stay)):
             return
-        stage, previewed = viewer.stage, viewer.stage.painter.waits
-        stage.painter.until = None
         same = stay or (stage.scenes[:1] == scenes[:1] and not previewed)
         if previewed and stage.scenes == scenes:
             stage.put_pruned(pruned)

@@ -14,6 +14,7 @@ from drive_edit import answer
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
+from viewer.scenes.edits import Edits
 from viewer.scenes.view_request import Request
 from viewer.window.dialogs import inside
 
@@ -97,6 +98,20 @@ def edit(driver: Driver, found: dict) -> None:
     found["left"] = numbers(driver)
 
 
+def edit_playing(driver: Driver, found: dict) -> None:
+    """Edit a frame while the sequence plays."""
+    viewer, player = driver.viewer, driver.viewer.player
+    player.toggle()
+    driver.wait(lambda: player.playing and numbers(driver)[0] != 3)
+    viewer.editor.select_range("opacity", 0.5, np.inf)
+    viewer.editor.do(Edits.delete)
+    scenes = list(viewer.stage.scenes)
+    driver.rest()
+    found["edited"] = [player.playing, viewer.editor.unsaved, viewer.stage.scenes == scenes]
+    viewer.editor.do(Edits.undo)
+    driver.rest()
+
+
 def slow(driver: Driver, found: dict) -> None:
     """Play although drawing takes as long as the whole sequence; step beyond the last frame."""
     viewer, player = driver.viewer, driver.viewer.player
@@ -174,6 +189,7 @@ def run(folder: Path) -> dict:
     found["at first"] = [driver.viewer.player.wanted, *numbers(driver)]
     slide(driver, found)
     edit(driver, found)
+    edit_playing(driver, found)
     slow(driver, found)
     trial(driver, found)
     opened(driver, found)

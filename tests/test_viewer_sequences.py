@@ -182,6 +182,9 @@ class TestWindow:
         assert found["asked"] == [2, 2, 2]
         assert found["left"] == [3, 3]
 
+    def test_it_stops_at_a_frame_that_is_edited(self, found):
+        assert found["edited"] == [False, [0], True]
+
     def test_a_trial_of_a_frame_goes_with_it(self, found):
         assert found["trial"] == [5, None]
         assert found["trial left"] == [4]

@@ -157,7 +157,7 @@ class Player:
             self._show(self._coming)
 
     def _follow(self, moment: Moment | None) -> None:
-        """Go to the same moment in scenes that were opened."""
+        """Go to the same moment in scenes that were opened; stay at a frame that was edited."""
         before, self._scenes = self._scenes, self._viewer.stage.scenes
         self.bar.refresh()
         moment_before = first_moment(before)
@@ -165,6 +165,9 @@ class Player:
             self._viewer.stage.arrange()
         if moment is None:
             self.playing, self._coming = False, None
+        elif {k for k, each in enumerate(self._scenes) if each.moment} & {*self._editor.unsaved}:
+            self.stop()
+            self._want(moment.number)
         else:
             self._want(self.wanted if moment is moment_before else moment.number)
 

@@ -18,7 +18,7 @@ from gs_codec.scene import ANTIALIASED
 from viewer.pictures.screenshot import shown_of
 from viewer.scenes.edits import Edits
 from viewer.scenes.gizmo import _RING, Gizmo, about
-from viewer.scenes.opened import Opened, joined, open_scene
+from viewer.scenes.opened import Opened, joined, open_scene, turned
 from viewer.scenes.pose import look_at
 from viewer.scenes.saving import command_of, open_file, save_project, save_scene
 from viewer.scenes.selecting import (
@@ -198,6 +198,28 @@ def test_joined_scenes_equal_merged_ones(folder, run_codec):
     assert not edits.scene.is_stored
     target = run(command_of(edits, Path()), run_codec)
     assert_same_floats(read_ply(target, "drop"), from_cloud(edits.scene.cloud, "drop"))
+
+
+def test_without_an_added_scene_the_command_does_not_add_it(folder, run_codec):
+    edits = Edits(open_scene("a.ply"))
+    edits.add(open_scene("b.ply"))
+    edits.undo()
+    save_project(edits, folder / "p.gsproj")
+    target = run(command_of(edits, folder / "p.gsproj"), run_codec)
+    assert_same_floats(read_ply(target, "drop"), from_cloud(edits.scene.cloud, "drop"))
+
+
+def test_steps_before_axes_are_reversed_are_no_options(folder):
+    edits = Edits(open_scene("a.ply"))
+    edits.keep(edits.scene.positions[:, 1] > 0, "crop", ("--filter=y>0",))
+    edits.turn(turned(edits.whole))
+    assert edits.options is None
+    with pytest.raises(gs_codec.GsCodecError, match="axes were reversed; save the scene"):
+        save_project(edits, folder / "p.gsproj")
+    edits.undo()
+    assert edits.options == ()
+    edits.redo()
+    assert edits.options is None
 
 
 @pytest.mark.parametrize("step", ["range", "ends", "box", "cluster", "sphere"])

@@ -320,10 +320,15 @@ class Edits:
         self._saved = np.packbits(~left), saved.moves
 
     def turn(self, whole: Opened) -> None:
-        """Replace the whole scene by the result of `turned`, and keep the steps."""
+        """Replace the whole scene by the result of `turned`, and keep the steps.
+
+        Options of steps are forgotten, because they are of the scene as it was before.
+        """
         self.whole = whole
         self._known.clear()
-        self._be(self._state)
+        self._before = deque(map(_without_options, self._before), maxlen=_STEPS)
+        self._after = [*map(_without_options, self._after)]
+        self._be(_without_options(self._state))
 
     def _do(
         self, step: str, masks: Mapping[str, NDArray[np.bool_]], base: _State | None = None
@@ -375,6 +380,11 @@ class Edits:
         return np.packbits(whole)
 
 
+def _without_options(state: _State) -> _State:
+    options = () if state.options == () else None
+    return replace(state, options=options, means=((), ()))
+
+
 class _Longer:
     """Extends masks and states of `count` Gaussians by `more`, which earlier states lack."""
 
@@ -401,4 +411,6 @@ class _Longer:
             hidden=self.mask(state.hidden, False),
             deleted=self.mask(state.deleted, True),
             moves=self.moves(state.moves),
+            options=None,  # of the scenes without the one added
+            means=((), ()),
         )

@@ -95,9 +95,13 @@ def save_project(edits: Edits, path: Path) -> None:
     OSError
         If it cannot be written.
     gs_codec.GsCodecError
-        If a scene is not a file.
+        If a scene is not a file, or was turned.
     """
     _check_files(edits)
+    if edits.whole.system_given:
+        raise gs_codec.GsCodecError(
+            "a project does not keep that axes were reversed; save the scene instead"
+        )
     with atomic_writer(path) as file:
         file.write(project_text(edits.project, path.absolute().parent).encode())
 

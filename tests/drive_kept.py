@@ -102,6 +102,20 @@ def reload(driver: Driver) -> list:
     return found
 
 
+def limit(driver: Driver) -> list[str]:
+    """What is said about scenes opened or added that are larger than --max-bytes."""
+    viewer, request, found = driver.viewer, driver.viewer.request, []
+    viewer.request = replace(request, max_bytes=1000)
+    for load in (lambda path: viewer.loading.open(path, 1), viewer.placing.add):
+        load(str(driver.folder / "a.ply"))
+        driver.wait(lambda: viewer.message is not None or not viewer.worker.busy)
+        found.append(viewer.message[1] if viewer.message else "")
+        viewer.dismiss()
+        driver.rest()
+    viewer.request = request
+    return found
+
+
 def escape(driver: Driver) -> bool:
     """Whether Esc clears the pick, and does not close, after the window was closed and stayed."""
     viewer = driver.viewer
@@ -123,7 +137,7 @@ def escape(driver: Driver) -> bool:
 
 
 def close(driver: Driver) -> list[bool]:
-    """Whether a window closes while it saves, and if that fails; and after it, and a file exists."""
+    """Whether a window closes while it saves, if that fails, and afterwards; and a file exists."""
     viewer, window, found = driver.viewer, driver.viewer.window, []
     for name in ("none/3.ply", "3.ply"):
         event = held(viewer.editor.worker)
@@ -143,5 +157,5 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    steps = (saves, brush, fails, reload, escape, close)
+    steps = (saves, brush, fails, reload, limit, escape, close)
     tell({step.__name__: step(driver) for step in steps})

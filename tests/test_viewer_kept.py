@@ -46,3 +46,8 @@ def test_scenes_whose_cameras_cannot_be_read_can_be_edited(found):
 def test_a_scene_edited_while_it_is_read_again_is_kept(found):
     said = "not reloaded, because the scene was edited: ctrl + R reloads it"
     assert found["reload"] == [said, ""]
+
+
+def test_the_limit_applies_to_scenes_opened_later(found):
+    assert len(found["limit"]) == 2
+    assert all("1,000" in said for said in found["limit"])

@@ -94,7 +94,7 @@ class Loading:
 
         def read(stale: Stale) -> tuple[Opened, Views]:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
-            opened = open_file(path, progress)
+            opened = open_file(path, progress, viewer.request.max_bytes)
             if not before:
                 self._preview(stale, [opened])
             return opened, self._first_views(stale, [opened]) if chosen and not pane else views

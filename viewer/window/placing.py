@@ -80,7 +80,8 @@ class Placing:
         viewer, edits = self._viewer, self._editor.edits
 
         def read(stale: Stale) -> Opened:
-            return open_file(path, viewer.worker.progress(stale, viewer.panel.show_progress))
+            progress = viewer.worker.progress(stale, viewer.panel.show_progress)
+            return open_file(path, progress, viewer.request.max_bytes)
 
         def done(scene: Opened) -> None:
             viewer.panel.say("")

@@ -112,6 +112,12 @@ def test_a_scene_has_facts_about_itself(files):
     assert ((scene.opacities > 0) & (scene.opacities < 1)).all()
 
 
+def test_the_size_is_that_of_all_files_of_a_scene(files, tmp_path):
+    gs_codec.convert_file(files / "a.ply", tmp_path / "meta.json")
+    expected = sum(each.stat().st_size for each in tmp_path.iterdir())
+    assert open_scene(tmp_path / "meta.json").file_bytes == expected
+
+
 def test_boxes_contain_most_of_their_blocks(tmp_path):
     scene = random_scene(3000, 0, seed=301)
     scene.positions[:, ::100] *= 50

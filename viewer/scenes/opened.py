@@ -26,9 +26,10 @@ from gs_codec.errors import one_line, printable
 from gs_codec.files.scenes import (
     gaussian_bits_of_file,
     gaussian_classes_of_file,
-    read_scene,
+    scene_in,
     turn_scene,
 )
+from gs_codec.formats import registry
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.preparation.prepare_report import centres_checksum
@@ -68,6 +69,7 @@ class Opened:
     cloud : open3d.t.geometry.PointCloud
         Cloud with the attributes from `gs_codec.read`; axes right, down, forward.
     file_bytes : int or None
+        Size of all files of the scene.
     info : gs_codec's Info or None
         For an ``.egs`` file.
     system : str
@@ -307,7 +309,8 @@ def open_scene(
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
     written = modified(source)
-    scene = read_scene(source, "drop", progress, None, max_bytes)
+    with registry.open_scene(source) as file:
+        scene, size = scene_in(file, "drop", progress, None, max_bytes), file.stored_bytes
     shown = turn_scene(scene, CONVENTION)
     cloud = to_cloud(shown)
     try:
@@ -315,7 +318,6 @@ def open_scene(
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
     path, system = Path(source), system_of(scene)
-    size = os.path.getsize(path)
     return Opened(printable(path.name), cloud, size, info, system, path, shown.comments, written)
 
 

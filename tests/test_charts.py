@@ -7,7 +7,13 @@ import pytest
 
 from gs_codec.edit.description import statistics_of
 from samples.generate import generate
-from viewer.pictures.charts import ContactSheet, HistogramChart, Message, QualityChart
+from viewer.pictures.charts import (
+    ContactSheet,
+    HistogramChart,
+    Message,
+    QualityChart,
+    decibels,
+)
 
 SIZE = (700, 170)
 
@@ -41,6 +47,19 @@ def test_few_or_equal_qualities_are_drawn(decibels):
     assert chart.view_at(300, SIZE[0]) in {None, *decibels}
 
 
+def test_equal_and_tiny_views_are_told_apart_and_not_in_the_mean():
+    chart = QualityChart(["a", "b", "c", "d"], {0: np.nan, 1: 33.0, 2: np.inf, 3: 35.0})
+    assert chart.order == [1, 3, 2]
+    assert chart.draw(*SIZE).std() > 0
+    expected = "worst 33.00 dB (b), mean 34.00 dB (line), 1 the same."
+    assert expected in chart._caption()
+    assert "worst the same (a)." in QualityChart(["a"], {0: np.inf})._caption()
+    tiny = QualityChart(["a"], {0: np.nan})
+    assert "too small" in tiny._caption()
+    assert tiny.draw(*SIZE).std() > 0
+    assert decibels(np.nan) == "too small"
+
+
 def test_views_are_found_where_their_pictures_are():
     pictures = {1: np.full((20, 30, 3), (1, 0, 0), np.float32)}
     sheet = ContactSheet(["a", "b", "c", "d"], pictures, here=1)
@@ -65,6 +84,17 @@ def test_a_histogram_has_one_axis_for_both_scenes_and_values_by_column():
         columns = colours(marked, (75, 75, 60))
         assert columns.min() == pytest.approx(200, abs=1)
         assert columns.max() == pytest.approx(400, abs=1)
+
+
+def test_a_range_dragged_beyond_the_axis_has_no_end():
+    found = statistics_of(generate(500, 1, 1)).attributes
+    chart = HistogramChart([next(a for a in found if a.name == "longest scale")])
+    middle, wide = 300, SIZE[0]
+    value = chart.value_at(middle, wide)
+    assert chart.between(wide, middle, wide) == (value, np.inf)
+    assert chart.between(middle, 0, wide) == (-np.inf, value)
+    assert np.isfinite(chart.between(200, middle, wide)).all()
+    assert HistogramChart(chart.scenes, (-np.inf, np.inf)).draw(*SIZE).std() > 0
 
 
 def test_attributes_of_several_values_select_nothing():

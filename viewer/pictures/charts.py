@@ -74,7 +74,8 @@ class QualityChart:
     names : sequence of str
         Names of all views.
     decibels : mapping of int to float
-        PSNR of measured views by index; infinite if the renders are equal.
+        PSNR of measured views by index; infinite if the renders are equal, NaN if they are too
+        small.
     here : int or None
         Index of the view shown.
     """
@@ -85,8 +86,9 @@ class QualityChart:
 
     @property
     def order(self) -> list[int]:
-        """Measured views, worst first."""
-        return sorted(self.decibels, key=lambda index: (self.decibels[index], index))
+        """Measured views, worst first, without those that are too small."""
+        known = [index for index, value in self.decibels.items() if not np.isnan(value)]
+        return sorted(known, key=lambda index: (self.decibels[index], index))
 
     def draw(self, width: int, height: int) -> NDArray[np.float32]:
         """See `Chart`."""
@@ -117,10 +119,14 @@ class QualityChart:
         done, count = len(self.decibels), len(self.names)
         if not done:
             return f"PSNR of {counted(count, 'view')}, B against A: measuring ..."
+        if not self.order:
+            return f"PSNR of {counted(count, 'view')}, B against A: their frames are too small."
         worst = self.order[0]
-        values = np.array(list(self.decibels.values()))
-        said = f"worst {decibels(self.decibels[worst])} ({self.names[worst]}), "
-        said += f"mean {decibels(float(values.mean()))} (line)"
+        finite = [value for value in self.decibels.values() if np.isfinite(value)]
+        said = f"worst {decibels(self.decibels[worst])} ({self.names[worst]})"
+        said += f", mean {decibels(float(np.mean(finite)))} (line)" if finite else ""
+        same = sum(np.isinf(value) for value in self.decibels.values())
+        said += f", {same} the same" if same and finite else ""
         measured = "" if done == count else f" {done} of"
         views = f"{measured} {counted(count, 'view')}"
         return f"PSNR of{views}, B against A: {said}. Click a bar to show its view."
@@ -289,9 +295,23 @@ class HistogramChart:
         value = low + share * (high - low)
         return float(10.0**value if self._log else value)
 
+    def between(self, first: float, last: float, width: int) -> tuple[float, float]:
+        """The range of values between two columns; without an end where it leaves the axis.
+
+        The axis ends at percentiles, beyond which there are values.
+        """
+        left, _, right, _ = box(width, 1)
+        low, high = sorted((first, last))
+        return (
+            self.value_at(low, width) if low > left else -np.inf,
+            self.value_at(high, width) if high < right else np.inf,
+        )
+
 
 def decibels(value: float) -> str:
     """A PSNR as text."""
+    if np.isnan(value):
+        return "too small"
     return f"{value:.2f} dB" if np.isfinite(value) else "the same"
 
 

@@ -175,8 +175,7 @@ class Dock:
         if event.type == kind.BUTTON_DOWN:
             self._held = x
         elif event.type == kind.DRAG and self._held is not None:
-            ends = sorted(chart.value_at(each, width) for each in (self._held, x))
-            self.chart = replace(chart, chosen=(ends[0], ends[1]))
+            self.chart = replace(chart, chosen=chart.between(self._held, x, width))
             self.canvas.redraw()
         elif event.type == kind.BUTTON_UP and self._held is not None:
             self._held = None

@@ -190,6 +190,16 @@ def test_joined_scenes_are_antialiased_if_the_first_is(folder):
     assert joined([open_scene("a.ply"), open_scene("b.ply")]).gaussians.antialiased
 
 
+def test_a_scene_added_while_another_is_saved_is_unsaved(folder):
+    edits = Edits(open_scene("a.ply"))
+    saved = edits.scene
+    edits.add(open_scene("b.ply"))
+    edits.mark_saved(saved)
+    assert edits.unsaved
+    edits.mark_saved(edits.scene)
+    assert not edits.unsaved
+
+
 def test_joined_scenes_equal_merged_ones(folder, run_codec):
     edits = Edits(open_scene("a.ply"))
     edits.add(open_scene("b.ply"))

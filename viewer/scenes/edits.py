@@ -315,7 +315,9 @@ class Edits:
             self._be(self._after.pop())
 
     def mark_saved(self, saved: Opened) -> None:
-        """Record that a scene of these edits was saved."""
+        """Record that a scene of these edits was saved, unless another was added since."""
+        if (saved.whole or saved) is not self.whole:
+            return
         left = np.ones(self.whole.count, bool) if saved.left is None else saved.left
         self._saved = np.packbits(~left), saved.moves
 

@@ -102,6 +102,33 @@ def reload(driver: Driver) -> list:
     return found
 
 
+def lengths(driver: Driver) -> list:
+    """Number of points after two quick clicks, their text, and that of another scene."""
+    viewer, stage = driver.viewer, driver.viewer.stage
+    viewer.measuring.toggle()
+    event = held(viewer.worker)
+    wide, high = stage.picture_size
+    for x in (0.5, 0.55):
+        viewer.measuring.click(stage.panes[0], (x * wide, high / 2))
+    event.set()
+    driver.rest()
+    found = [len(viewer.measuring.points)]
+    viewer.measuring.set_length(7)
+    found.append(viewer.measuring.text)
+    event = held(viewer.worker)
+    viewer.measuring.click(stage.panes[0], (0.6 * wide, high / 2))
+    viewer.measuring.toggle()
+    event.set()
+    driver.rest()
+    found.append(len(viewer.measuring.points))
+    viewer.measuring.toggle()
+    viewer.loading.open(str(driver.folder / "a.ply"), 0)
+    driver.rest()
+    found += [viewer.measuring.unit, viewer.measuring.text]
+    viewer.measuring.toggle()
+    return found
+
+
 def limit(driver: Driver) -> list[str]:
     """What is said about scenes opened or added that are larger than --max-bytes."""
     viewer, request, found = driver.viewer, driver.viewer.request, []
@@ -157,5 +184,5 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    steps = (saves, brush, fails, reload, limit, escape, close)
+    steps = (saves, brush, fails, reload, lengths, limit, escape, close)
     tell({step.__name__: step(driver) for step in steps})

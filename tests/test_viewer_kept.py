@@ -51,3 +51,11 @@ def test_a_scene_edited_while_it_is_read_again_is_kept(found):
 def test_the_limit_applies_to_scenes_opened_later(found):
     assert len(found["limit"]) == 2
     assert all("1,000" in said for said in found["limit"])
+
+
+def test_lengths_are_of_all_clicks_and_of_the_scene_shown(found):
+    count, text, after, unit, other = found["lengths"]
+    assert count == 2
+    assert "= 7" in text
+    assert after == 0
+    assert (unit, other) == (1, "Click two points.\n")

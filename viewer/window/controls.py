@@ -55,6 +55,10 @@ class Controls(Host, Protocol):
         else:
             self.player.toggle()
 
+    def forget(self) -> None:
+        """Forget lengths measured in the scene shown before."""
+        self.measuring.take_unit()
+
     # Display settings
 
     def refresh(self) -> None:

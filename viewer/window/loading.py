@@ -172,6 +172,7 @@ class Loading:
             stage.put(scenes, pruned)
         self._editor.put(scenes)
         if not same:  # otherwise keep the present pose
+            viewer.forget()
             self._visits.put(views, first_view(viewer.request, views))
         viewer.refresh()
 

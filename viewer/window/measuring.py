@@ -44,7 +44,7 @@ class Measuring:
     def toggle(self) -> None:
         """Let clicks choose points, or pick Gaussians again."""
         self.on = not self.on
-        self._put(self.points if self.on else [])
+        self._put([])
         self._viewer.panel.show("Pick")
 
     def click(self, pane: Pane, at: Place) -> None:
@@ -59,6 +59,8 @@ class Measuring:
             return depth_at(views, scene, pose, at, size, look)
 
         def done(depth: float) -> None:
+            if not self.on:
+                return
             if depth > 0:
                 fx, fy, cx, cy = pose.lens(*size)
                 ray = np.array([(at[0] - cx) / fx, (at[1] - cy) / fy, 1.0])
@@ -67,7 +69,8 @@ class Measuring:
             else:
                 self._viewer.panel.say("nothing to measure there")
 
-        self._viewer.worker.submit("measure point", find, done, self._viewer.fail)
+        # Two clicks may be made before the first point is found.
+        self._viewer.worker.submit(f"measure point {at}", find, done, self._viewer.fail)
 
     def _put(self, points: list[NDArray[np.float64]]) -> None:
         self.points = points

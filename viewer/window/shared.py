@@ -49,6 +49,9 @@ class Host(Protocol):
     def fail(self, error: Exception) -> None:
         """Show an error in a dialog; the scenes shown stay."""
 
+    def forget(self) -> None:
+        """Forget lengths measured in the scene shown before."""
+
     def refresh(self) -> None:
         """Update panes, dock and panel to the choice."""
 

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from drive_viewer import Driver, tell
+from open3d.visualization import gui
+from PIL import Image
 
+from viewer.scenes.choice import MODES
 from viewer.scenes.edits import Edits
 from viewer.scenes.worker import Stale, Worker
 
@@ -129,6 +132,25 @@ def lengths(driver: Driver) -> list:
     return found
 
 
+def tiny(driver: Driver) -> list[list[int]]:
+    """Sizes of pictures saved from a tiny window, in each layout."""
+    viewer, sizes, before = driver.viewer, [], driver.viewer.window.size
+    viewer.window.size = gui.Size(3, 3)
+    driver.tick(10, redraw=True)
+    for mode in MODES:
+        viewer.set_mode(mode)
+        driver.tick(5)
+        path = driver.folder / f"{mode}.png"
+        viewer.save(str(path))
+        driver.wait(lambda: viewer.panel.status.text.startswith(path.name))  # noqa: B023
+        with Image.open(path) as image:
+            sizes.append(list(image.size))
+    viewer.set_mode(MODES[0])
+    viewer.window.size = before
+    driver.rest()
+    return sizes
+
+
 def limit(driver: Driver) -> list[str]:
     """What is said about scenes opened or added that are larger than --max-bytes."""
     viewer, request, found = driver.viewer, driver.viewer.request, []
@@ -184,5 +206,5 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    steps = (saves, brush, fails, reload, lengths, limit, escape, close)
+    steps = (saves, brush, fails, reload, lengths, tiny, limit, escape, close)
     tell({step.__name__: step(driver) for step in steps})

@@ -59,3 +59,8 @@ def test_lengths_are_of_all_clicks_and_of_the_scene_shown(found):
     assert "= 7" in text
     assert after == 0
     assert (unit, other) == (1, "Click two points.\n")
+
+
+def test_pictures_of_a_tiny_window_are_saved(found):
+    assert len(found["tiny"]) == 3
+    assert all(high >= 64 and 62 <= wide < 100 for wide, high in found["tiny"])

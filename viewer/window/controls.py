@@ -170,7 +170,7 @@ class Controls(Host, Protocol):
         stage, mode, wipe = self.stage, self.choice.mode, self.choice.wipe
         if stage.pose is None:
             return
-        pose, shown, size, front = stage.pose, stage.shown, stage.size, self.choice.front
+        pose, shown, size, front = stage.pose, stage.shown, stage.saved_size, self.choice.front
 
         def draw(stale: Stale) -> None:
             picture = compose(pose, shown, mode, wipe, size, front=front)

@@ -38,6 +38,9 @@ _DRAFT = 100_000
 #: Minimum height of the captions above the panes, pixels: that of label backgrounds in Open3D.
 _CAPTION = 32
 
+#: Minimum side of saved pictures, pixels.
+_SAVED = 64
+
 #: Closed lines ``(n, 2)``, pixels, of a picture from a pose, of a width and a height.
 Overlay = Callable[[Pose, int, int], list[NDArray[np.float64]]]
 
@@ -450,6 +453,11 @@ class Stage:
     def picture_size(self) -> tuple[int, int]:
         """Width and height of each pane's picture, pixels; a wipe shows parts of it."""
         return self.columns[0][2], self.size[1]
+
+    @property
+    def saved_size(self) -> tuple[int, int]:
+        """Width and height of saved pictures: those of the panes, but no less than 64 pixels."""
+        return max(self.size[0], _SAVED), max(self.size[1], _SAVED)
 
     def place(self, pane: Pane, x: int, y: int) -> Place:
         """The pixel of a pane's picture at a pixel of the window."""

@@ -207,7 +207,8 @@ class Timeline:
         """Write a film of the path, with all that the panes show, in the background."""
         viewer, stage, target = self._viewer, self._viewer.stage, Path(path)
         poses, fps = self.path.frames(), self.path.fps
-        size, choice = (stage.size[0] // 2 * 2, stage.size[1] // 2 * 2), viewer.choice
+        (wide, high), choice = stage.saved_size, viewer.choice
+        size = wide // 2 * 2, high // 2 * 2
         look = {"shown": stage.shown, "mode": choice.mode, "wipe": choice.wipe}
         draw = partial(compose, **look, size=size, front=choice.front)  # type: ignore[arg-type]
 

@@ -15,8 +15,10 @@ from drive_viewer import Driver, tell
 from open3d.visualization import gui
 from PIL import Image
 
+import gs_codec
 from viewer.scenes.choice import MODES
 from viewer.scenes.edits import Edits
+from viewer.scenes.trial_list import Trials
 from viewer.scenes.worker import Stale, Worker
 
 
@@ -151,6 +153,16 @@ def tiny(driver: Driver) -> list[list[int]]:
     return sizes
 
 
+def measured(driver: Driver) -> list[str]:
+    """What measured views are called, of trials with cameras and without any."""
+    encoding, rate, found = driver.viewer.encoding, driver.viewer.panel.rate, []
+    for cameras in (gs_codec.read_cameras(driver.folder / "cameras.json"), ()):
+        encoding.trials = Trials(driver.viewer.stage.scenes[0], driver.folder, cameras)
+        found.append(rate._kind())
+    encoding.trials = None
+    return found
+
+
 def limit(driver: Driver) -> list[str]:
     """What is said about scenes opened or added that are larger than --max-bytes."""
     viewer, request, found = driver.viewer, driver.viewer.request, []
@@ -206,5 +218,5 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    steps = (saves, brush, fails, reload, lengths, tiny, limit, escape, close)
+    steps = (saves, brush, fails, reload, lengths, tiny, measured, limit, escape, close)
     tell({step.__name__: step(driver) for step in steps})

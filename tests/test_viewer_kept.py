@@ -64,3 +64,7 @@ def test_lengths_are_of_all_clicks_and_of_the_scene_shown(found):
 def test_pictures_of_a_tiny_window_are_saved(found):
     assert len(found["tiny"]) == 3
     assert all(high >= 64 and 62 <= wide < 100 for wide, high in found["tiny"])
+
+
+def test_measured_views_are_named_after_the_cameras_they_were_measured_with(found):
+    assert found["measured"] == ["views", "estimated views"]

@@ -228,10 +228,11 @@ class RateTab:
 
     def _kind(self) -> str:
         """Description of the measured views."""
-        views = self._viewer.visits.views
-        if views.chosen:
+        trials = self._viewer.encoding.trials
+        cameras = () if trials is None else trials.cameras
+        if not cameras:
             return "estimated views"
-        held_out = any(camera.split == "test" for camera in views.cameras)
+        held_out = any(camera.split == "test" for camera in cameras)
         return "held-out views" if held_out else "views"
 
 

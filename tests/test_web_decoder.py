@@ -167,6 +167,19 @@ def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
     assert none["count"] == 0
 
 
+def test_sections_without_bytes_are_not_requested():
+    """A server may answer a range without bytes by the whole file, or refuse it."""
+    scene = random_scene(3000, 1, seed=3)
+    few = np.arange(3000) == scene.positions[2].argmin()
+    data = encode_by(replace(scene, f_rest=scene.f_rest * few), Config("paper-m", block_size=1024))
+    empty = [block for (_, block), size in read_file(data).sizes.items() if size == 0]
+    assert empty
+    chosen = {"chosen": [[0, empty[:1]]]}
+    here, found = run({"bytes": data, "open": chosen}, {"bytes": data, "as": "url", "open": chosen})
+    assert found["decoded"] == here["decoded"]
+    assert all(begin < end for begin, end in found["asked"])
+
+
 def test_impossible_requests_are_reported():
     data = blocks()
     future, features = bytearray(data), bytearray(data)

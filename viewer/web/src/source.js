@@ -257,6 +257,7 @@ class RangeSource {
 
   async read(begin, end, signal = this.signal) {
     if (this.whole) return this.#ofWhole(begin, end);
+    if (begin === end) return new Uint8Array(0); // there are no ranges without bytes
     const headers = { Range: `bytes=${begin}-${end - 1}` };
     const response = await request(this.url, { headers, signal });
     if (response.status === 416) {

@@ -30,6 +30,7 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.egs.egs_file import SectionId, read_file
 from gs_codec.errors import GsCodecError
+from gs_codec.files.decode_file import decode_file
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.scene import other_comments
 
@@ -121,6 +122,26 @@ def test_the_example_of_the_readme(tmp_path):
     script.write_text(f"{first}{code}\nconsole.log(shown, scene.count);\n")
     result = subprocess.run([str(NODE), script], capture_output=True, text=True, check=True)
     assert result.stdout.split() == [str(20 + 3), str(COUNT)]
+
+
+def test_a_ply_is_that_of_python(tmp_path):
+    """But for the comment on its order."""
+    told = ("a comment", "SplatRenderMode: mip", "CoordinateSystem: RUB")
+    (tmp_path / "a.egs").write_bytes(
+        encode_scene(replace(random_scene(9, 1), comments=told), Config("m"))[0]
+    )
+    decode_file(tmp_path / "a.egs", tmp_path / "a.ply")
+    folder = HERE.parent / "viewer" / "web" / "src"
+    script = f"""
+        import * as fs from 'node:fs';
+        import {{ decode }} from '{(folder / "index.js").as_uri()}';
+        import {{ toPly }} from '{(folder / "ply.js").as_uri()}';
+        process.stdout.write(toPly(await decode(fs.readFileSync('{tmp_path / "a.egs"}'))));
+    """
+    command = [str(NODE), "--input-type=module", "-e", script]
+    done = subprocess.run(command, capture_output=True, check=True)
+    ours = re.sub(rb"comment gs_codec order .*\n", b"", (tmp_path / "a.ply").read_bytes())
+    assert done.stdout == ours
 
 
 def test_blocks_are_reported_as_they_complete():

@@ -3,9 +3,13 @@
 /** The bytes of a binary PLY file in the layout of the INRIA trainer. */
 export function toPly(scene) {
   const names = scene.properties;
+  const comments = [...scene.comments];
+  if (scene.antialiased) comments.push('SplatRenderMode: mip');
+  if (scene.coordinates) comments.push(`CoordinateSystem: ${scene.coordinates}`);
   const header = [
     'ply',
     'format binary_little_endian 1.0',
+    ...comments.map((line) => `comment ${line}`),
     `element vertex ${scene.count}`,
     ...names.map((name) => `property float ${name}`),
     'end_header\n',

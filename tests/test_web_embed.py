@@ -125,6 +125,7 @@ def test_impossible_values_are_refused_and_change_nothing(folder):
         "{view: 3}": "view: not possible: 3",
         "{view: 1, show: 'wipe'}": "show: not possible: wipe",
         "{camera: [1, 2]}": "camera: not possible: 1,2",
+        "{view: 1, camera: [0, 0, 1, 0, 0, 1, 0, 1, 0]}": "camera: not possible: 0,0,1,0,0,1,0,1,0",
         "{turn: 'constructor'}": "turn: not possible: constructor",
         "{constructor: 1}": "constructor: not possible: 1",
     }

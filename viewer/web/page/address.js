@@ -1,5 +1,7 @@
 // What the page shows, as the part of its address after '#', so that a link shows the same.
 
+import { Pose } from './pose.js';
+
 /** Significant digits of numbers; coordinates are then exact to a millionth of their size. */
 const DIGITS = 7;
 
@@ -70,9 +72,10 @@ export function stateOf(hash, { views, shows, ups, backgrounds, notes, frames, l
     return found && (found === '1' || found === 'true');
   };
   const [wipe] = numbers(asked.get('wipe'), 1) ?? [];
+  const camera = numbers(asked.get('camera'), 9);
   return {
     view: whole('view', views),
-    camera: numbers(asked.get('camera'), 9),
+    camera: camera && Pose.stated(camera) ? camera : undefined,
     show: one('show', shows),
     wipe: wipe >= 0 && wipe <= 1 ? wipe : undefined,
     degree: whole('degree', 4),

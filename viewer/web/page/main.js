@@ -383,11 +383,8 @@ class Viewer extends EventTarget {
   show(asked) {
     if (asked.up) this.setUp(asked.up);
     if (asked.view !== undefined) this.choose(asked.view);
-    const { camera } = asked;
-    const pose =
-      camera && Pose.facing(camera.slice(0, 3), camera.slice(3, 6), camera.slice(6));
-    if (pose) {
-      this.pose = pose;
+    if (asked.camera) {
+      this.pose = Pose.stated(asked.camera);
       this.moved();
     }
     if (asked.degree !== undefined) this.limit(asked.degree);

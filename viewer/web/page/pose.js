@@ -53,6 +53,11 @@ export class Pose {
     return new Pose(eye, [level, cross(forward, level), forward], distance);
   }
 
+  /** The pose of nine numbers: eye, target, and the direction that is up; else undefined. */
+  static stated(numbers) {
+    return Pose.facing(numbers.slice(0, 3), numbers.slice(3, 6), numbers.slice(6));
+  }
+
   /** The pose at a share of the way to another: about the points that they orbit. */
   towards(other, share) {
     if (share >= 1) return other;

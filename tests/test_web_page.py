@@ -746,6 +746,24 @@ def test_a_picture_is_sorted_for_its_view(pages):
     assert opened.values[1] == [True, True]
 
 
+@in_browser
+def test_the_camera_rests_after_the_command_key(pages):
+    """On a Mac, a key released while that is held tells nobody."""
+    moves = """new Promise((done) => {
+      const send = (kind, given) =>
+        document.body.dispatchEvent(new KeyboardEvent(kind, { bubbles: true, ...given }));
+      send('keydown', { code: 'KeyW', key: 'w' });
+      send('keydown', { code: 'MetaLeft', key: 'Meta', metaKey: true });
+      send('keyup', { code: 'MetaLeft', key: 'Meta' });
+      const { pose } = viewer;
+      setTimeout(() => done([viewer.hasMoved, viewer.pose === pose]), 300);
+    })"""
+    job = Job(pages["one"].as_uri(), [("drawn",), ("hold", "w", 100), ("value", moves)])
+    [opened] = open_pages(job)
+    assert not opened.errors
+    assert opened.values[2] == [True, True]
+
+
 @pytest.mark.thorough
 @in_browser
 def test_splats_reaching_into_the_picture_are_drawn(files, tmp_path):

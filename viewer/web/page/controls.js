@@ -136,11 +136,13 @@ export function control(element, viewer) {
     begin();
     held.set(code, movement);
   });
-  document.addEventListener('keyup', ({ code, shiftKey }) => {
+  document.addEventListener('keyup', ({ code, key, shiftKey }) => {
     // A key may come and go between two frames.
     if (held.has(code)) advance(performance.now());
     isFast = shiftKey;
     held.delete(code);
+    // On a Mac, keys that are released while the command key is held have no event.
+    if (key === 'Meta') held.clear();
   });
   addEventListener('blur', () => held.clear());
   return (right, forward) => {

@@ -231,11 +231,20 @@ def _pixels(data: bytes) -> np.ndarray:
         ({"url": "https://example.org"}, "expected the page's"),
         ({"embed": ["https://example.org/"]}, "expected \\* or a site: https://example.org"),
         ({"embed": ["*", "null"]}, "embed 'null'"),
+        ({"embed": ["https://Example.org"]}, "in lower case"),
+        ({"embed": ["https://example.org:443"]}, "without the default port"),
+        ({"embed": ["http://a.b:80"]}, "without the default port"),
+        ({"embed": ["https://müller.example"]}, "as browsers state it"),
     ],
 )
 def test_addresses_are_checked(given, message):
     with pytest.raises(InvalidInput, match=message):
         Publication(**given)
+
+
+def test_origins_are_those_of_browsers():
+    origins = ["https://a-b.example.org", "http://localhost:8000", "http://[::1]:8443"]
+    assert Publication(embed=origins).embed == origins
 
 
 def test_the_command_has_the_same_options(folder, tmp_path, monkeypatch):

@@ -54,6 +54,9 @@ _LEVELLED = 1_000_000
 #: Name of the page among its files.
 PAGE = "index.html"
 
+#: The origin of a site, as browsers state it.
+_ORIGIN = re.compile(r"(?!http:.*:80$|https:.*:443$)https?://[a-z0-9._:[\]-]+")
+
 #: The module that shows a page in another one.
 _MODULE = "embed.js"
 
@@ -86,8 +89,11 @@ class Publication:
         if self.url is not None and not re.fullmatch(r"https?://[^/\s]+/\S*", self.url):
             raise InvalidInput(f"url '{self.url}': expected the page's: https://example.org/a/")
         for origin in self.embed:
-            if origin != "*" and not re.fullmatch(r"https?://[^/\s]+", origin):
-                raise InvalidInput(f"embed '{origin}': expected * or a site: https://example.org")
+            if origin != "*" and not _ORIGIN.fullmatch(origin):
+                raise InvalidInput(
+                    f"embed '{origin}': expected * or a site: https://example.org, as browsers "
+                    "state it: in lower case, without the default port"
+                )
 
 
 @dataclass(frozen=True)

@@ -169,16 +169,22 @@ def test_other_pages_and_closed_viewers_do_not_answer(folder):
     wait = "((later) => (globalThis.setTimeout = (f, t, ...g) => later(f, t / 9, ...g)))"
     hasty = f"{wait}(setTimeout)"
     closed = "(viewer.close(), viewer.set({view: 1}).catch((error) => error.message))"
+    early = """import('./site/embed.js').then(({ createViewer }) => {
+      const viewer = createViewer(document.body);
+      viewer.close();
+      return viewer.set({ view: 1 }).catch((error) => error.message);
+    })"""
     with serving(folder) as url:
         told, gone = open_pages(
             Job(url + host(folder, "other.html"), [("drawn",), ("value", "facts")], before=hasty),
             Job(
                 url + host(folder, "alone.html"),
-                [("drawn",), ("value", closed), ("value", "document.querySelector('iframe')")],
+                [("drawn",), ("value", closed), ("value", "document.querySelector('iframe')")]
+                + [("value", early)],
             ),
         )
     assert told.values[1] == f"{url}other.html: no answer; it is not a page of gs-codec share"
-    assert gone.values[1:] == ["the viewer is closed", None]
+    assert gone.values[1:] == ["the viewer is closed", None, "the viewer is closed"]
 
 
 def tags(page: Path) -> dict[str, str]:

@@ -32,7 +32,10 @@ class EmbeddedViewer {
     const style = { width: '100%', height: '100%', border: '0', display: 'block' };
     Object.assign(this.element.style, style);
     Object.assign(this.element, { title, allow: 'fullscreen; clipboard-write; xr-spatial-tracking' });
-    const loaded = new Promise((resolve) => this.element.addEventListener('load', resolve));
+    const loaded = new Promise((resolve, reject) => {
+      this.element.addEventListener('load', resolve);
+      this.#calls.set(0, { resolve, reject }); // until it is closed
+    });
     this.ready = loaded.then(() => this.#begin(url));
     this.ready.catch(() => {}); // whoever awaits it sees the error
     addEventListener('message', this.#take);

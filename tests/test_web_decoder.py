@@ -104,7 +104,7 @@ def test_every_kind_of_source_gives_the_same(profile):
     jobs += [{"bytes": data, "as": kind} for kind in ("moved", "crossing")]
     for found in run(*jobs):
         assert_same(found, data)
-        assert found["alive"] == 0
+        assert found["alive"] == found["listening"] == 0
         assert found["progress"][-1] == [len(data), len(data)]
 
 
@@ -182,6 +182,7 @@ def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
     by_bytes, by_url, whole = run(*jobs)
     for found in (by_bytes, by_url, whole):
         assert found["hash"] == digest(scene.take(rows))
+        assert found["listening"] == 0
     assert sum(end - begin for begin, end in by_url["asked"]) < len(data)
     assert len(whole["asked"]) == 1
     (none,) = run({"bytes": data, "box": [[50, 50, 50], [60, 60, 60]]})

@@ -104,6 +104,7 @@ def test_any_frame_is_read_with_its_group():
     [found] = run({"bytes": data, "frames": order, "as": "url"})
     assert found["keys"] == [0, 4, 5]
     assert found["hashes"] == [expected[k] for k in order]
+    assert found["listening"] == 0
     sizes = read_file(data).sizes
     [of_one] = run({"bytes": data, "frames": [6], "as": "url"})
     group = sum(size for (_, number), size in sizes.items() if number >= 5)

@@ -1,5 +1,6 @@
 // Decodes files as test_web_decoder.py asks: a list of jobs as JSON on stdin, a line for each.
 import { createHash } from 'node:crypto';
+import { getEventListeners } from 'node:events';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { Worker } from 'node:worker_threads';
@@ -11,6 +12,9 @@ const ARRAYS = ['positions', 'fDc', 'fRest', 'opacity', 'logScale', 'rotation'];
 
 /** Workers that were created and not terminated. */
 let alive = 0;
+
+/** The signal of a job that is not aborted. */
+let signal;
 
 /** A worker of Node that looks like one of a browser. */
 function nodeWorker(script = './node_worker.mjs') {
@@ -192,7 +196,9 @@ async function run(job) {
   const data = job.bytes !== undefined ? Buffer.from(job.bytes, 'base64') : readFileSync(job.path);
   isHasty = SILENT.includes(job.answer);
   const told = { blocks: [], asked: [], progress: [] };
+  ({ signal } = new AbortController());
   const options = {
+    signal,
     shDegree: job.shDegree,
     box: job.box,
     maxBytes: job.maxBytes,
@@ -262,5 +268,7 @@ async function run(job) {
 const chunks = [];
 for await (const chunk of process.stdin) chunks.push(chunk);
 for (const job of JSON.parse(Buffer.concat(chunks).toString())) {
-  console.log(JSON.stringify(await run(job)));
+  const found = await run(job);
+  const listening = signal && getEventListeners(signal, 'abort').length; // after the end
+  console.log(JSON.stringify({ ...found, listening }));
 }

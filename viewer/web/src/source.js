@@ -19,7 +19,12 @@ export async function openSource(source, ranged, signal) {
   if (source instanceof Blob) return new StreamSource(source.stream(), source.size);
   if (typeof source === 'string' || source instanceof URL) {
     if (ranged) return new RangeSource(source, (response) => answered(response, source), signal);
-    return answered(await request(source, { signal }), source);
+    const ending = new Ending(signal);
+    try {
+      return answered(await request(source, ending), source); // which is closed when decoding ends
+    } finally {
+      ending.release();
+    }
   }
   throw new TypeError('expected an ArrayBuffer, a view of one, a Blob, Response, stream or URL');
 }
@@ -68,12 +73,12 @@ async function heardFrom(host, coming) {
   }
 }
 
-async function request(url, { headers, signal } = {}) {
-  const ending = new Ending(signal);
+async function request(url, ending, headers = {}) {
+  const { signal } = ending;
   try {
-    return await heardFrom(hostOf(url), fetch(url, { headers, signal: ending.signal }));
+    return await heardFrom(hostOf(url), fetch(url, { headers, signal }));
   } catch (error) {
-    if (signal?.aborted) throw error;
+    if (signal.aborted) throw error;
     ending.end(error);
     throw new SourceError(`${url}: ${error.message}`);
   }
@@ -258,8 +263,16 @@ class RangeSource {
   async read(begin, end, signal = this.signal) {
     if (this.whole) return this.#ofWhole(begin, end);
     if (begin === end) return new Uint8Array(0); // there are no ranges without bytes
-    const headers = { Range: `bytes=${begin}-${end - 1}` };
-    const response = await request(this.url, { headers, signal });
+    const ending = new Ending(signal);
+    try {
+      return await this.#request(begin, end, signal, ending);
+    } finally {
+      ending.release();
+    }
+  }
+
+  async #request(begin, end, signal, ending) {
+    const response = await request(this.url, ending, { Range: `bytes=${begin}-${end - 1}` });
     if (response.status === 416) {
       release(response);
       throw cutOff(end);

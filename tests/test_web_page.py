@@ -747,6 +747,18 @@ def test_a_picture_is_sorted_for_its_view(pages):
 
 
 @in_browser
+def test_a_failure_to_sort_is_reported(pages):
+    """As for lack of memory."""
+    fails = ("value", "viewer.scenes[0].sorter.postMessage({ count: -1 })")
+    failed = ("until", "document.body.dataset.state === 'error'")
+    steps = [("drawn",), fails, fails, failed, ("value", "viewer.errors.length")]
+    [opened] = open_pages(Job(pages["one"].as_uri(), steps))
+    assert opened.values[-1] == 1
+    assert opened.status.startswith("a.egs: ")
+    assert "length" in opened.status
+
+
+@in_browser
 def test_the_camera_rests_after_the_command_key(pages):
     """On a Mac, a key released while that is held tells nobody."""
     moves = """new Promise((done) => {

@@ -74,6 +74,12 @@ export class Loaded {
     this.sorter = worker(sorterText);
     this.sorted = null; // the last pose sorted for
     this.sorter.onmessage = ({ data }) => this.#take(data);
+    this.sorter.onerror = ({ message }) => {
+      this.busy = false;
+      const isKnown = this.failures.some((one) => one.message === message);
+      if (!isKnown) this.failures.push(new Error(message)); // probably of memory
+      this.changed(this);
+    };
     this.busy = false;
     this.since = 0; // time of the last request to the sorter
     this.madeFor = 0; // time of the request for the current order

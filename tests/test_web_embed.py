@@ -163,6 +163,9 @@ def test_only_permitted_sites_see_the_page(folder):
     assert "result" in allowed.values[2]
 
 
+FRAME = "document.querySelector('iframe')"
+
+
 @in_browser
 def test_other_pages_and_closed_viewers_do_not_answer(folder):
     (folder / "other.html").write_text('<link rel="icon" href="data:,">no viewer')
@@ -179,8 +182,7 @@ def test_other_pages_and_closed_viewers_do_not_answer(folder):
             Job(url + host(folder, "other.html"), [("drawn",), ("value", "facts")], before=hasty),
             Job(
                 url + host(folder, "alone.html"),
-                [("drawn",), ("value", closed), ("value", "document.querySelector('iframe')")]
-                + [("value", early)],
+                [("drawn",), ("value", closed), ("value", FRAME), ("value", early)],
             ),
         )
     assert told.values[1] == f"{url}other.html: no answer; it is not a page of gs-codec share"
@@ -235,6 +237,8 @@ def _pixels(data: bytes) -> np.ndarray:
     [
         ({"url": "example.org"}, "url 'example.org': expected"),
         ({"url": "https://example.org"}, "expected the page's"),
+        ({"url": "https://example.org/\udce9"}, "expected UTF-8"),
+        ({"title": "A\udce9"}, r"title 'A\\udce9': expected UTF-8"),
         ({"embed": ["https://example.org/"]}, "expected \\* or a site: https://example.org"),
         ({"embed": ["*", "null"]}, "embed 'null'"),
         ({"embed": ["https://Example.org"]}, "in lower case"),

@@ -78,7 +78,7 @@ class Publication:
     Raises
     ------
     InvalidInput
-        If an address or an origin is not one of the web.
+        If an address or an origin is not one of the web, or a text is not UTF-8.
     """
 
     title: str | None = None
@@ -86,6 +86,9 @@ class Publication:
     embed: Sequence[str] = field(default=())
 
     def __post_init__(self) -> None:
+        for name, text in (("title", self.title), ("url", self.url)):
+            if re.search("[\ud800-\udfff]", text or ""):
+                raise InvalidInput(f"{name} {text!a}: expected UTF-8")
         if self.url is not None and not re.fullmatch(r"https?://[^/\s]+/\S*", self.url):
             raise InvalidInput(f"url '{self.url}': expected the page's: https://example.org/a/")
         for origin in self.embed:

@@ -747,6 +747,20 @@ def test_a_picture_is_sorted_for_its_view(pages):
 
 
 @in_browser
+def test_a_pinch_on_a_touchpad_comes_closer(pages):
+    """In browsers, it is a wheel with ctrl, in steps of a few pixels."""
+    pinch = """(() => {
+      const { distance } = viewer.pose;
+      const step = { deltaY: -5, ctrlKey: true, bubbles: true, cancelable: true };
+      for (let k = 0; k < 20; k++) viewer.canvas.dispatchEvent(new WheelEvent('wheel', step));
+      return distance / viewer.pose.distance;
+    })()"""
+    [opened] = open_pages(Job(pages["one"].as_uri(), [("drawn",), ("value", pinch)]))
+    assert not opened.errors
+    assert 2 < opened.values[1] < 5
+
+
+@in_browser
 def test_a_failure_to_sort_is_reported(pages):
     """As for lack of memory."""
     fails = ("value", "viewer.scenes[0].sorter.postMessage({ count: -1 })")

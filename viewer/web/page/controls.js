@@ -9,6 +9,9 @@ const [ANGLE, PACE] = [1.2, 0.6];
 /** Factor of the flying speed with shift. */
 const FASTER = 4;
 
+/** Factor of wheels with ctrl: so browsers report pinches on a touchpad, in small steps. */
+const PINCH = 10;
+
 /** Movements of held keys: turn sideways and upwards; move right, down, forward. */
 const HELD = {
   ArrowLeft: [1, 0, 0, 0, 0],
@@ -85,7 +88,7 @@ export function control(element, viewer) {
       if (self !== top && !document.hasFocus()) return;
       event.preventDefault();
       viewer.rest();
-      const lines = event.deltaY * [1, 30, 300][event.deltaMode];
+      const lines = event.deltaY * [1, 30, 300][event.deltaMode] * (event.ctrlKey ? PINCH : 1);
       viewer.pose.zoom(Math.exp(Math.min(Math.max(lines, -300), 300) * 0.0012));
       viewer.moved();
     },

@@ -198,7 +198,7 @@ class Plan:
     views : int
         Maximum number of guiding views, 1 or more. `refine` fits up to four times as many.
     background : tuple of three float
-        RGB behind the scene, 0-1.
+        RGB behind the scene, and behind transparent parts of ground-truth images, 0-1.
     checkpoint : path, optional
         File to which `refine` saves its state, and from which it resumes.
     device : {"auto", "cpu", "cuda"}

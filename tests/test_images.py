@@ -122,6 +122,8 @@ def test_grey_and_transparency_become_rgba(tmp_path):
     rgba = np.full((2, 2, 4), [255, 255, 255, 102], np.uint8)
     Image.fromarray(rgba).save(tmp_path / "b.png")
     assert np.array_equal(read_image(tmp_path / "b.png"), np.full((2, 2, 3), np.float32(0.4)))
+    found = read_image(tmp_path / "b.png", (1.0, 0.5, 0.0))
+    np.testing.assert_allclose(found, np.full((2, 2, 3), [1.0, 0.7, 0.4]), rtol=1e-6)
 
 
 def test_warnings_are_restored_by_the_last_thread():

@@ -190,6 +190,19 @@ def test_ground_truth_gives_the_papers_deltas(pair, tmp_path):
     assert view.delta.ssim == view.second.ssim - view.first.ssim
 
 
+@pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
+def test_transparent_ground_truth_shows_the_background(pair, tmp_path, background):
+    drawn = render(pair[0], camera())
+    alpha = drawn.alpha[..., None]
+    colour = np.clip(drawn.colour / np.maximum(alpha, 1e-6), 0, 1)
+    levels = np.rint(255 * np.concatenate([colour, alpha], axis=2)).astype(np.uint8)
+    Image.fromarray(levels).save(tmp_path / "view.png")
+    plan = Plan(cameras=[camera()], gt_images=tmp_path, background=background)
+    [view] = compare_views(*pair, [camera()], truth=tmp_path, background=background).views
+    assert view.first.psnr > 40
+    assert choose_views(pair[0], plan).held_out.quality(pair[0]).psnr > 40
+
+
 def test_ground_truth_of_another_shape_is_refused(pair, tmp_path):
     write_png(tmp_path / "view.png", np.zeros((40, 30, 3)))
     with pytest.raises(InvalidInput, match=r"view.png: 30x40 pixels, expected the shape of 40x30"):

@@ -134,7 +134,8 @@ def compare(
         As in `render`; ``auto`` cameras are estimated from the first scene.
     gt_images : path, optional
         Folder of ground-truth images, named like the cameras; views are rendered at their size.
-        Images with lens distortion are undistorted (see `Lens`).
+        Transparent parts show the background. Images with lens distortion are undistorted (see
+        `Lens`).
     images : path, optional
         Output folder: for each view, both images and their amplified difference.
     lpips : path, optional

@@ -29,8 +29,10 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 _MOST = 1 << 27
 
 
-def read_image(path: str | Path) -> NDArray[np.float32]:
-    """Read an image as ``(H, W, 3)`` float32, 0-1; transparent parts are black.
+def read_image(
+    path: str | Path, background: Sequence[float] = (0.0, 0.0, 0.0)
+) -> NDArray[np.float32]:
+    """Read an image as ``(H, W, 3)`` float32, 0-1; transparent parts show the background.
 
     Raises InvalidInput if it is missing, damaged, or larger than the maximum camera size.
     """
@@ -39,7 +41,8 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     image = pixels[..., :3].astype(np.float32)
     image /= 255
     if (pixels[..., 3] < 255).any():
-        image *= pixels[..., 3:].astype(np.float32) / np.float32(255)
+        alpha = pixels[..., 3:].astype(np.float32) / np.float32(255)
+        image = alpha * image + (1 - alpha) * np.array(background, np.float32)
     return image
 
 

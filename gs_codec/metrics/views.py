@@ -56,7 +56,7 @@ def compare_views(
         Folder for ``NAME_a.png``, ``NAME_b.png``, and ``NAME_difference.png``, the absolute
         difference amplified by `DIFFERENCE_GAIN`; names are those of `output_names`.
     background : sequence of three float
-        RGB behind the scenes.
+        RGB behind the scenes, and behind transparent parts of ground-truth images.
     device : {"auto", "cpu", "cuda"}
         As in `render`.
     progress : callable, optional
@@ -77,7 +77,7 @@ def compare_views(
         camera = cameras[i]
         target = None
         if truth:
-            camera, target = read_photograph(camera, paths[i])
+            camera, target = read_photograph(camera, paths[i], background)
         a, b = (
             render(scene, camera, background, device=device).colour for scene in (first, second)
         )

@@ -198,7 +198,7 @@ def read_photographs(
     Raises InvalidInput if one is damaged, or its shape differs from its camera's. Raises
     MissingTool if one must be undistorted, and OpenCV is not installed.
     """
-    read = run_all(lambda item: read_photograph(*item), found)
+    read = run_all(lambda item: read_photograph(*item, background), found)
     cameras, images = zip(*read, strict=True)
     return ReferenceViews(cameras, images, True, background)
 

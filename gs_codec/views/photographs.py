@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from gs_codec.errors import InvalidInput
 from gs_codec.runtime.optional import needed
 
 
-def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.float32]]:
+def read_photograph(
+    camera: Camera, path: Path, background: Sequence[float] = (0.0, 0.0, 0.0)
+) -> tuple[Camera, NDArray[np.float32]]:
     """Read a camera's photograph, undistorted, and resize the camera to it.
 
     The photograph of a camera with a lens may be smaller than the lens states. It counts as already
@@ -28,6 +31,8 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
     ----------
     camera : Camera
     path : Path
+    background : sequence of three float
+        RGB behind its transparent parts.
 
     Returns
     -------
@@ -36,7 +41,7 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
     ndarray, shape (H, W, 3), float32
         0-1.
     """
-    image = read_image(path)
+    image = read_image(path, background)
     size = image.shape[1], image.shape[0]
     lens = camera.lens
     if lens is None:

@@ -116,6 +116,22 @@ def test_only_requested_formats_are_read():
         read_pixels(data, ("JPEG",), any_size)
 
 
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_grey_of_16_bits_is_not_clipped(tmp_path, suffix, order):
+    levels = np.array([[0, 255, 256], [25_700, 32_768, 65_535]], f"{order}u2")
+    Image.fromarray(levels).save(tmp_path / f"a.{suffix}")
+    found = read_image(tmp_path / f"a.{suffix}")
+    np.testing.assert_allclose(found, np.repeat(levels[..., None] / 65_535, 3, 2), atol=1 / 255)
+
+
+@pytest.mark.parametrize("kind", ["i4", "f4"])
+def test_channels_of_32_bits_are_refused(tmp_path, kind):
+    Image.fromarray(np.ones((2, 3), kind)).save(tmp_path / "a.tif")
+    with pytest.raises(InvalidInput, match=r"a\.tif: 32 bits per channel, expected 8 or 16"):
+        read_image(tmp_path / "a.tif")
+
+
 def test_grey_and_transparency_become_rgba(tmp_path):
     Image.fromarray(np.full((2, 2), 51, np.uint8)).save(tmp_path / "a.png")
     assert np.array_equal(read_image(tmp_path / "a.png"), np.full((2, 2, 3), np.float32(0.2)))

@@ -25,8 +25,9 @@ def read_pixels(
 ) -> NDArray[np.uint8]:
     """Pixels ``(H, W, 4)``, RGBA, of an image, or of the first image of a file with several.
 
-    Raises InvalidInput if it cannot be opened, or is not a valid image of these formats. Errors of
-    `check_size` are passed on.
+    Of channels of 16 bits, the upper 8 are kept. Raises InvalidInput if it cannot be opened, is not
+    a valid image of these formats, or has channels of 32 bits. Errors of `check_size` are passed
+    on.
 
     Parameters
     ----------
@@ -38,6 +39,11 @@ def read_pixels(
         Called as ``check_size(width, height)`` before pixels are decoded.
     """
     with _opened(source, formats, check_size) as image:
+        if image.mode in ("I", "F"):
+            raise InvalidInput("32 bits per channel, expected 8 or 16")
+        if image.mode.startswith("I;16"):  # Pillow would clip it to 255
+            grey = (np.asarray(image) >> 8).astype(np.uint8)[..., None]
+            return np.concatenate([grey, grey, grey, np.full_like(grey, 255)], axis=2)
         return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
 
 

@@ -413,5 +413,5 @@ class Actions:
         """Run an action; show a message if it fails."""
         try:
             action()
-        except (gs_codec.GsCodecError, OSError) as error:
-            self._visualizer.show_message_box("Not possible", str(error))
+        except (gs_codec.GsCodecError, OSError, MemoryError) as error:
+            self._visualizer.show_message_box("Not possible", str(error) or "not enough memory")

@@ -153,7 +153,7 @@ class Editor:
             return
         try:
             step(edits)
-        except gs_codec.GsCodecError as error:
+        except (gs_codec.GsCodecError, MemoryError) as error:
             self._viewer.fail(error)
             return
         self.show()

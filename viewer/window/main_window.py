@@ -145,7 +145,7 @@ class Viewer(Controls):
         if not isinstance(error, (gs_codec.GsCodecError, OSError, MemoryError)):
             raise error
         self.panel.say("")
-        self.tell("Not possible", str(error))
+        self.tell("Not possible", str(error) or "not enough memory")
 
     def tell(self, title: str, text: str) -> None:
         """Open a dialog."""

@@ -5,6 +5,8 @@ Run by test_viewer_kept.py, in a separate process and on a separate display.
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 import threading
 from dataclasses import replace
@@ -18,6 +20,8 @@ from PIL import Image
 import gs_codec
 from viewer.scenes.choice import MODES
 from viewer.scenes.edits import Edits
+from viewer.scenes.opened import open_scene
+from viewer.scenes.saving import save_project
 from viewer.scenes.trial_list import Trials
 from viewer.scenes.worker import Stale, Worker
 
@@ -104,6 +108,58 @@ def reload(driver: Driver) -> list:
     driver.rest()
     found = [" ".join(viewer.panel.status.text.split()), viewer.panel.doing]
     viewer.editor.do(Edits.undo)
+    return found
+
+
+def reload_turned(driver: Driver) -> list[str]:
+    """The coordinate systems of B, converted from another one, before and after a reload."""
+    viewer, found = driver.viewer, []
+    viewer.loading.turn()
+    driver.rest()
+    found.append(viewer.stage.scenes[1].system)
+    viewer.loading.reload(1, driver.folder / "b.egs")
+    driver.rest()
+    found.append(viewer.stage.scenes[1].system)
+    viewer.loading.turn()
+    driver.rest()
+    return [*found, viewer.stage.scenes[1].system]
+
+
+def reload_project(driver: Driver) -> list[int]:
+    """Numbers of Gaussians of a project, and after a key that reloads files that have changed."""
+    viewer, project = driver.viewer, driver.folder / "in.gsproj"
+    shutil.copy(driver.folder / "a.ply", driver.folder / "c.ply")
+    edits = Edits(open_scene(driver.folder / "c.ply"))
+    edits.keep(np.arange(edits.scene.count) > 9, "delete")
+    save_project(edits, project)
+    viewer.loading.open(str(project), 0)
+    driver.rest()
+    found = [viewer.stage.scenes[0].count]
+    os.utime(driver.folder / "c.ply", (1, 1))
+    viewer.loading.reload_all()
+    driver.rest()
+    found.append(viewer.stage.scenes[0].count)
+    viewer.loading.open(str(driver.folder / "a.ply"), 0)
+    driver.rest()
+    return found
+
+
+def memory(driver: Driver) -> list[str]:
+    """What is said if memory is short in a step, and in a job."""
+    viewer, found = driver.viewer, []
+
+    def fail(_: object) -> None:
+        raise MemoryError
+
+    viewer.editor.do(fail)
+    driver.tick(5)
+    found.append(viewer.message[1])
+    viewer.dismiss()
+    viewer.worker.submit("fail", fail, print, viewer.fail)
+    driver.wait(lambda: viewer.message is not None)
+    found.append(viewer.message[1])
+    viewer.dismiss()
+    driver.rest()
     return found
 
 
@@ -218,5 +274,19 @@ def close(driver: Driver) -> list[bool]:
 if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
-    steps = (saves, brush, fails, reload, lengths, tiny, measured, limit, escape, close)
+    steps = (
+        reload_turned,
+        reload_project,
+        memory,
+        saves,
+        brush,
+        fails,
+        reload,
+        lengths,
+        tiny,
+        measured,
+        limit,
+        escape,
+        close,
+    )
     tell({step.__name__: step(driver) for step in steps})

@@ -68,3 +68,16 @@ def test_pictures_of_a_tiny_window_are_saved(found):
 
 def test_measured_views_are_named_after_the_cameras_they_were_measured_with(found):
     assert found["measured"] == ["views", "estimated views"]
+
+
+def test_a_converted_scene_is_converted_again_when_its_file_changes(found):
+    assert found["reload_turned"] == ["RUB", "RUB", "RDF"]
+
+
+def test_a_project_is_not_replaced_by_its_scene(found):
+    before, after = found["reload_project"]
+    assert before == after == 2990
+
+
+def test_short_memory_is_reported_and_the_window_stays_open(found):
+    assert found["memory"] == ["not enough memory"] * 2

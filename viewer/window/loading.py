@@ -118,7 +118,8 @@ class Loading:
 
         def read(stale: Stale) -> Opened:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
-            return open_file(path, progress, viewer.request.max_bytes)
+            opened = open_file(path, progress, viewer.request.max_bytes)
+            return turned(opened) if before.system_given else opened
 
         def done(opened: Opened) -> None:
             stage = viewer.stage
@@ -141,7 +142,8 @@ class Loading:
         """Read changed files of the scenes again; asks first if unsaved edits would be lost."""
         scenes = self._viewer.stage.scenes
         changed = [k for k, each in enumerate(scenes) if modified(each.path) != each.modified]
-        changed = [k for k in changed if scenes[k].file_bytes is not None]
+        # Not a cloud, or a project.
+        changed = [k for k in changed if scenes[k].file_bytes is not None and not scenes[k].sources]
         if changed and not self._editor.ask_unsaved(changed, self.reload_all):
             self.reload(changed[0], scenes[changed[0]].path, self.reload_all)
 

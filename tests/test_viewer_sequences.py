@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -12,11 +13,14 @@ from moving_scenes import coded, moving
 from windows import drive, needs_display
 
 import gs_codec
+from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.scene import ANTIALIASED
 from gs_codec.sequences.frame_decoding import opened_sequence
 from viewer.scenes.clip import Clip, Moment
 from viewer.scenes.frame_scenes import at_moment, open_frame
 from viewer.scenes.pose import look_at
+from viewer.scenes.saving import open_file, save_scene
 from viewer.scenes.view_request import Request
 
 GROUP, FRAMES = 3, 6
@@ -55,6 +59,18 @@ def test_frames_are_the_decoded_ones_in_any_order(folder):
         assert frame.name == f"moving.egs, frame {number}"
         assert not frame.is_stored
     assert len(clip._groups) == 2
+
+
+def test_frames_keep_the_antialias_flag_and_are_saved_with_it(folder, tmp_path):
+    (tmp_path / "frames").mkdir()
+    for number in range(2):
+        scene = read_ply(folder / "frames" / f"{number}.ply")
+        flagged = replace(scene, comments=(ANTIALIASED,))
+        write_ply(tmp_path / "frames" / f"{number}.ply", flagged)
+    frame = open_file(tmp_path / "frames")
+    assert frame.gaussians.antialiased
+    save_scene(frame, tmp_path / "frame.ply")
+    assert read_ply(tmp_path / "frame.ply").antialiased
 
 
 def test_a_frame_that_cannot_be_read_leaves_the_others(folder, tmp_path):

@@ -17,11 +17,13 @@ from viewer.scenes.opened import Opened, turned
 def open_frame(clip: Clip, number: int, progress: Progress | None = None) -> Opened:
     """A frame as a scene; raises as `Clip.read` does."""
     scene = clip.read(number, progress)
+    shown = turn_scene(scene, CONVENTION)
     return Opened(
         f"{clip.name}, frame {number}",
-        to_cloud(turn_scene(scene, CONVENTION)),
+        to_cloud(shown),
         system=system_of(scene),
         path=clip.path,
+        comments=shown.comments,
         moment=Moment(clip, number),
     )
 

@@ -63,7 +63,8 @@ def save_scene(
     """
     if not scene.is_file:
         check_target([], path)
-        lost, _ = write_scene(path, from_cloud(scene.cloud, "keep"), _CONFIG)
+        gaussians = replace(from_cloud(scene.cloud, "keep"), comments=scene.comments)
+        lost, _ = write_scene(path, gaussians, _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]
     scene.check_unchanged()
     system = f"{scene.system}:{CONVENTION}" if scene.system_given else CONVENTION

@@ -530,7 +530,7 @@ REFUSALS = {
     "fraction": ("prepare scene.ply o.ply --prune 0.3", "expected percent, such as 50 for half"),
     "cameras": ("prepare scene.ply o.ply --rectify 7 --cameras none", "none: no such file"),
     "photographs": (
-        "prepare scene.ply o.ply --rectify 7 --cameras cameras.json --gt-images none",
+        "prepare scene.ply o.ply --rectify 7 --cameras cameras.json --gt-images none --report r",
         "none: no such folder",
     ),
     "report": ("prepare scene.ply o.ply --rectify 7 --report scene.ply", "scene.ply: "),

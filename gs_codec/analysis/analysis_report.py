@@ -18,7 +18,7 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.pages.html import heading, listing, page, paragraph, picture
 from gs_codec.pages.tables import Table, number
 from gs_codec.report import Progress
-from gs_codec.runtime.atomic import check_writable, write_files
+from gs_codec.runtime.atomic import check_folder, write_files
 from gs_codec.runtime.optional import check_installed
 from gs_codec.runtime.wording import counted
 
@@ -70,9 +70,7 @@ def analyse_file(
     if folder is not None:
         # Check this before doing the work.
         check_installed("matplotlib", "plots")
-        target = Path(folder)
-        there = next(path for path in (target, *target.absolute().parents) if path.exists())
-        check_writable(there / "report.html")
+        check_folder(folder)
     scene = read_scene(source, "drop", max_bytes=max_bytes)
     analysis = analyse_scene(scene, str(source), progress=progress, **options)
     if folder is None:
@@ -83,7 +81,7 @@ def analyse_file(
         "report.json": (json.dumps(content, allow_nan=False) + "\n").encode(),
         "report.html": _page(analysis, pictures).encode("utf-8", "backslashreplace"),
     }
-    write_files(target, files)
+    write_files(folder, files)
     return content
 
 

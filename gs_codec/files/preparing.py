@@ -17,7 +17,7 @@ from gs_codec.files.writing import tell_lost, write_parts, write_scene
 from gs_codec.levels.adding import add_levels
 from gs_codec.report import Progress
 from gs_codec.runtime.arguments import checked
-from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
+from gs_codec.runtime.atomic import check_folder
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 
@@ -91,8 +91,6 @@ def prepare_file(
     with using_threads(config.threads):
         scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))
         with located(source):
-            if report_folder is not None:
-                check_writable(make_folder(report_folder) / "report.json")
             original = scene
             scene, prepared = prepare_scene(scene, plan, progress, profile_steps(config))
             views = prepared.views

@@ -44,9 +44,17 @@ def check_writable(path: str | Path, overwrite: bool = True, makes_folder: bool 
 
 
 def check_folder(path: str | Path, overwrite: bool = True) -> None:
-    """Check that a path is no file, and its folder empty unless files may be overwritten."""
+    """Check that files can be written into a folder, which need not exist.
+
+    Raises InvalidInput if it is a file, it or the folder to make it in is not writable, or, without
+    `overwrite`, it is not empty.
+    """
     if os.path.lexists(path) and not os.path.isdir(path):
         raise InvalidInput(f"{path}: exists, expected a folder")
+    target = Path(path)
+    there = next(folder for folder in (target, *target.parents) if folder.is_dir())
+    if not os.access(there, os.W_OK):
+        raise InvalidInput(f"{path}: no permission to write in '{there}'")
     if not overwrite and os.path.isdir(path) and os.listdir(path):
         raise InvalidInput(f"{path}: not empty; choose another folder or pass overwrite=True")
 

@@ -91,6 +91,28 @@ def test_cached_kernels_start_without_the_compiler(tmp_path):
     assert compiled[1] == loaded[1] == "[14] [1. 1.]", "what is not cached has to compile"
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", [b"", b"\0" * 4000, b"\x80\x04\x8c\x04\xff\xfe\xfd\xfc"])
+def test_damaged_kernels_are_compiled_and_kept_again(tmp_path, suffix, damage):
+    script = tmp_path / "started.py"
+    script.write_text(STARTED)
+    hits = []
+    for number in range(3):
+        done = subprocess.run(
+            [sys.executable, str(script)],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.stderr == ""
+        hits.append("Counter({" in done.stdout)
+        for path in (tmp_path / "cache").rglob(f"*.{suffix}") if number == 0 else ():
+            path.write_bytes(damage)
+    assert hits == [False, False, True]
+
+
 USES = """
 from gs_codec.runtime.kernels import kernel
 from helpers import OFFSET, change

@@ -19,8 +19,19 @@ from numba.core import config
 from numba.core.caching import NullCache
 from numba.misc.appdirs import AppDirs
 
-#: Errors of a full disk, a folder without permission, or a truncated cache entry.
-_CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
+#: Errors of a full disk, a folder without permission, or a damaged cache entry.
+_CACHE_ERRORS: tuple[type[Exception], ...] = (
+    AttributeError,
+    EOFError,
+    ImportError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    pickle.UnpicklingError,
+)
 
 #: Settings of numba that change machine code but are not in the key of its cache.
 _SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
@@ -105,9 +116,13 @@ def _kind(kind: Any) -> Any:
         def load_overload(self, sig: Any, target_context: Any) -> Any:
             # Only now are all globals of the function's module defined.
             self._cache_file._source_stamp = stamp(self._function)
-            with suppress(*_CACHE_ERRORS):
+            try:
                 return super().load_overload(sig, self._loading(target_context))
-            return None
+            except _CACHE_ERRORS:
+                # Begin a new index, because kernels are not added to a damaged one.
+                with suppress(OSError):
+                    self.flush()
+                return None
 
         def save_overload(self, sig: Any, data: Any) -> None:
             with suppress(*_CACHE_ERRORS):

@@ -59,6 +59,20 @@ def answer(page: Page, path: str, method: str = "GET", host: str | None = None) 
     return response.status, response.read()
 
 
+def test_a_slow_connection_gets_the_whole_file(page, monkeypatch):
+    """Only silence ends it, as over SSH a file may take minutes."""
+    monkeypatch.setattr(served._Handler, "timeout", 0.5)
+    page.contents[f"{page.root}large"] = data = bytes(range(256)) * (1 << 16)
+    host = f"127.0.0.1:{page.server_port}"
+    found = bytearray()
+    with socket.create_connection(("127.0.0.1", page.server_port), timeout=60) as connection:
+        connection.sendall(f"GET {page.root}large HTTP/1.0\r\nHost: {host}\r\n\r\n".encode())
+        while part := connection.recv(1 << 20):
+            found += part
+            time.sleep(0.1)
+    assert found.partition(b"\r\n\r\n")[2] == data
+
+
 def test_requests_with_the_address_are_answered(page):
     root = urlsplit(page.url).path
     assert urlsplit(page.url).hostname == "127.0.0.1"

@@ -37,6 +37,9 @@ _HOST = "127.0.0.1"
 #: Maximum time without data on a connection, seconds.
 _SILENT = 10.0
 
+#: Bytes that are sent at once.
+_PIECE = 1 << 16
+
 #: Maximum size of a call of the inspection, bytes.
 _CALL = 1 << 16
 
@@ -136,7 +139,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         data = self._head()
         if data is not None:
-            self.wfile.write(data)
+            self._write(data)
 
     def do_HEAD(self) -> None:
         self._head()
@@ -160,7 +163,7 @@ class _Handler(BaseHTTPRequestHandler):
             kind, data = "text/plain; charset=utf-8", describe_error(error).encode()
         told = {"Facts": json.dumps(facts)} if facts else {}
         self._send(status, kind, len(data), told)
-        self.wfile.write(data)
+        self._write(data)
 
     @property
     def _is_from_here(self) -> bool:
@@ -202,6 +205,11 @@ class _Handler(BaseHTTPRequestHandler):
         ):
             self.send_header(name, value)
         self.end_headers()
+
+    def _write(self, data: bytes) -> None:
+        """Send the body of a response; the timeout is that of a piece of it."""
+        for begin in range(0, len(data), _PIECE):
+            self.wfile.write(memoryview(data)[begin : begin + _PIECE])
 
     def log_message(self, *arguments: object) -> None:
         """Log no requests."""

@@ -203,6 +203,17 @@ def test_a_picture_shows_the_frame_that_is_asked_for(folder):
     assert opened.values[1] == 7
 
 
+@in_browser
+def test_a_lost_graphics_card_is_all_that_is_reported(folder):
+    """Also when the next group of frames begins."""
+    lose = "viewer.renderer.gl.getExtension('WEBGL_lose_context').loseContext()"
+    steps = [("drawn",), ("value", lose), ("until", "viewer.errors.length")]
+    steps += [("value", "viewer.player.seek(5)"), ("until", "viewer.player.shown === 5")]
+    [opened] = open_pages(Job(f"{(folder / 'page.html').as_uri()}#frame=0", steps))
+    assert not opened.errors
+    assert opened.status == "the graphics card was lost: reload the page"
+
+
 def test_a_sequence_is_shared_alone(folder, tmp_path):
     with pytest.raises(InvalidInput, match="a sequence is shown alone"):
         share([folder / "clip.egs", folder / "one.ply"], tmp_path / "page.html")

@@ -62,7 +62,8 @@ export class Splats {
     this.texels = HARMONICS[scene.degree];
     this.rows = Math.max(1, Math.ceil(scene.count / ROW));
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
-    if (this.rows > most || ROW * Math.max(SHAPE, this.texels) > most) {
+    const isTooLarge = this.rows > most || ROW * Math.max(SHAPE, this.texels) > most;
+    if (isTooLarge && !gl.isContextLost()) {
       const [gaussians, limit] = [counted(scene.count, 'Gaussian'), number(most * ROW)];
       throw new DeviceError(say('{}, this device draws at most {}', gaussians, limit));
     }

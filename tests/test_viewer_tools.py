@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from windows import drive, make_folder, needs_display
 
 import gs_codec
+from viewer.window.file_dialog import Files
 from viewer.window.watching import newest
 
 pytestmark = [needs_display, pytest.mark.slow]
@@ -100,3 +103,18 @@ def test_the_newest_file_has_the_largest_number(tmp_path):
     assert newest(tmp_path / names[4]) == tmp_path / names[5]
     for name in (names[1], names[2], names[5], names[7], "gone_1/cloud.ply"):
         assert newest(tmp_path / name) == tmp_path / name
+
+
+def test_without_reading_a_folder_there_is_no_newer_file(tmp_path, monkeypatch):
+    def denied(_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "listdir", denied)
+    assert newest(tmp_path / "export_1.ply") == tmp_path / "export_1.ply"
+
+
+def test_dialogs_list_a_folder_that_exists(tmp_path):
+    files = Files(None, SimpleNamespace(scenes=[]))
+    assert files._folder(tmp_path / "removed" / "a.ply") == tmp_path
+    files._last = tmp_path / "removed" / "too"
+    assert files._folder(Path()) == tmp_path

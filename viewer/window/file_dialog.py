@@ -315,7 +315,9 @@ class Files:
         self._last: Path | None = None
 
     def _folder(self, scene: Path) -> Path:
-        return self._last or (scene.absolute().parent if scene.name else Path.cwd())
+        """The first folder to list; if it was removed, one around it."""
+        folder = self._last or (scene.absolute().parent if scene.name else Path.cwd())
+        return next((each for each in (folder, *folder.parents) if each.is_dir()), folder)
 
     def ask_open(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
         """Ask for a file of a kind, or a folder."""

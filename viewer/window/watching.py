@@ -60,6 +60,13 @@ class Watching:
 
 def newest(path: Path) -> Path:
     """The file with the largest number in place of that in its name or in its folder's."""
+    try:
+        return _newest(path)
+    except OSError:  # folders may be removed, or not be readable
+        return path
+
+
+def _newest(path: Path) -> Path:
     for part in (path, path.parent):
         found = _NUMBER.search(part.name)
         if found is None or not part.parent.is_dir():

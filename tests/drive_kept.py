@@ -83,8 +83,8 @@ def brush(driver: Driver) -> list:
     return [*found, bool(np.array_equal(before, after))]
 
 
-def fails(driver: Driver) -> bool:
-    """Whether scenes shown before their cameras failed can be edited."""
+def fails(driver: Driver) -> list:
+    """What is said about photographs of cameras that failed, and whether scenes can be edited."""
     viewer, request = driver.viewer, driver.viewer.request
     bad = driver.folder / "bad.json"
     bad.write_text("{")
@@ -92,9 +92,13 @@ def fails(driver: Driver) -> bool:
     viewer.loading.begin()
     driver.wait(lambda: viewer.message is not None)
     viewer.dismiss()
+    viewer.message = None
+    viewer.loading.open_photographs(str(driver.folder / "images"))
+    found = [viewer.message[1]]
+    viewer.dismiss()
     viewer.request = request
     driver.rest()
-    return [edits.scene for edits in viewer.editor.all] == viewer.stage.scenes
+    return [*found, [edits.scene for edits in viewer.editor.all] == viewer.stage.scenes]
 
 
 def reload(driver: Driver) -> list:

@@ -213,7 +213,7 @@ class Loading:
     def open_photographs(self, folder: str) -> None:
         """Show the photographs in a folder next to the scenes, each with its camera."""
         viewer = self._viewer
-        if viewer.request.chosen:
+        if viewer.request.chosen or not self._visits.views.cameras:
             viewer.fail(gs_codec.GsCodecError("photographs: need cameras from a file"))
             return
         viewer.request = replace(viewer.request, images=Path(folder))

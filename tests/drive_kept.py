@@ -197,7 +197,7 @@ def lengths(driver: Driver) -> list:
 def tiny(driver: Driver) -> list[list[int]]:
     """Sizes of pictures saved from a tiny window, in each layout."""
     viewer, sizes, before = driver.viewer, [], driver.viewer.window.size
-    viewer.window.size = gui.Size(3, 3)
+    viewer.window.size = gui.Size(1, 1)
     driver.tick(10, redraw=True)
     for mode in MODES:
         viewer.set_mode(mode)

@@ -382,7 +382,8 @@ class Stage:
                 label.frame = gui.Rect(left + start, top, stop - start, line)
         gap = gui.Rect(left + width - 1, top, *HIDDEN)
         if len(visible) == 2 and self.choice.mode == "wipe":
-            gap = gui.Rect(left + columns[0][1], below, columns[1][0] - columns[0][1], high)
+            line = max(columns[1][0] - columns[0][1], 1)
+            gap = gui.Rect(left + columns[0][1], below, line, high)
         self.divider.move_to(gap)
         self._look()
         self._laid_out = True

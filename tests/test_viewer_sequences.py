@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from zipfile import ZipFile
@@ -71,6 +72,14 @@ def test_frames_keep_the_antialias_flag_and_are_saved_with_it(folder, tmp_path):
     assert frame.gaussians.antialiased
     save_scene(frame, tmp_path / "frame.ply")
     assert read_ply(tmp_path / "frame.ply").antialiased
+
+
+def test_a_frame_is_not_saved_over_its_sequence(folder, tmp_path):
+    shutil.copy(folder / "moving.egs", tmp_path)
+    path = tmp_path / "moving.egs"
+    with pytest.raises(gs_codec.InvalidInput, match="input and output are the same file"):
+        save_scene(open_file(path), path)
+    assert path.read_bytes() == (folder / "moving.egs").read_bytes()
 
 
 def test_a_frame_that_cannot_be_read_leaves_the_others(folder, tmp_path):

@@ -253,6 +253,15 @@ def test_only_egs_is_saved(trials, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_trial_is_not_saved_over_its_source(trials, tmp_path):
+    tried, _ = trials.encode(EncodingSettings("s"))
+    source = tmp_path / "a.egs"
+    source.write_bytes(tried.path.read_bytes())
+    again = Trials(open_scene(source), tmp_path)
+    with pytest.raises(gs_codec.InvalidInput, match="input and output are the same file"):
+        again.save(tried, source)
+
+
 def test_other_cameras_discard_measurements(trials):
     tried, opened = trials.encode(EncodingSettings("s"))
     for cameras in (trials.cameras, trials.cameras[:2]):

@@ -119,6 +119,11 @@ class Opened:
         return self.sources or (Source(path, self.name, self.file_count),)
 
     @property
+    def paths(self) -> list[Path]:
+        """Paths that saving must not replace; empty ones for clouds."""
+        return [self.path, *(part.path for part in self.parts)]
+
+    @property
     def title(self) -> str:
         """The name, with notes if it is edited or was converted from another coordinate system."""
         name = self.name if self.whole is None else f"{self.name}, edited"

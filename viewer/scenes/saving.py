@@ -62,7 +62,7 @@ def save_scene(
         If it cannot be written, or the file of the scene has changed since it was opened.
     """
     if not scene.is_file:
-        check_target([], path)
+        check_target(scene.paths, path)
         gaussians = replace(from_cloud(scene.cloud, "keep"), comments=scene.comments)
         lost, _ = write_scene(path, gaussians, _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]

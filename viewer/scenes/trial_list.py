@@ -14,6 +14,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.encode_file import encode_requested
+from gs_codec.files.suffixes import check_no_source
 from gs_codec.files.writing import write_parts
 from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.views import compare_views
@@ -268,8 +269,9 @@ class Trials:
         Raises
         ------
         gs_codec.GsCodecError
-            If `path` cannot be written, or does not end in ``.egs``.
+            If `path` cannot be written, is the file of the source, or does not end in ``.egs``.
         """
+        check_no_source(self.source.paths, path)
         if path.suffix.lower() != ".egs":
             raise gs_codec.GsCodecError(f"{path}: expected a name that ends in .egs")
         with tried.path.open("rb") as source, atomic_writer(path) as target:

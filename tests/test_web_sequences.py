@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import subprocess
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -111,6 +112,27 @@ def test_any_frame_is_read_with_its_group():
     first = sizes[SectionId.TIMELINE, 0]
     assert of_one["fetched"] == group + first + len(data) - sum(sizes.values())
     assert [found["error"] for found in run({"bytes": data, "frames": [8]})] == ["RangeError"]
+
+
+def test_a_group_with_a_damaged_frame_is_freed(tmp_path):
+    """Otherwise each attempt to show the frame would keep its group in memory."""
+    data = bytearray(sequence("groups"))
+    position, _, _ = read_file(bytes(data)).table[SectionId.MOTION, 2]
+    data[position + 20] ^= 4
+    (tmp_path / "a.egs").write_bytes(data)
+    folder = HERE.parent / "viewer" / "web" / "src"
+    script = f"""
+        import * as fs from 'node:fs';
+        import {{ Here }} from '{(folder / "here.js").as_uri()}';
+        import {{ openSequence }} from '{(folder / "index.js").as_uri()}';
+        let freed = 0;
+        Here.prototype.release = () => freed++;
+        const sequence = await openSequence(fs.readFileSync('{tmp_path / "a.egs"}'));
+        for (let k = 0; k < 3; k++) await sequence.frame(2).catch(() => {{}});
+        console.log(freed);
+    """
+    command = [str(NODE), "--input-type=module", "-e", script]
+    assert subprocess.run(command, capture_output=True, check=True).stdout == b"3\n"
 
 
 def test_sequences_and_scenes_are_told_apart():

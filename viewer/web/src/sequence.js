@@ -204,7 +204,12 @@ export class Sequence {
       group?.close();
       group = await this.group(wanted);
     }
-    while (group.frame < number) group.scene.move(await group.next());
+    try {
+      while (group.frame < number) group.scene.move(await group.next());
+    } catch (error) {
+      group.close();
+      throw error;
+    }
     return (this.#current = group).scene;
   }
 

@@ -224,6 +224,7 @@ def test_every_truncation_is_refused():
         ),
         ({"open": {"chosen": [[4, [0]]]}}, "RangeError", "level 4"),
         ({"open": {"chosen": [[1, [10]]]}}, "RangeError", "blocks 10"),
+        ({"open": {"chosen": [[1, [0, 0]]]}}, "RangeError", "each once"),
         ({"open": {"shDegree": 4}}, "RangeError", "shDegree"),
     ],
     ids=str,

@@ -209,8 +209,9 @@ export class EgsFile {
     this.#ending.signal.throwIfAborted();
     signal?.throwIfAborted();
     const opened = this.#opened[level];
-    if (!opened || !blocks.every((block) => opened.ofBlock[block])) {
-      throw new RangeError(`level ${level}, blocks ${blocks}: not all exist`);
+    const exist = opened && blocks.every((block) => opened.ofBlock[block]);
+    if (!exist || new Set(blocks).size < blocks.length) {
+      throw new RangeError(`level ${level}, blocks ${blocks}: expected existing ones, each once`);
     }
     if (![0, 1, 2, 3].includes(shDegree)) throw new RangeError(`shDegree: ${shDegree}`);
     const ending = new Ending(this.#ending.signal, signal);

@@ -23,6 +23,7 @@ from gs_codec.files.decode_file import decode_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import inspect_file, read_scene
 from gs_codec.files.writing import write_scene
+from gs_codec.formats import limits
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
@@ -125,6 +126,17 @@ def test_a_table_has_every_float_exactly(count, tmp_path):
     for name, column in zip(names, zip(*rows, strict=True), strict=False):
         values = np.array(column, expected.dtype[name])
         np.testing.assert_array_equal(values, expected[name], name)
+
+
+@pytest.mark.parametrize("name", ["a.egs", "a.spz", "a.sog", "a.splat", "tileset.json"])
+def test_what_an_encoder_made_is_read_whatever_its_size(name, tmp_path, monkeypatch):
+    scene = random_scene(3000)
+    scene = replace(scene, f_rest=np.zeros_like(scene.f_rest))
+    monkeypatch.setattr(limits, "DECODED_BYTES", 1)
+    monkeypatch.setattr(limits, "EXPANSION", 1)
+    write_scene(tmp_path / name, scene, Config())
+    with pytest.raises(GsCodecError, match="max-bytes|the limit is"):
+        read_scene(tmp_path / name)
 
 
 def test_losses_of_splat_are_reported(ply, tmp_path, caplog):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,9 +53,9 @@ def decode_scene(
 
 
 def decode_as(config: Config, data: bytes | Readable, progress: Progress | None = None) -> Scene:
-    """Decode data that was encoded with a configuration, which names the format."""
+    """Decode data that was just encoded with a configuration, which names the format."""
     if config.format == EGS:
-        return decode_part(data, Part(), config.threads, None, progress, config.tmc3)[0]
+        return decode_part(data, Part(), config.threads, sys.maxsize, progress, config.tmc3)[0]
     from gs_codec.codecs.interchange import decode_interchange
 
     return decode_interchange(data[:], config)

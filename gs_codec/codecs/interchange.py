@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,13 +47,13 @@ def pack_finest(scene: Scene, config: Config) -> tuple[list[bytes | memoryview],
 
 
 def decode_interchange(data: bytes | memoryview, config: Config, system: str = CONVENTION) -> Scene:
-    """Decode bytes in the format of a configuration to a scene in a coordinate system."""
+    """Decode bytes just encoded in the format of a configuration; to a coordinate system."""
     # The readers of PLY and of zip files need a file.
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         path = Path(folder, f"scene.{config.format}")
         path.write_bytes(data)
         with open_scene(path) as file:
-            return turn_axes(finite_ends(file.scene(exact=True))[0], system)
+            return turn_axes(finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0], system)
 
 
 def _packed(

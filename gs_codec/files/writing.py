@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import os
+import sys
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -122,7 +123,7 @@ def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | N
     with open_scene(path) as file:
         _of_tiles.disabled = True
         try:
-            decoded, _ = finite_ends(file.scene(exact=True))
+            decoded, _ = finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))
         finally:
             _of_tiles.disabled = False
         return Check.by_plan(clean, None).measure(turn_axes(decoded))

@@ -8,6 +8,7 @@ version 3, as the index of the largest component and 10 bits for each of the oth
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,7 @@ def _f_rest(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 def centre_range(path: Path, data: bytes) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Lowest and highest coordinates of centres in a file that `pack_spz` made."""
-    header, streams, _ = read_streams(path, memoryview(data), None)
+    header, streams, _ = read_streams(path, memoryview(data), sys.maxsize)
     rows = np.frombuffer(streams[0], np.uint8).reshape(header.count, -1).T
     centres = _positions(rows, header)
     return centres.min(axis=1), centres.max(axis=1)

@@ -128,14 +128,14 @@ def test_a_table_has_every_float_exactly(count, tmp_path):
         np.testing.assert_array_equal(values, expected[name], name)
 
 
-@pytest.mark.parametrize("name", ["a.egs", "a.spz", "a.sog", "a.splat", "tileset.json"])
+@pytest.mark.parametrize("name", ["a.egs", "a.spz", "a.sog", "a.splat"])
 def test_what_an_encoder_made_is_read_whatever_its_size(name, tmp_path, monkeypatch):
     scene = random_scene(3000)
     scene = replace(scene, f_rest=np.zeros_like(scene.f_rest))
     monkeypatch.setattr(limits, "DECODED_BYTES", 1)
     monkeypatch.setattr(limits, "EXPANSION", 1)
     write_scene(tmp_path / name, scene, Config())
-    with pytest.raises(GsCodecError, match="max-bytes|the limit is"):
+    with pytest.raises(GsCodecError, match=r"max-bytes|the limit is"):
         read_scene(tmp_path / name)
 
 

@@ -167,6 +167,24 @@ def memory(driver: Driver) -> list[str]:
     return found
 
 
+def question(driver: Driver) -> list:
+    """Whether a dialog stays open while jobs fail, and what is said after it."""
+    viewer = driver.viewer
+    viewer.ask_save()
+    dialog = viewer.modal.dialog
+    for text in ("first", "second", "first"):
+        viewer.fail(gs_codec.GsCodecError(text))
+    driver.tick(5)
+    found = [viewer.modal.dialog is dialog]
+    driver.key("Escape")
+    for _ in range(2):
+        driver.wait(lambda: viewer.message is not None)
+        found.append(viewer.message[1])
+        viewer.dismiss()
+    driver.rest()
+    return [*found, viewer.message]
+
+
 def lengths(driver: Driver) -> list:
     """Number of points after two quick clicks, their text, and that of another scene."""
     viewer, stage = driver.viewer, driver.viewer.stage
@@ -281,6 +299,7 @@ if __name__ == "__main__":
     steps = (
         reload_turned,
         reload_project,
+        question,
         memory,
         saves,
         brush,

@@ -205,7 +205,7 @@ def run(folder: Path) -> dict:
     viewer.loading.open(str(folder / "a.ply"))
     driver.rest()
     found["asked"].append([scene.name for scene in viewer.stage.scenes])
-    viewer.window.close_dialog()
+    viewer.modal.close_dialog()
     viewer.loading.open(str(folder / "report" / "report.json"), 1)
     driver.rest()
     found["message"] = viewer.message

@@ -86,6 +86,7 @@ class Viewer(Controls):
         if request.scale is not None:
             self.choice.scales[request.colouring] = request.scale
         self.message: tuple[str, str] | None = None
+        self._later: list[tuple[str, str]] = []
         # Otherwise changing picture sizes would fragment the heap.
         release_large_when_freed()
         font = monospace()
@@ -148,7 +149,11 @@ class Viewer(Controls):
         self.tell("Not possible", str(error) or "not enough memory")
 
     def tell(self, title: str, text: str) -> None:
-        """Open a dialog."""
+        """Open a dialog, after the one that is open."""
+        if self.modal.dialog is not None:
+            if (title, text) not in (self.message, *self._later):
+                self._later.append((title, text))
+            return
         self.message = (title, text)
         dialogs.show_message(self.modal, title, text, self.dismiss)
 
@@ -182,6 +187,8 @@ class Viewer(Controls):
         self.panel.show_speed(self.stage.painter.seconds)
         self.visits.tick()
         self.watching.tick()
+        if self._later and self.modal.dialog is None:
+            self.tell(*self._later.pop(0))
         if self._closes and not self._saving:
             self.post(self._close_saved)  # after the result of saving
         return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)

@@ -15,6 +15,7 @@ import gs_codec
 import viewer
 from gs_codec.errors import InvalidInput
 from gs_codec.files.sharing import share
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.writer import write_ply
 from samples.generate import generate, orbit_cameras
 from viewer import notebook
@@ -64,6 +65,14 @@ def test_clouds_without_gaussians_show_themselves_as_before():
 
     cloud = open3d.t.geometry.PointCloud(np.zeros((3, 3), np.float32))
     assert notebook._shown(cloud) is None
+
+
+def test_clouds_that_cannot_be_encoded_say_why(caplog):
+    cloud = to_cloud(random_scene(50, 0))
+    cloud.point.positions[3] = np.nan
+    assert notebook._shown(cloud) is None
+    assert "the cloud is not shown: " in caplog.text
+    assert "not finite" in caplog.text
 
 
 def test_wrong_arguments_are_refused(tmp_path, monkeypatch):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.coordinates import turn_axes
@@ -18,6 +19,8 @@ from gs_codec.scene import Scene
 if TYPE_CHECKING:
     from IPython.core.interactiveshell import InteractiveShell
     from open3d.pybind.t.geometry import PointCloud
+
+log = logging.getLogger(__name__)
 
 #: Maximum bytes of a page, all of which a notebook's file keeps.
 _MOST = 50_000_000
@@ -114,6 +117,11 @@ def load_ipython_extension(shell: InteractiveShell) -> None:
 
 
 def _shown(cloud: PointCloud) -> str | None:
-    """The page of a cloud; None for other clouds, and those that take long to encode."""
-    is_scene = "f_dc" in cloud.point and len(cloud.point.positions) <= _GAUSSIANS
-    return embed(cloud)._repr_html_() if is_scene else None
+    """The page of a cloud; None for other clouds, and those that take long or cannot be encoded."""
+    if "f_dc" not in cloud.point or len(cloud.point.positions) > _GAUSSIANS:
+        return None
+    try:
+        return embed(cloud)._repr_html_()
+    except GsCodecError as error:
+        log.warning("the cloud is not shown: %s", error)
+        return None

@@ -39,9 +39,9 @@ def read_pixels(
         Called as ``check_size(width, height)`` before pixels are decoded.
     """
     with _opened(source, formats, check_size) as image:
-        if image.mode in ("I", "F"):
+        if image.mode == "F" or (image.mode == "I" and image.format != "PNG"):
             raise InvalidInput("32 bits per channel, expected 8 or 16")
-        if image.mode.startswith("I;16"):  # Pillow would clip it to 255
+        if image.mode.startswith("I"):  # "I;16", or "I" of PNG in Pillow 10; it would clip to 255
             grey = (np.asarray(image) >> 8).astype(np.uint8)[..., None]
             return np.concatenate([grey, grey, grey, np.full_like(grey, 255)], axis=2)
         return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))

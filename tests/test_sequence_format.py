@@ -251,8 +251,9 @@ def key(number: int, change: Callable[[bytes], bytes]) -> Change:
 
 
 def key_of(scene: Scene, block: int = 3, profile: str = "m") -> Callable[[bytes], bytes]:
-    """A key frame of another scene."""
-    return lambda _: sections_of(encoded([scene], block, profile))[1].data
+    """A key frame of another scene; one without Gaussians cannot be first."""
+    before = [] if scene.count else [random_scene(1, 1)]
+    return lambda _: sections_of(encoded([*before, scene], block, profile))[-1].data
 
 
 def with_header(**fields: object) -> Callable[[bytes], bytes]:

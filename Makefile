@@ -107,7 +107,7 @@ suite: $(VENV)/installed-test
 	$(BIN)/gs-codec bench suite $(SCENES) $(SAMPLE)_60k/point_cloud.ply $(SAMPLE)_100k/point_cloud.ply --out build/suite/report --overwrite $(OPTIONS)
 
 # The paper's experiment on a capture with more Gaussians than its views need, as the paper's scenes have, trained here:
-# build/paper/report. A quarter of an hour.
+# build/paper/report. About five minutes.
 paper: $(VENV)/installed-test
 	@mkdir -p build/paper
 	$(BIN)/python samples/generate.py --capture orbit build/paper/orbit --gaussians 80000 --iterations 3000 --seed 1

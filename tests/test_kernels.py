@@ -69,22 +69,25 @@ print(squares(np.arange(4)), numba.njit(lambda a, b: a @ b)(np.eye(2), np.ones(2
 """
 
 
+def _started(folder):
+    """The output of `STARTED`, run in a new process that keeps kernels in a folder."""
+    script = folder / "started.py"
+    if not script.exists():  # its time is part of the key of kernels
+        script.write_text(STARTED)
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(folder / "cache")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    return done.stdout
+
+
 @pytest.mark.thorough
 def test_cached_kernels_start_without_the_compiler(tmp_path):
-    script = tmp_path / "started.py"
-    script.write_text(STARTED)
-    outputs = []
-    for _ in range(2):
-        done = subprocess.run(
-            [sys.executable, str(script)],
-            env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.stderr == ""
-        outputs.append(done.stdout.splitlines())
-    compiled, loaded = outputs
+    compiled, loaded = (_started(tmp_path).splitlines() for _ in range(2))
     assert compiled[0].startswith("[14.] Counter()")
     assert loaded[0].startswith("[14.] Counter({")
     assert loaded[0].endswith("False"), "the compiler was made ready for nothing"
@@ -95,19 +98,9 @@ def test_cached_kernels_start_without_the_compiler(tmp_path):
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", [b"", b"\0" * 4000, b"\x80\x04\x8c\x04\xff\xfe\xfd\xfc"])
 def test_damaged_kernels_are_compiled_and_kept_again(tmp_path, suffix, damage):
-    script = tmp_path / "started.py"
-    script.write_text(STARTED)
     hits = []
     for number in range(3):
-        done = subprocess.run(
-            [sys.executable, str(script)],
-            env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.stderr == ""
-        hits.append("Counter({" in done.stdout)
+        hits.append("Counter({" in _started(tmp_path))
         for path in (tmp_path / "cache").rglob(f"*.{suffix}") if number == 0 else ():
             path.write_bytes(damage)
     assert hits == [False, False, True]

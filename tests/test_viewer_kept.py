@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from windows import drive, make_folder, needs_display
 
@@ -11,13 +9,8 @@ pytestmark = [needs_display, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    return make_folder(tmp_path_factory)
-
-
-@pytest.fixture(scope="module")
-def found(display, folder) -> dict:
-    return drive("drive_kept.py", display, folder)
+def found(display, tmp_path_factory) -> dict:
+    return drive("drive_kept.py", display, make_folder(tmp_path_factory))
 
 
 def test_each_of_several_saves_writes_its_file(found):

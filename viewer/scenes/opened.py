@@ -160,6 +160,11 @@ class Opened:
         """The Gaussians as a `Scene`, with the file's comments; shares memory."""
         return replace(from_cloud(self.cloud, "drop", tell=False), comments=self.comments)
 
+    @property
+    def gaussians_with_extra(self) -> Scene:
+        """Like `gaussians`, with extra properties."""
+        return replace(from_cloud(self.cloud, "keep"), comments=self.comments)
+
     @cached_property
     def positions(self) -> NDArray[np.float32]:
         """Centres ``(N, 3)``."""
@@ -357,9 +362,7 @@ def keep(scene: Opened, left: NDArray[np.bool_], moves: tuple[Move, ...] = ()) -
 
 def joined(scenes: Sequence[Opened]) -> Opened:
     """Several whole scenes as one, as by `gs_codec.edit.merge`."""
-    merged = merge_scenes(
-        [replace(from_cloud(scene.cloud, "keep"), comments=scene.comments) for scene in scenes]
-    )
+    merged = merge_scenes([scene.gaussians_with_extra for scene in scenes])
     parts = tuple(part for scene in scenes for part in scene.parts)
     return Opened(
         " + ".join(part.name for part in parts),

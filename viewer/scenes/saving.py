@@ -18,7 +18,6 @@ from gs_codec.errors import printable
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.suffixes import WRITTEN, check_target
 from gs_codec.files.writing import write_scene
-from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
@@ -63,8 +62,7 @@ def save_scene(
     """
     if not scene.is_file:
         check_target(scene.paths, path)
-        gaussians = replace(from_cloud(scene.cloud, "keep"), comments=scene.comments)
-        lost, _ = write_scene(path, gaussians, _CONFIG)
+        lost, _ = write_scene(path, scene.gaussians_with_extra, _CONFIG)
         return [_written(path, scene.count, os.path.getsize(path)), *lost]
     scene.check_unchanged()
     system = f"{scene.system}:{CONVENTION}" if scene.system_given else CONVENTION

@@ -174,8 +174,8 @@ def loss_by_plan(
 ) -> RenderedLoss | None:
     """The loss of views of a finite scene that was changed by the views of a plan.
 
-    If given cameras do not fit the scene, views from other places lose far more: a warning says so.
-    Raises InvalidInput if the configuration is strict.
+    Warns if given cameras do not fit the scene: then views from other places lose far more. Raises
+    InvalidInput instead if the configuration is strict.
     """
     check = Check.by_plan(before, plan)
     loss = check.measure(after)

@@ -324,7 +324,7 @@ class Edits:
     def turn(self, whole: Opened) -> None:
         """Replace the whole scene by the result of `turned`, and keep the steps.
 
-        Options of steps are forgotten, because they are of the scene as it was before.
+        Options of steps are forgotten: they describe the scene before it was turned.
         """
         self.whole = whole
         self._known.clear()

@@ -18,7 +18,7 @@ from open3d.visualization import gui
 from PIL import Image
 
 import gs_codec
-from viewer.scenes.choice import MODES
+from viewer.scenes.choice import MODES, Appearance
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import open_scene
 from viewer.scenes.saving import save_project
@@ -99,6 +99,24 @@ def fails(driver: Driver) -> list:
     viewer.request = request
     driver.rest()
     return [*found, [edits.scene for edits in viewer.editor.all] == viewer.stage.scenes]
+
+
+def transparent(driver: Driver) -> list[list[int]]:
+    """Colours of a photograph on the background of the scenes, and on one chosen later."""
+    viewer, found = driver.viewer, []
+    folder = driver.folder / "clear"
+    folder.mkdir()
+    Image.new("RGBA", (200, 150), (255, 0, 0, 51)).save(folder / "view0.png")
+    viewer.loading.open_photographs(str(folder))
+    for background in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        viewer.set_appearance(Appearance(background=background))
+        image, frame = driver.rest(), viewer.visits.photograph.frame
+        found.append(image[frame.y + frame.height // 2, frame.x + frame.width // 2].tolist())
+    viewer.set_appearance(Appearance())
+    viewer.request = replace(viewer.request, images=None)
+    viewer.visits.reset()
+    driver.rest()
+    return found
 
 
 def reload(driver: Driver) -> list:
@@ -297,6 +315,7 @@ if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]))
     driver.rest()
     steps = (
+        transparent,
         reload_turned,
         reload_project,
         question,

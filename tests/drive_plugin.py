@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from drive_viewer import give_up, grab, tell
 from open3d.visualization import O3DVisualizer, gui
+from PIL import Image
 
 import gs_codec
 import viewer
@@ -103,6 +104,7 @@ def run(folder: Path) -> dict:
     look_from(folder, visualizer, 1)
     app.run_one_tick()
     refused["photograph"] = told(actions.nearest)
+    clear = transparent(actions, visualizer, folder / "images" / "view1.png")
     count = actions.scene.count
     splats(actions, folder / "a.ply")
     show()
@@ -123,6 +125,7 @@ def run(folder: Path) -> dict:
         "alike": alike,
         "here": here[:3, 3].tolist(),
         "ended": ended,
+        "clear": clear,
     }
 
 
@@ -159,6 +162,20 @@ def splats(actions: viewer.plugin.Actions, path: Path) -> None:
     kept, plugin.find_device = plugin.find_device, lambda: "gpu"
     actions.open(path)
     plugin.find_device = kept
+
+
+def transparent(actions: Any, visualizer: O3DVisualizer, path: Path) -> list[float]:
+    """The colour of a transparent photograph, with another background."""
+    Image.new("RGBA", (40, 30), (255, 0, 0, 51)).save(path)
+    plugin, found = sys.modules["viewer.plugin"], []
+    kept = plugin.draw_notes
+    plugin.draw_notes = lambda *notes: found.append(notes[3]) or kept(*notes)
+    visualizer.set_background(np.array([0, 1, 0, 1.0]), None)
+    actions.nearest()
+    plugin.draw_notes = kept
+    visualizer.set_background(np.array([0, 0, 0, 1.0]), None)
+    path.unlink()
+    return found[0][0, 0].tolist()
 
 
 if __name__ == "__main__":

@@ -118,13 +118,23 @@ def test_pictures_are_those_of_the_window(page):
 
 
 def test_photographs_are_of_the_page_s_views(page):
-    status, _, data = ask(page, {"call": "photograph", "view": 0})
+    asked = {"call": "photograph", "background": [0, 0, 0]}
+    status, _, data = ask(page, asked | {"view": 0})
     assert status == 200
     assert np.allclose(
         seen(io.BytesIO(data)).mean((0, 1)), np.array([200, 30, 30]) / 255, atol=0.01
     )
-    assert ask(page, {"call": "photograph", "view": 1})[0] == 400  # there is no such file
-    assert ask(page, {"call": "photograph", "view": 2})[0] == 400
+    assert ask(page, asked | {"view": 1})[0] == 400  # there is no such file
+    assert ask(page, asked | {"view": 2})[0] == 400
+
+
+def test_transparent_parts_of_photographs_show_the_background(page, folder):
+    Image.new("RGBA", (60, 40), (255, 0, 0, 51)).save(folder / "images" / "view1.png")
+    asked = {"call": "photograph", "view": 1, "background": [0, 1, 0]}
+    status, _, data = ask(page, asked)
+    (folder / "images" / "view1.png").unlink()
+    assert status == 200
+    assert np.allclose(seen(io.BytesIO(data)).mean((0, 1)), [0.2, 0.8, 0], atol=0.02)
 
 
 def test_an_encoding_is_listed_served_and_shown_as_b(page, folder):

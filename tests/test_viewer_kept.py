@@ -36,6 +36,10 @@ def test_scenes_whose_cameras_cannot_be_read_can_be_edited(found):
     assert found["fails"] == ["photographs: need cameras from a file", True]
 
 
+def test_transparent_parts_of_photographs_show_the_background(found):
+    assert found["transparent"] == [[51, 0, 0], [51, 204, 0]]
+
+
 def test_a_scene_edited_while_it_is_read_again_is_kept(found):
     said = "not reloaded, because the scene was edited: ctrl + R reloads it"
     assert found["reload"] == [said, ""]

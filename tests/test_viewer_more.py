@@ -435,6 +435,10 @@ def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
     assert plugged["ended"]  # nothing is left open
 
 
+def test_the_plugin_shows_the_background_in_transparent_parts_of_photographs(plugged):
+    np.testing.assert_allclose(plugged["clear"], [0.2, 0.8, 0], atol=1e-6)
+
+
 def test_the_plugin_reports_failures(plugged, folder):
     suffixes = ".png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp"
     assert plugged["refused"] == {

@@ -196,14 +196,13 @@ class Inspector:
         depth, degree = (
             as_pixels("request", key, get("request", asked, key)) for key in ("depth", "degree")
         )
-        red, green, blue = as_numbers("request", "background", asked.get("background"), 3)
         if not 0 <= degree <= 3:
             raise InvalidInput(f"request: degree {degree}, expected 0 to 3")
         octree = OctreeChoice(depth, cells)
         Request(layers=tuple(layers), colouring=colouring, octree=octree, scale=scale).check()
         shown = Shown(
             tuple(layers), colouring, tuple(scenes), self._pruned, octree,
-            Appearance(degree, background=(red, green, blue)), scale=scale,
+            Appearance(degree, background=_background(asked)), scale=scale,
         )  # fmt: skip
         if shown != self._last:
             self._last = shown
@@ -227,10 +226,10 @@ class Inspector:
         if self._request.images is None or not 0 <= number < len(self._views.cameras):
             raise InvalidInput("request: there is no such photograph")
         camera = self._views.cameras[number]
-        path = find_image(self._request.images, camera.name)
+        path, background = find_image(self._request.images, camera.name), _background(asked)
         return self._in_turn(
             "photograph",
-            lambda: ("image/jpeg", _jpeg(read_photograph(camera, path)[1]), {}),
+            lambda: ("image/jpeg", _jpeg(read_photograph(camera, path, background)[1]), {}),
         )
 
     def _in_turn(self, kind: str, draw: Callable[[], Answer]) -> Answer | None:
@@ -296,6 +295,11 @@ class Inspector:
 
 def _pose(asked: dict) -> Pose:
     return of_camera(as_camera(as_object("request", get("request", asked, "camera"), "a camera")))
+
+
+def _background(asked: dict) -> tuple[float, float, float]:
+    red, green, blue = as_numbers("request", "background", asked.get("background"), 3)
+    return red, green, blue
 
 
 def _json(**facts: object) -> Answer:

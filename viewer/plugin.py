@@ -269,7 +269,8 @@ class Actions:
         camera = nearest_camera(self.cameras, model[:3, 3], -model[:3, 2])
         pose, size = of_camera(camera), (camera.width, camera.height)
         self._visualizer.setup_camera(pose.intrinsics(*size), pose.extrinsics, *size)
-        _, image = read_photograph(camera, find_image(self._images, camera.name))
+        background = self._visualizer.scene.background_color[:3].tolist()
+        _, image = read_photograph(camera, find_image(self._images, camera.name), background)
         self._note(f"photograph of {camera.name}", photograph=image)
         return camera.name
 

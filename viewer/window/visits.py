@@ -45,6 +45,7 @@ class Visits:
         self.viewpoints: list[Viewpoint] = []
         self.number = 0
         self._more_views = self._was_moved = False
+        self._behind = viewer.choice.appearance.background  # transparent parts of the photograph
         self.photograph = gui.ImageWidget()
         self.photograph.visible = self.photographed = False
         self._caption = gui.Label("")
@@ -154,20 +155,23 @@ class Visits:
         return f"moved away from {text} (R returns)" if self.moved else text
 
     def tick(self) -> None:
-        """Update the panel when the pose has left a viewpoint or returned to it."""
+        """Follow moves from and to viewpoints, and changes of the background."""
         if self.moved != self._was_moved:
             self._was_moved = self.moved
             self._viewer.refresh_panel()
+        is_behind = self._behind == self._viewer.choice.appearance.background
+        if self.photographed and not is_behind and self._viewer.stage.resting:
+            self.show_photograph()
 
     def show_photograph(self) -> None:
         """Show the photograph of the viewpoint visited last, if it has one."""
         viewer = self._viewer
-        self.photographed = False
+        self.photographed, self._behind = False, viewer.choice.appearance.background
         camera = self.viewpoints[self.number].camera
         if viewer.request.images is not None and self.number and camera is not None:
             try:
                 path = find_image(viewer.request.images, camera.name)
-                _, image = read_photograph(camera, path)
+                _, image = read_photograph(camera, path, self._behind)
             except gs_codec.GsCodecError as error:
                 viewer.panel.say(str(error))
             else:

@@ -286,10 +286,12 @@ class Inspection {
   }
 
   async #fetchPhotograph(view, signal) {
-    if (this.#photographs.has(view)) return;
-    const found = await askForPicture('photograph', { view }, signal);
+    const { background } = this.#view;
+    const key = `${view} ${background}`;
+    if (this.#photographs.has(key)) return;
+    const found = await askForPicture('photograph', { view, background }, signal);
     if (!found) return this.#again(signal);
-    this.#photographs = new Map([...this.#photographs, [view, found.bitmap]].slice(-4));
+    this.#photographs = new Map([...this.#photographs, [key, found.bitmap]].slice(-4));
     this.#paint();
   }
 
@@ -305,7 +307,7 @@ class Inspection {
     const scenes = this.#scenes;
     const isKept = this.#isDrawn && this.#kept.view === JSON.stringify(this.#view);
     const pictures = scenes.map((scene) => isKept && this.#kept.pictures[scene]).filter(Boolean);
-    const photograph = this.#photographs.get(this.#seen);
+    const photograph = this.#photographs.get(`${this.#seen} ${this.#view.background}`);
     const isCut = Boolean(photograph) && this.choice.photograph === 'wipe';
     cut.hidden = !isCut;
     cut.style.left = `${100 * this.#place}%`;

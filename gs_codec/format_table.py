@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from gs_codec.runtime.lazy import Lazy
@@ -56,8 +57,8 @@ class SceneFormat:
         ``(path, data, max_bytes) -> Scene``; `.egs` and PLY are read differently.
     stated_size : callable, optional
         ``(path, data)`` -> number of Gaussians and SH degree from the header.
-    stored_bytes : callable, optional
-        ``(path, data)`` -> bytes of all files of a scene, if there are several.
+    files_beside : callable, optional
+        ``(path, FileBytes)`` -> paths of the other files of a scene, if it may have several.
     checker : callable, optional
         ``(path, data, max_bytes)``: reads what `reader` skips.
     opens_file : bool
@@ -115,7 +116,7 @@ class SceneFormat:
     recognises: Callable[..., bool] | None = None
     reader: Callable[..., Any] | None = None
     stated_size: Callable[..., tuple[int, int]] | None = None
-    stored_bytes: Callable[..., int] | None = None
+    files_beside: Callable[..., list[Path]] | None = None
     checker: Callable[..., None] | None = None
     opens_file: bool = False
     written: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -212,7 +213,7 @@ SOG = SceneFormat(
     short_signatures=(b"{",),
     reader=_ours("sog.scene", "read_sog"),
     stated_size=_ours("sog.scene", "stated_size"),
-    stored_bytes=_ours("sog.scene", "sog_bytes"),
+    files_beside=_ours("sog.scene", "files_beside"),
     written={".sog": {}, UNBUNDLED: {}},
     writes="steps",
     writer=_ours("sog.writer", "pack_sog"),
@@ -273,7 +274,7 @@ RAD = SceneFormat(
     signatures=(b"RAD0", b"RADC"),
     reader=_ours("rad.scene", "read_rad"),
     stated_size=_ours("rad.scene", "stated_size"),
-    stored_bytes=_ours("rad.scene", "rad_bytes"),
+    files_beside=_ours("rad.scene", "files_beside"),
     opens_file=True,
     written={".rad": {}},
     writes="steps",
@@ -308,7 +309,7 @@ LCC = SceneFormat(
     recognises=_ours("lcc.scene", "is_lcc"),
     reader=_ours("lcc.scene", "read_lcc"),
     stated_size=_ours("lcc.scene", "stated_size"),
-    stored_bytes=_ours("lcc.scene", "lcc_bytes"),
+    files_beside=_ours("lcc.scene", "files_beside"),
     is_rounded=True,
     system="RFU",
     floats_per_byte=20,
@@ -321,6 +322,7 @@ GLTF = SceneFormat(
     unmarked={".gltf": "JSON"},
     reader=_ours("gltf.scene", "read_gltf"),
     stated_size=_ours("gltf.scene", "stated_size"),
+    files_beside=_ours("gltf.scene", "files_beside"),
     written={".glb": {}, ".gltf": {"as_text": True}},
     writer=_ours("gltf.scene", "pack_gltf"),
     options={"gltf_compression": ""},
@@ -370,7 +372,7 @@ NERFSTUDIO_RUN = SceneFormat(
     signatures=(b"!!python/object:nerfstudio.",),
     reader=_ours("nerfstudio_run", "read_run"),
     stated_size=_ours("nerfstudio_run", "stated_size"),
-    stored_bytes=_ours("nerfstudio_run", "stored_bytes"),
+    files_beside=_ours("nerfstudio_run", "files_beside"),
     in_folders=(),
 )
 
@@ -399,7 +401,7 @@ STREAMED_SOG = SceneFormat(
     recognises=_ours("sog.streamed", "is_streamed"),
     reader=_ours("sog.streamed", "read_streamed"),
     stated_size=_ours("sog.streamed", "stated_size"),
-    stored_bytes=_ours("sog.streamed", "streamed_bytes"),
+    files_beside=_ours("sog.streamed", "files_beside"),
     checker=_ours("sog.streamed", "check_coarser"),
     written={SSOG: {}, STREAMED: {}},
     writes="levels",
@@ -418,7 +420,7 @@ TILES = SceneFormat(
     recognises=_ours("tiles.tileset", "is_tileset"),
     reader=_ours("tiles.tileset", "read_tiles"),
     stated_size=_ours("tiles.tileset", "stated_size"),
-    stored_bytes=_ours("tiles.tileset", "tiles_bytes"),
+    files_beside=_ours("tiles.tileset", "files_beside"),
     checker=_ours("tiles.tileset", "check_all"),
     written={TILESET: {}},
     writes="levels",

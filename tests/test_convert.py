@@ -27,7 +27,7 @@ from gs_codec.formats import limits
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
-from gs_codec.formats.registry import open_scene
+from gs_codec.formats.registry import open_scene, scene_files
 from gs_codec.scene import Scene, coordinates_comment
 
 
@@ -235,6 +235,12 @@ def test_size_of_a_scene_includes_all_files(tmp_path):
     (tmp_path / "b.sog").write_bytes(foreign.sog_file(*parts))
     with open_scene(tmp_path / "b.sog") as file:
         assert file.stored_bytes == (tmp_path / "b.sog").stat().st_size
+    assert {*scene_files(path)} == {*tmp_path.iterdir()} - {tmp_path / "b.sog"} - {
+        tmp_path / "a.egs"
+    }
+    assert scene_files(tmp_path / "b.sog") == [tmp_path / "b.sog"]
+    path.write_bytes(b"{")
+    assert scene_files(path) == [path]
 
 
 # Coordinate systems

@@ -15,7 +15,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.formats.packed_values import sigmoid
-from gs_codec.formats.registry import open_scene, overview_of
+from gs_codec.formats.registry import open_scene, overview_of, scene_files
 from gs_codec.formats.sog.writer import pack_sog
 from gs_codec.formats.spz.scene import pack_spz
 from gs_codec.scene import SH_C0, join_scenes
@@ -72,6 +72,7 @@ def test_the_finest_level_is_read_by_its_formula(kind, tmp_path, caplog):
         np.testing.assert_allclose(rest, found["sh"], atol=1e-6)
     with open_scene(path) as file:
         assert file.stored_bytes == sum(map(len, files.values()))
+    assert {each.name for each in scene_files(path)} >= files.keys()
     assert not caplog.messages
 
 

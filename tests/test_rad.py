@@ -16,7 +16,7 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.packed_values import sigmoid, unit_quaternions
 from gs_codec.formats.rad.file import RadFile
-from gs_codec.formats.registry import open_scene, overview_of
+from gs_codec.formats.registry import open_scene, overview_of, scene_files
 from gs_codec.levels.tree import leaf_order, pack_rad
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import SH_C0
@@ -88,6 +88,7 @@ def test_only_leaves_of_all_chunks_are_read(degree, tmp_path, caplog):
         assert_read(read_scene(path), leaves)
     with open_scene(path) as file:
         assert file.stored_bytes == sum(each.stat().st_size for each in tmp_path.iterdir())
+    assert {*scene_files(path)} == {*tmp_path.iterdir()}
     alone = tmp_path / "a-0.radc"
     assert (overview_of(alone).format, overview_of(alone).count) == ("rad", 8)
     assert caplog.messages == 2 * [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import shutil
@@ -30,7 +31,7 @@ from gs_codec.format_table import TILESET
 from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.formats.gltf.scene import pack_gltf
 from gs_codec.formats.ply.writer import write_ply
-from gs_codec.formats.registry import check_file, open_scene, overview_of
+from gs_codec.formats.registry import check_file, open_scene, overview_of, scene_files
 from gs_codec.formats.tiles.earth import frame_at, place_of
 from gs_codec.levels.building import error_of
 from gs_codec.levels.tiling import Blocks, tile_levels
@@ -354,6 +355,20 @@ def test_children_replace_their_parent_or_add_to_it(refine, count, tmp_path):
     told = overview_of(path)
     assert (told.format, told.count) == ("3d tiles", count)
     assert told.file_bytes == sum(p.stat().st_size for p in tmp_path.iterdir())
+
+
+def test_buffers_of_a_tile_are_next_to_it(tmp_path):
+    """Not in the current folder."""
+    path = made(tmp_path, uri("in/a.gltf"))
+    (tmp_path / "in").mkdir()
+    document = json.loads(pack_gltf(random_scene(5, 0, seed=0), as_text=True)[0])
+    data = base64.b64decode(document["buffers"][0]["uri"].partition(",")[2])
+    document["buffers"][0]["uri"] = "a.bin"
+    (tmp_path / "in/a.gltf").write_text(json.dumps(document))
+    (tmp_path / "in/a.bin").write_bytes(data)
+    assert_same_floats(read_scene(path), read_scene(made(tmp_path, uri("a.glb"))))
+    made(tmp_path, uri("in/a.gltf"))
+    assert scene_files(path) == [path, tmp_path / "in/a.gltf", tmp_path / "in/a.bin"]
 
 
 def test_transforms_and_tilesets_in_tilesets(tmp_path):

@@ -39,10 +39,10 @@ def stated_size(path: Path, data: Sized) -> tuple[int, int]:
         return size_of_checkpoint(checkpoint, found)
 
 
-def stored_bytes(path: Path, data: Sized) -> int:
-    """Size of the checkpoint."""
-    with _newest(path) as (_, found):
-        return len(found)
+def files_beside(path: Path, data: Sized) -> list[Path]:
+    """The checkpoint."""
+    with _newest(path) as (checkpoint, _):
+        return [checkpoint]
 
 
 def read_run(path: Path, data: Sized, max_bytes: int | None) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from codecs import BOM_UTF8
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from gs_codec.coding.clean import with_finite_ends
 from gs_codec.coding.extent import centre_bounds
 from gs_codec.config import Extra
 from gs_codec.egs.index import Box
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.format_table import (
     COMPRESSED_PLY,
     FORMATS,
@@ -137,9 +137,15 @@ class SceneFile:
 
     @property
     def stored_bytes(self) -> int:
-        """Size of the scene in bytes: of this file, or of all files of a SOG scene."""
-        stored = self._recognised.stored_bytes
-        return len(self.data) if stored is None else stored(self.path, self._whole)
+        """Size of the scene in bytes: of all its files."""
+        sizes = (path.stat().st_size for path in self.files_beside if path.is_file())
+        return len(self.data) + sum(sizes)
+
+    @property
+    def files_beside(self) -> list[Path]:
+        """The other files of the scene, whether they exist or not."""
+        beside = self._recognised.files_beside
+        return [] if beside is None else beside(self.path, self.data)
 
     def ratio_bytes(self, raw_bytes: int) -> int:
         """Reference size for ratios: of a PLY, or of the floats (`raw_bytes`) if compressed."""
@@ -189,6 +195,13 @@ def open_scene(path: str | Path, shift: Shift | None = None, level: int = 0) -> 
     refuse_several(path)
     with opened(path) as data:
         yield SceneFile(Path(path), data, shift, level)
+
+
+def scene_files(path: str | Path) -> list[Path]:
+    """All files of a scene in any format: this one, and those that it refers to, if it is valid."""
+    with suppress(GsCodecError), open_scene(path) as file:
+        return [file.path, *file.files_beside]
+    return [Path(path)]
 
 
 @dataclass(frozen=True)

@@ -48,15 +48,15 @@ class GltfFile:
 
     Attributes
     ----------
-    path : Path
-        Path of the file; separate buffers are in the same folder.
+    folder : Path
+        Its folder, which separate buffers are in, too.
     document : dict
         Its JSON.
     binary : memoryview or None
         The embedded buffer of a `.glb`.
     """
 
-    path: Path
+    folder: Path
     document: dict[str, Any]
     binary: memoryview | None
     _lists: dict[str, list[dict[str, Any]]] = field(default_factory=dict, init=False)
@@ -143,19 +143,29 @@ class GltfFile:
         if uri.startswith("data:"):
             with refusing("glTF: buffer.uri"):
                 return base64.b64decode(uri.partition(";base64,")[2], validate=True)
-        name = unquote(uri)
-        if not name.isprintable() or set(name) & set("/\\:") or not name.strip("."):
-            raise InvalidInput(f"glTF: buffer.uri {uri!a:.60}, expected a file in the same folder")
-        path = self.path.parent / name
-        with refusing(f"file '{name[:60]}'"):
+        path = self._file(uri)
+        with refusing(f"file '{path.name[:60]}'"):
             if not path.is_file() or path.stat().st_size < length:
-                raise InvalidInput(f"file '{name[:60]}': no file of {counted(length, 'byte')}")
+                raise InvalidInput(f"file '{path.name[:60]}': no file of {counted(length, 'byte')}")
             with open(path, "rb") as file:
                 return file.read(length)
 
+    def _file(self, uri: str) -> Path:
+        name = unquote(uri)
+        if not name.isprintable() or set(name) & set("/\\:") or not name.strip("."):
+            raise InvalidInput(f"glTF: buffer.uri {uri!a:.60}, expected a file in the same folder")
+        return self.folder / name
 
-def open_gltf(path: Path, data: memoryview) -> GltfFile:
-    """Open the bytes of a `.glb` or `.gltf` file.
+    def files_beside(self) -> list[Path]:
+        """The files of buffers that are not in the document."""
+        uris = [buffer.get("uri") for buffer in self.items("buffers")]
+        return [
+            self._file(uri) for uri in uris if isinstance(uri, str) and not uri.startswith("data:")
+        ]
+
+
+def open_gltf(folder: Path, data: memoryview) -> GltfFile:
+    """Open the bytes of a `.glb` or `.gltf` file in a folder.
 
     Raises InvalidInput if it is neither, or not of version 2.
     """
@@ -166,7 +176,7 @@ def open_gltf(path: Path, data: memoryview) -> GltfFile:
     version = asset.get("version") if isinstance(asset, dict) else None
     if not isinstance(version, str) or not version.startswith("2."):
         raise InvalidInput(f"glTF version {version!a:.20}, expected 2")
-    return GltfFile(path, document, binary)
+    return GltfFile(folder, document, binary)
 
 
 def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:

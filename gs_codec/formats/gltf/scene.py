@@ -27,7 +27,7 @@ from gs_codec.formats.gltf.compressed import (
     is_compressed,
     sh_name,
 )
-from gs_codec.formats.gltf.file import GltfFile, numbers, open_gltf, pack_document, whole
+from gs_codec.formats.gltf.file import MAGIC, GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
@@ -39,7 +39,7 @@ from gs_codec.formats.packed_values import (
     unit_quaternions,
 )
 from gs_codec.formats.similarity import move_scene, rotation_of
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
 
@@ -51,22 +51,24 @@ _SHOWN = 16
 
 def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.glb` or `.gltf` file; see `SceneFile.scene`."""
-    return join_scenes(placed_scenes(path, view, max_bytes))
+    return join_scenes(placed_scenes(path, view, max_bytes, path.parent))
 
 
 def placed_scenes(
     path: Path,
     view: memoryview,
     max_bytes: int | None,
+    folder: Path,
     matrix: NDArray[np.float64] | None = None,
     system: str = _SYSTEM,
 ) -> list[Scene]:
     """The scene of each primitive, moved by a matrix ``(4, 4)``; raises like `read_gltf`.
 
-    `system` is the coordinate system then.
+    Separate buffers are in `folder`; `path` is the name in messages. `system` is the coordinate
+    system then.
     """
     with located(path):
-        file = open_gltf(path, view)
+        file = open_gltf(folder, view)
         placed = _placed_primitives(file)
         count, degree = _total(file, placed)
         # Buffers may be in separate files.
@@ -98,14 +100,23 @@ def _say_others(path: Path, file: GltfFile) -> None:
 def variant_of(path: Path, view: memoryview) -> str:
     """How the attributes of a file are compressed: ``spz``, or "" if they are not."""
     with located(path):
-        placed = _placed_primitives(open_gltf(path, view))
+        placed = _placed_primitives(open_gltf(path.parent, view))
         return "spz" if any(is_compressed(each.primitive) for each in placed) else ""
 
 
-def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
-    """Number of Gaussians and SH degree stated in the document; raises like `read_gltf`."""
+def files_beside(path: Path, data: FileBytes) -> list[Path]:
+    """The files of the buffers of a `.gltf`; a `.glb` has its own."""
+    if data[: len(MAGIC)] == MAGIC:
+        return []
     with located(path):
-        file = open_gltf(path, view)
+        return open_gltf(path.parent, data[:]).files_beside()
+
+
+def stated_size(path: Path, view: memoryview, folder: Path | None = None) -> tuple[int, int]:
+    """Number of Gaussians and SH degree stated in the document; raises like `placed_scenes`."""
+    folder = path.parent if folder is None else folder
+    with located(path):
+        file = open_gltf(folder, view)
         return _total(file, _placed_primitives(file))
 
 

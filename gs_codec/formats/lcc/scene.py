@@ -10,6 +10,7 @@ from gs_codec.format_table import LCC
 from gs_codec.formats.lcc.cell_tables import Grid
 from gs_codec.formats.lcc.node_scenes import Octree
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.formats.registry import scene_files
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.scene import Scene
@@ -23,7 +24,7 @@ def is_lcc(path: Path, data: FileBytes) -> bool:
     return path.suffix.lower() in LCC.read
 
 
-def _described(path: Path, data: memoryview) -> Grid | Octree:
+def _described(path: Path, data: memoryview | FileBytes) -> Grid | Octree:
     with refusing("description", AttributeError):
         about = _parsed(bytes(data))
         return Octree(path, about) if "root" in about else Grid(path, about)
@@ -42,16 +43,17 @@ def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
         return _described(path, data).stated_size()
 
 
-def lcc_bytes(path: Path, data: memoryview) -> int:
-    """Size of the description, and of the files that are read."""
+def files_beside(path: Path, data: FileBytes) -> list[Path]:
+    """The files that are read."""
     with located(path):
         files = _described(path, data).files
-    return len(data) + sum(file.stat().st_size for file in files if file.is_file())
+    return [beside for file in files for beside in scene_files(file)]
 
 
 def read_lcc(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the files that a `.lcc` or `.lcc2` describes; see `SceneFile.scene`."""
     with located(path):
         described = _described(path, data)
-        check_count(*described.stated_size(), lcc_bytes(path, data), max_bytes)
+        others = (file.stat().st_size for file in described.files if file.is_file())
+        check_count(*described.stated_size(), len(data) + sum(others), max_bytes)
         return described.read(max_bytes)

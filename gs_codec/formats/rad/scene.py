@@ -39,17 +39,18 @@ def stated_size(path: Path, data: FileBytes) -> tuple[int, int]:
         return RadFile(path, data).stated_size
 
 
-def rad_bytes(path: Path, data: FileBytes) -> int:
-    """Size of a file, and of the files of its chunks."""
+def files_beside(path: Path, data: FileBytes) -> list[Path]:
+    """The files of the chunks of a `.rad`."""
     with located(path):
-        others = RadFile(path, data).others
-    return len(data) + sum(other.stat().st_size for other in others if other.is_file())
+        return RadFile(path, data).others
 
 
 def read_rad(path: Path, data: FileBytes, max_bytes: int | None) -> Scene:
     """Read the leaves of a `.rad` or `.radc` file; see `SceneFile.scene`."""
     with located(path):
-        file, file_bytes = RadFile(path, data), rad_bytes(path, data)
+        file = RadFile(path, data)
+        others = (other.stat().st_size for other in file.others if other.is_file())
+        file_bytes = len(data) + sum(others)
         check_count(*file.stated_size, file_bytes, max_bytes)
         leaves, total, count = [], 0, file.stated_size[0]
         for chunk in file.chunks():

@@ -20,7 +20,7 @@ from gs_codec.formats import images
 from gs_codec.formats.limits import DECODED_BYTES, is_file_name, refusing
 from gs_codec.formats.zip_file import Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.wording import counted
 
 #: Number of files of each group.
@@ -238,10 +238,13 @@ class Files:
         """The files in the folder of a file, which may be a subfolder of this one."""
         return Files((self.folder / name).parent, self.archive)
 
+    def paths(self, names: Iterable[str]) -> list[Path]:
+        """Paths of these files; none in a zip."""
+        return [] if self.archive else [Path(self.folder / name) for name in names]
+
     def stored_bytes(self, names: Iterable[str]) -> int:
         """Total size of these files, if they exist; 0 in a zip."""
-        paths = [] if self.archive else [Path(self.folder / name) for name in names]
-        return sum(path.stat().st_size for path in paths if path.is_file())
+        return sum(path.stat().st_size for path in self.paths(names) if path.is_file())
 
 
 @dataclass(frozen=True)
@@ -266,7 +269,7 @@ class Unit:
 
 
 @contextmanager
-def opened_files(path: Path, data: memoryview) -> Iterator[tuple[Files, str]]:
+def opened_files(path: Path, data: memoryview | FileBytes) -> Iterator[tuple[Files, str]]:
     """The files of the scene in a zip or JSON file, and the name of its `meta.json`.
 
     Raises InvalidInput if the zip is not valid, or does not contain exactly one scene.

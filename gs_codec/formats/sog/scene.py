@@ -29,7 +29,7 @@ from gs_codec.formats.sog.files import (
     read_pixels,
     unit_of,
 )
-from gs_codec.runtime.mapped import located
+from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import ANTIALIASED, FLAT, SH_COEFFICIENTS, Scene
 
@@ -45,7 +45,7 @@ _Load = Callable[..., NDArray[np.uint8]]
 
 
 @contextmanager
-def _opened(path: Path, data: memoryview) -> Iterator[tuple[Unit, int]]:
+def _opened(path: Path, data: memoryview | FileBytes) -> Iterator[tuple[Unit, int]]:
     """Open the scene of a `.sog` or `meta.json`; yields it, and the size of all its files."""
     with located(path), opened_files(path, data) as (files, name):
         unit = unit_of(files, name)
@@ -95,10 +95,10 @@ def scene_of_unit(
     )
 
 
-def sog_bytes(path: Path, data: memoryview) -> int:
-    """Size of all files of a scene."""
-    with _opened(path, data) as (_, file_bytes):
-        return file_bytes
+def files_beside(path: Path, data: FileBytes) -> list[Path]:
+    """The images of a `meta.json`; a zip has none."""
+    with _opened(path, data) as (unit, _):
+        return unit.files.paths(unit.images)
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:

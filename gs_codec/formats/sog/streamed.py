@@ -22,7 +22,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.format_table import STREAMED, ZIP
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.relative_name import relative_name
-from gs_codec.formats.sog.files import Files, Unit, opened_files, opened_unit
+from gs_codec.formats.sog.files import Files, Unit, opened_files, opened_unit, unit_of
 from gs_codec.formats.sog.scene import SPARE, scene_of_unit
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.json_text import parse_json
@@ -121,7 +121,9 @@ def is_streamed(path: Path, data: FileBytes) -> bool:
 
 
 @contextmanager
-def _opened(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Files, Wanted]]:
+def _opened(
+    path: Path, data: memoryview | FileBytes, finest: bool
+) -> Iterator[tuple[Files, Wanted]]:
     """The files of a `lod-meta.json`, and what is wanted of them: the finest level, or all."""
     with located(path), opened_files(path, data) as (files, name):
         # It is much smaller than the files that it describes.
@@ -189,10 +191,12 @@ def _check_unseen(seen: set[str], files: Files, unit: Unit) -> None:
         seen |= images
 
 
-def streamed_bytes(path: Path, data: memoryview) -> int:
-    """Size of `lod-meta.json` and of all files of all levels; of a zip, its size."""
+def files_beside(path: Path, data: FileBytes) -> list[Path]:
+    """The files of all levels of a `lod-meta.json`; a zip has none."""
     with _opened(path, data, finest=False) as (files, names):
-        return len(data) + sum(_size(files, name)[1] for name in names)
+        units = [unit_of(files, name) for name in names if name.lower().endswith(".json")]
+        images = [image for unit in units for image in unit.files.paths(unit.images)]
+        return files.paths(names) + images
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:

@@ -24,6 +24,7 @@ from gs_codec.formats.gltf.file import numbers
 from gs_codec.formats.gltf.scene import placed_scenes
 from gs_codec.formats.gltf.scene import stated_size as size_of_gltf
 from gs_codec.formats.limits import check_count, refusing
+from gs_codec.formats.registry import scene_files
 from gs_codec.formats.relative_name import relative_name
 from gs_codec.formats.tiles.earth import Place, frame_at, place_of
 from gs_codec.runtime.json_text import parse_json
@@ -127,7 +128,8 @@ class _Tileset:
     """A tileset and the tilesets in it, in files of one folder."""
 
     def __init__(self, path: Path, data: memoryview) -> None:
-        self._folder, self._seen, self._root = path.parent, {path.name}, _root_of(data)
+        self._folder, self._name, self._root = path.parent, path.name, _root_of(data)
+        self._seen = {path.name}
         #: Bytes of the JSON files.
         self._described = len(data)
 
@@ -139,10 +141,17 @@ class _Tileset:
                 stored += len(file)
         return stored
 
-    def read(self, content: _Content, reader: Callable[[Path, memoryview], Result]) -> Result:
-        """What a function reads from the bytes of a content."""
-        with opened(self._folder / content.name) as file:
-            return reader(Path(content.name), file[:])
+    def files_beside(self) -> list[Path]:
+        """The files of `contents`, and of the tilesets in this one."""
+        found = [self._folder / name for name in sorted(self._seen - {self._name})]
+        texts = [path for path in found if path.suffix.lower() == ".gltf"]
+        return found + [beside for path in texts for beside in scene_files(path)[1:]]
+
+    def read(self, content: _Content, reader: Callable[[Path, memoryview, Path], Result]) -> Result:
+        """What a function reads from the name and bytes of a content, and its folder."""
+        path = self._folder / content.name
+        with opened(path) as file:
+            return reader(Path(content.name), file[:], path.parent)
 
     def contents(self, level: int | None = 0) -> list[_Content]:
         """Contents of the tiles of a level, 0 for the finest, or of all; every file once.
@@ -269,7 +278,10 @@ def _scenes(
         whole = np.round(matrix)
         matrix = whole if np.abs(matrix - whole).max() < _ROUNDED else matrix
     return tileset.read(
-        content, lambda name, view: placed_scenes(name, view, max_bytes, matrix, TILES.system)
+        content,
+        lambda name, view, folder: placed_scenes(
+            name, view, max_bytes, folder, matrix, TILES.system
+        ),
     )
 
 
@@ -297,11 +309,12 @@ def check_all(path: Path, data: memoryview, max_bytes: int | None) -> None:
             _scenes(tileset, each, max_bytes, np.eye(4))
 
 
-def tiles_bytes(path: Path, data: memoryview) -> int:
-    """Size of a tileset with all its tiles."""
+def files_beside(path: Path, data: FileBytes) -> list[Path]:
+    """The tilesets in a tileset, and all tiles."""
     with located(path):
-        tileset = _Tileset(path, data)
-        return tileset.stored_bytes(tileset.contents(level=None))
+        tileset = _Tileset(path, data[:])
+        tileset.contents(level=None)
+        return tileset.files_beside()
 
 
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
+import foreign
 import pytest
 from batch_work import in_this_process
 from camera_files import inria_entry, write_json
@@ -421,6 +422,20 @@ def test_changed_input_of_equal_size_is_encoded_again(folder):
     write_ply("in/a.ply", random_scene(200, 0, seed=9))
     os.utime("in/a.ply", (1, 1))
     assert resumed(folder).done == 1
+
+
+def test_a_scene_of_several_files_is_compared_as_a_whole(folder):
+    values = [foreign.rad_values(9, 0, seed=seed) for seed in range(3)]
+    chunks = [foreign.rad_chunk(each, {}) for each in values]
+    for name, data in foreign.rad_file(chunks[:2], prefix="d-").items():
+        Path("in", name or "d.rad").write_bytes(data)
+    assert (resumed(folder).done, resumed(folder).skipped) == (4, 4)
+    record = next(each for each in records() if each["input"].endswith("d.rad"))
+    assert record["input_bytes"] == sum(path.stat().st_size for path in Path("in").glob("d*.rad*"))
+    changed = foreign.rad_file([chunks[0], chunks[2]], prefix="d-")["d-1.radc"]
+    Path("in/d-1.radc").write_bytes(changed)
+    assert resumed(folder).done == 1
+    assert Path("out/d.egs").read_bytes() == encoded("in/d.rad")
 
 
 def test_different_options_encode_everything_again(folder):

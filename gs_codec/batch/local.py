@@ -16,6 +16,7 @@ from urllib.parse import unquote, urlsplit
 
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.format_table import BATCHED
+from gs_codec.formats.registry import scene_files
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
 
@@ -51,7 +52,8 @@ class Stamp:
     size : int
         Bytes; -1 if unknown.
     modified : int or str
-        Nanoseconds on this machine; for remote storage a time, an ETag, or empty.
+        Nanoseconds on this machine, added over all files of a scene; for remote storage a time, an
+        ETag, or empty.
     """
 
     size: int
@@ -107,18 +109,18 @@ class LocalStorage:
             raise InvalidInput(f"{self.path}: no write permission")
 
     def stamp(self, location: Location) -> Stamp | None:
-        """Size and modification stamp of a file; None if it does not exist."""
+        """Size and modification stamp of a file, or of all files of a scene; None if missing."""
         try:
-            found = os.stat(location.path)
+            found = [os.stat(path) for path in present_files(location.path)]
         except FileNotFoundError:
             return None
         except OSError as error:
             raise InvalidInput(f"{location.path}: {one_line(error)}") from error
-        return Stamp(found.st_size, found.st_mtime_ns)
+        return Stamp(sum(each.st_size for each in found), sum(each.st_mtime_ns for each in found))
 
     def sha256(self, location: Location) -> str:
-        """Checksum of a file."""
-        return file_sha256(location.path)
+        """Checksum of a file, or of all files of a scene."""
+        return file_sha256(*present_files(location.path))
 
     def fetch(self, location: Location, folder: Path) -> Path:
         """Path of a regular file; remote storage copies it to `folder` first."""
@@ -195,15 +197,22 @@ def _each_once(root: str, paths: Iterable[str]) -> list[str]:
     return list(taken.values())
 
 
-def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file."""
+def present_files(path: str | Path) -> list[Path]:
+    """A file, and the other files of its scene that exist."""
+    first, *beside = scene_files(path) if os.path.isfile(path) else [Path(path)]
+    return [first, *(each for each in beside if each.is_file())]
+
+
+def file_sha256(*paths: str | Path) -> str:
+    """SHA-256 of the bytes of files, one after another."""
     digest, block = hashlib.sha256(), bytearray(1 << 20)
-    try:
-        with open(path, "rb", buffering=0) as file:
-            while length := file.readinto(block):
-                digest.update(memoryview(block)[:length])
-    except OSError as error:
-        raise InvalidInput(f"{path}: {one_line(error)}") from error
+    for path in paths:
+        try:
+            with open(path, "rb", buffering=0) as file:
+                while length := file.readinto(block):
+                    digest.update(memoryview(block)[:length])
+        except OSError as error:
+            raise InvalidInput(f"{path}: {one_line(error)}") from error
     return digest.hexdigest()
 
 

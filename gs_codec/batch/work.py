@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
-from gs_codec.batch.local import LocalStorage, file_sha256
+from gs_codec.batch.local import LocalStorage, file_sha256, present_files
 from gs_codec.batch.needed_memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scene_tasks import Options, Task
@@ -70,7 +70,8 @@ def _encode(
     with times.stage("fetch"):
         before = sources.stamp(task.source)
         file = sources.fetch(task.source, folder)
-        digest, size = file_sha256(file), os.path.getsize(file)
+        files = present_files(file)
+        digest, size = file_sha256(*files), sum(each.stat().st_size for each in files)
     output = folder / f"scene.{options.format}"
     if isinstance(targets, LocalStorage):
         output = Path(task.target.path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import json
 import os
 import shutil
 import signal
@@ -18,10 +19,11 @@ from types import SimpleNamespace
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+import numpy as np
 import pytest
 from moving_scenes import coded, moving
 from scenes import random_scene
-from web_pages import Job, in_browser, open_pages
+from web_pages import LENS, Job, in_browser, open_pages
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
@@ -215,6 +217,21 @@ def test_a_page_begins_with_the_requested_view_and_frame(tmp_path):
     assert page.url.endswith("/#view=1&frame=2")
     with pytest.raises(GsCodecError, match="frame 3: expected 0 to 2"):
         serve([tmp_path / "clip.egs"], Request(cameras="auto", frame=3))
+
+
+def test_what_a_page_cannot_begin_with_is_refused_before_it_is_made(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(served, "page_of", None)
+    camera = {"img_name": "a", "position": [0, 0, -5], "rotation": np.eye(3).tolist(), **LENS}
+    (tmp_path / "cameras.json").write_text(json.dumps([camera]))
+    coded(tmp_path / "clip.egs", moving(200, 3))
+    for source, wanted, message in (
+        (scene, {"view": 24}, "view 24: expected 0 to 23"),
+        (scene, {"view": 1, "cameras": tmp_path / "cameras.json"}, "view 1: expected 0 to 0"),
+        (scene, {"frame": 0}, "frame: expected a sequence"),
+        (tmp_path / "clip.egs", {"frame": 3}, "frame 3: expected 0 to 2"),
+    ):
+        with pytest.raises(GsCodecError, match=message):
+            serve([source], Request(**{"cameras": "auto"} | wanted))
 
 
 def test_the_server_runs_until_interrupted(scene):

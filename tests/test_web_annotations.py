@@ -103,7 +103,8 @@ def test_invalid_annotations_are_refused(tmp_path, notes, message):
         read_annotations(written(tmp_path, notes))
 
 
-def test_a_view_that_is_not_there_is_refused(tmp_path):
+def test_a_view_that_is_not_there_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("gs_codec.files.sharing._open", None)  # before a scene is encoded
     notes = written(tmp_path, [GOOD | {"view": 3}])
     with pytest.raises(InvalidInput, match="annotation 1: view 3, expected one of 3 views"):
         small_page(tmp_path, annotations=notes)

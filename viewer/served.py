@@ -23,8 +23,11 @@ from urllib.parse import quote, urlencode
 import gs_codec
 from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import print_text
+from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.report import Progress
+from gs_codec.sequences.frame_decoding import opened_sequence
+from gs_codec.views.estimate import COUNT
 from viewer.inspected_page import count_views, with_inspection, with_second
 
 if TYPE_CHECKING:
@@ -260,12 +263,18 @@ def serve(
         raise gs_codec.GsCodecError(f"port {port}: expected 1 to 65535")
     cameras = request.cameras
     assert isinstance(cameras, str | Path)
+    if request.view is not None:
+        count = COUNT if request.chosen else len(gs_codec.read_cameras(cameras))
+        _start(view=(request.view, count))
+    if request.frame is not None:
+        if not is_sequence(sources[0]):
+            raise gs_codec.GsCodecError("frame: expected a sequence")
+        with opened_sequence(sources[0]) as sequence:
+            _start(frame=(request.frame, sequence.timeline.count))
     shared, files = page_of(
         sources, cameras, alone=False, progress=progress, max_bytes=request.max_bytes, up=request.up
     )
     frames = shared[0].frames
-    if request.frame is not None and not frames:
-        raise gs_codec.GsCodecError("frame: expected a sequence")
     start = _start(view=(request.view, count_views(files[PAGE])), frame=(request.frame, frames))
     if inspector is not None and not frames:
         files[PAGE] = with_inspection(files[PAGE], inspector.is_open)

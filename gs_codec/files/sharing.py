@@ -17,6 +17,7 @@ from urllib.parse import quote
 import numpy as np
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.inria import as_entry
 from gs_codec.cameras.up import BY_CAMERAS, UNSURE, UPS, up_axis, up_of
 from gs_codec.cameras.widest import widest_view
@@ -41,7 +42,6 @@ from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted, size_text
 from gs_codec.scene import Scene
 from gs_codec.views.estimate import COUNT, estimate_views
-from gs_codec.views.find import find_cameras
 
 log = logging.getLogger(__name__)
 
@@ -223,6 +223,8 @@ def page_of(
     for links and other pages.
     """
     template = _built("page.html").decode()
+    given = None if str(cameras) == "auto" else read_cameras(cameras)
+    _check_views(annotations, COUNT if given is None else len(given))
     opened = [_open(source, progress, max_bytes, streamed=not alone) for source in sources]
     shared = [one for one, _ in opened]
     if len(shared) == 2 and any(one.frames for one in shared):
@@ -240,7 +242,7 @@ def page_of(
             entries.append(entry | {"url": quote(name)})
             files[name] = one.data
     middle = np.median(finite.astype(np.float64), axis=1) if finite.size else np.zeros(3)
-    views, described = _views(cameras, first, up, progress)
+    views, described = _views(given, first, up, progress)
     described |= {
         "middle": middle.tolist(),
         "scenes": entries,
@@ -248,10 +250,7 @@ def page_of(
     }
     if tour:
         described["tour"] = tour
-    for k, note in enumerate(annotations, 1):
-        if note.view is not None and note.view >= len(views):
-            many = counted(len(views), "view")
-            raise InvalidInput(f"annotation {k}: view {note.view}, expected one of {many}")
+    _check_views(annotations, len(views))
     title, tags = " and ".join(one.name for one in shared), ""
     if publication:
         title = publication.title or title
@@ -268,6 +267,14 @@ def page_of(
     data = "\n".join([_block("scene-list", "application/json", listed), *blocks])
     files[PAGE] = _fill(template, title=html.escape(title), tags=tags, data=data).encode()
     return shared, files
+
+
+def _check_views(annotations: Sequence[Annotation], count: int) -> None:
+    """Check that the views of annotations are among the page's."""
+    for k, note in enumerate(annotations, 1):
+        if note.view is not None and note.view >= count:
+            many = counted(count, "view")
+            raise InvalidInput(f"annotation {k}: view {note.view}, expected one of {many}")
 
 
 def _description(opened: Sequence[tuple[SharedScene, Scene]]) -> str:
@@ -287,25 +294,25 @@ def _entry(one: SharedScene) -> dict[str, Any]:
 
 
 def _views(
-    cameras: str | Path, scene: Scene, up: str | None, progress: Progress | None
+    given: list[Camera] | None, scene: Scene, up: str | None, progress: Progress | None
 ) -> tuple[list[Camera], dict[str, Any]]:
-    """The views of a page.
+    """The views of a page: given ones, or estimated ones.
 
     Their description has the overview, the possible up axes by name, and the current one, too.
     """
     home = 0
-    if str(cameras) == "auto":
+    if given is None:
         axis = None if up is None else up_axis(up)
         found = estimate_views(scene, COUNT, axis, progress)
         views, by_cameras = found.cameras, found.up
         if up is None and not found.up_certain:
             log.warning(UNSURE)
     else:
-        views = find_cameras(cameras, scene)
+        views = given
         by_cameras = up_of([view.rotation for view in views])
         home = widest_view(scene, views)
     ups = {BY_CAMERAS: by_cameras} | UPS
-    return list(views), {
+    return views, {
         "views": [as_entry(index, camera) for index, camera in enumerate(views)],
         "home": home,
         "ups": {name: axis.tolist() for name, axis in ups.items()},

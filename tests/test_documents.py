@@ -139,8 +139,18 @@ def test_errors_are_documents_too(folder, typed, kind, text):
     assert folder.run(*typed.split()).out == ""
 
 
-def test_errors_do_not_corrupt_a_piped_scene(folder):
-    status, out, err = folder.run("encode", "none.ply", "-", "--json")
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "encode none.ply -",
+        "encode scene.ply - --fps 5",
+        "encode scene.ply - --effort high --profile lossless",
+        "decode scene.egs - --view none.json",
+        "convert scene.ply - --format splat --quiet --verbose",
+    ],
+)
+def test_errors_do_not_corrupt_a_piped_scene(folder, typed):
+    status, out, err = folder.run(*typed.split(), "--json")
     assert (status, out) == (2, "")
     assert strict_json(err.splitlines()[-1])["error"]["kind"] == "InvalidInput"
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 
-from gs_codec.cli.documents import leave_stdout
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 
 
@@ -74,7 +73,6 @@ def piped(
         if sys.stdout.isatty():
             raise InvalidInput(f"{target}: stdout is a terminal, expected a pipe or a file")
         stdout = sys.stdout.buffer
-        leave_stdout()
         with _stand_in(target, f"stdout{suffix}") as out:
             with redirect_stdout(sys.stderr):
                 yield files, out
@@ -89,7 +87,7 @@ def check_no_pipes(option: str, source: Path, target: Path) -> None:
             raise InvalidInput(f"{path}: a pipe, expected a file with {option}")
 
 
-def is_stdout(target: Path) -> bool:
+def is_stdout(target: Path | None) -> bool:
     """Whether a file to write stands for stdout."""
     return str(target) in ("-", "/dev/stdout")
 

@@ -10,8 +10,10 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from gs_codec.cli.action_options import action_parameters, typed_actions
+from gs_codec.cli.documents import leave_stdout
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
 from gs_codec.cli.output import set_loudness
+from gs_codec.cli.streams import is_stdout
 from gs_codec.config import Config, RateTarget, options_of
 from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
@@ -109,6 +111,8 @@ def takes(
         ]
 
         def called(ctx: typer.Context, **values: Any) -> None:
+            if is_stdout(values.get("target")):
+                leave_stdout()
             quiet, verbose = values.pop("quiet"), values.pop("verbose")
             if quiet and verbose:
                 raise InvalidInput("--quiet and --verbose cannot be combined")

@@ -180,11 +180,13 @@ def test_other_frames_can_be_shown_after_one_that_is_damaged(folder, tmp_path):
     data[position + 20] ^= 4
     (tmp_path / "clip.egs").write_bytes(data)
     stopped = ("until", "viewer.errors.length && !viewer.player.isJumping")
-    steps = [stopped, ("value", "viewer.player.seek(3)"), stopped]
+    told = [("value", FRAME), ("value", "viewer.player.shown"), ("value", "viewer.state.frame")]
+    steps = [stopped, ("value", "viewer.player.seek(3)"), stopped, *told]
     steps += [("value", "viewer.player.seek(5)"), ("until", "viewer.player.shown === 5")]
     with serving(tmp_path) as url:
         [opened] = open_pages(Job(f"{url}#frame=1", steps))
     assert not opened.failure
+    assert opened.values[3:6] == [1, 1, 1]  # not the frame that failed
     assert opened.status.startswith("clip.egs: frame 2: ")
 
 

@@ -337,7 +337,7 @@ class Viewer extends EventTarget {
       turn: this.isTurning,
       tour: this.motion === 'tour',
       bare: Boolean(isBare),
-      frame: player && !player.isPlaying ? player.wanted : undefined,
+      frame: player && !player.isPlaying ? player.frame : undefined,
       note: notes.shown,
       theme: this.theme,
       lang: language,

@@ -39,7 +39,10 @@ export class Player {
     });
     // Without `change` if it is back where it was.
     for (const name of ['change', 'pointerup', 'lostpointercapture']) {
-      $('time').addEventListener(name, () => (this.#held = false));
+      $('time').addEventListener(name, () => {
+        this.#held = false;
+        this.#tell();
+      });
     }
     this.#tell();
   }
@@ -86,6 +89,11 @@ export class Player {
     const isAfter = shown !== null && shown < frame && sequence.groupOf(shown) === group;
     if (isAfter && !this.#hasFailed) this.#advance();
     else this.#decode(group);
+  }
+
+  /** Number of the frame that is asked for, or shown if that failed. */
+  get frame() {
+    return this.#hasFailed ? (this.shown ?? this.wanted) : this.wanted;
   }
 
   /** Continue after an error. */
@@ -135,6 +143,7 @@ export class Player {
       if (isOver()) return;
       this.#hasFailed = true;
       this.#target = null;
+      this.#tell();
       stage.stopped(error);
     }
   }
@@ -181,7 +190,7 @@ export class Player {
     $('play').textContent = this.isPlaying ? '❚❚' : '▶';
     $('play').ariaLabel = say(this.isPlaying ? 'Pause' : 'Play');
     $('clock').textContent = `${seconds(this.shown ?? 0)} / ${seconds(count)} s`;
-    if (!this.#held) $('time').value = this.wanted;
+    if (!this.#held) $('time').value = this.frame;
     $('time').ariaValueText = `${this.shown ?? 0}: ${$('clock').textContent}`;
   }
 }

@@ -195,13 +195,14 @@ def tags(page: Path) -> dict[str, str]:
 
 
 def test_links_have_a_title_a_description_and_a_picture(folder, cameras, tmp_path):
-    publication = Publication(title='Fox "<1>', url="https://example.org/fox/index.html")
+    url = "https://example.org/fox/index.html?from=a/b#view=1/2"
+    publication = Publication(title='Fox "<1>', url=url)
     views = folder / "cameras.json"
     share([folder / "a.egs"], tmp_path / "site", views, publication=publication)
     found = tags(tmp_path / "site" / "index.html")
     assert found["og:title"] == "Fox &quot;&lt;1&gt;"
     assert found["og:image"] == "https://example.org/fox/preview.jpg"
-    assert found["og:url"] == publication.url
+    assert found["og:url"] == url
     assert re.search(r": 4,000 Gaussians, \d+\.\d\d kB$", found["og:description"])
     here = tags(folder / "site" / "index.html")
     assert here["og:title"] == "a.egs and b.egs"
@@ -236,6 +237,7 @@ def _pixels(data: bytes) -> np.ndarray:
     ("given", "message"),
     [
         ({"url": "example.org"}, "url 'example.org': expected"),
+        ({"url": "https://example.org?a/b"}, "expected the page's: https://example.org/a/"),
         ({"url": "https://example.org"}, "expected the page's"),
         ({"url": "https://example.org/\udce9"}, "expected UTF-8"),
         ({"title": "A\udce9"}, r"title 'A\\udce9': expected UTF-8"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -88,7 +89,7 @@ def tags_of(title: str, description: str, url: str | None, view: Camera | None) 
         tags["og:url"] = url
     if view is not None:
         framed = _framed(view)
-        folder = "" if url is None else url.rpartition("/")[0] + "/"
+        folder = "" if url is None else re.split("[?#]", url)[0].rpartition("/")[0] + "/"
         tags |= {"og:image": folder + PICTURE, "og:image:alt": title}
         tags |= {"og:image:width": str(framed.width), "og:image:height": str(framed.height)}
         tags["twitter:card"] = "summary_large_image"

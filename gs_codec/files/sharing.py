@@ -89,7 +89,7 @@ class Publication:
         for name, text in (("title", self.title), ("url", self.url)):
             if re.search("[\ud800-\udfff]", text or ""):
                 raise InvalidInput(f"{name} {text!a}: expected UTF-8")
-        if self.url is not None and not re.fullmatch(r"https?://[^/\s]+/\S*", self.url):
+        if self.url is not None and not re.fullmatch(r"https?://[^/?#\s]+/\S*", self.url):
             raise InvalidInput(f"url '{self.url}': expected the page's: https://example.org/a/")
         for origin in self.embed:
             if origin != "*" and not _ORIGIN.fullmatch(origin):

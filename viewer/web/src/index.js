@@ -39,8 +39,8 @@ export { Scene };
  * @param {number} [options.workers] number of workers; 0 decodes in this thread
  * @param {() => Worker} [options.createWorker] makes a worker that runs `worker.js`, if it is not
  *   next to this module
- * @param {number} [options.maxBytes] maximum bytes of the decoded floats; by default 1 GiB or, if
- *   its size is known, 1000 times the file
+ * @param {number} [options.maxBytes] maximum bytes of the decoded floats and, of a whole scene, of
+ *   extra properties; by default 1 GiB or, if its size is known, 1000 times the file
  * @param {AbortSignal} [options.signal]
  * @returns {Promise<Scene>}
  * @throws {EgsError} or a subclass; the signal's reason; RangeError for invalid options

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 from dataclasses import is_dataclass
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
@@ -184,6 +185,14 @@ def test_what_lists_contain_is_checked():
         (lambda: gs_codec.encode("a.ply", threads=5), None),
         (lambda: gs_codec.Config(threads="2"), "threads: str '2', expected int"),
         (lambda: gs_codec.RateTarget(size="5MB"), "size: str '5MB', expected int"),
+        (lambda: gs_codec.read("a\0b.ply"), "path: 'a\\x00b.ply', expected a possible path"),
+        (lambda: gs_codec.inspect("a\ud800b.ply"), "source: 'a\\ud800b.ply', expected a possible"),
+        (lambda: gs_codec.convert_file(["a.ply", Path("\0")], "c.egs"), "source: '\\x00',"),
+        (lambda: gs_codec.Plan(cameras="\0"), "cameras: '\\x00', expected a possible path"),
+        (lambda: gs_codec.encode_file("a.ply", "c.egs", max_memory=10**400), "max_memory: int 1"),
+        (lambda: gs_codec.edit.scale(gs_codec.read("a.ply"), 10**400), "factor: int 1000"),
+        (lambda: gs_codec.Part(level=Fraction(10**400)), "level: Fraction "),
+        (lambda: gs_codec.from_tensors({"means": [[1.0], [1.0, 2.0]]}), "tensor: 'setting an"),
     ],
 )
 def test_error_messages(call, text):

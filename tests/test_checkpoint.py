@@ -21,6 +21,7 @@ from refusals import assert_one_line, assert_refused
 from scenes import assert_same_floats, random_scene
 
 import gs_codec
+from gs_codec.api.trainer_tensors import scene_of_trainer
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.conversion import convert_file
@@ -634,3 +635,19 @@ def test_libraries_of_tensors_are_numpy_and_torch(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(gs_codec.MissingTool, match="to_tensors: needs torch; pip install torch"):
         gs_codec.to_tensors(cloud, "torch")
+
+
+@needs_torch
+def test_tensors_without_plain_values_are_refused():
+    import torch
+
+    splats = {name: tensor.detach() for name, tensor in trained().items()}
+    means = splats["means"]
+    turned = torch.complex(means, -means).conj().imag  # `means`, as a view with a negative bit
+    scene = scene_of_trainer(splats | {"means": turned})
+    np.testing.assert_array_equal(scene.positions, means.numpy().T)
+    for other in (means.to_sparse(), means.to("meta")):
+        with pytest.raises(InvalidInput, match="tensor: "):
+            scene_of_trainer(splats | {"means": other})
+    with pytest.raises(InvalidInput, match="tensor 'means': complex64, expected floats"):
+        scene_of_trainer(splats | {"means": torch.complex(means, means).conj()})

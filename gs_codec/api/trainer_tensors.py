@@ -12,6 +12,7 @@ from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Option
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.cloud import from_cloud, to_cloud
+from gs_codec.formats.limits import refusing
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.optional import needed
@@ -121,8 +122,12 @@ def to_tensors(
 
 
 def array_of(value: Any) -> NDArray:
-    """Convert a NumPy array-like or a tensor to an array; NumPy lacks some tensor types."""
-    if hasattr(value, "detach"):
-        value = value.detach().cpu()
-        value = (value.float() if value.is_floating_point() else value).numpy()
-    return np.asarray(value)
+    """Convert a NumPy array-like or a tensor to an array; NumPy lacks some tensor types.
+
+    Raises InvalidInput if that is not possible.
+    """
+    with refusing("tensor"):
+        if hasattr(value, "detach"):
+            value = value.detach().cpu()
+            value = (value.float() if value.is_floating_point() else value).numpy(force=True)
+        return np.asarray(value)

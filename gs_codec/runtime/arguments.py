@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import builtins
+import os
 import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import fields
 from functools import cache, wraps
 from inspect import signature
 from numbers import Integral, Real
+from pathlib import PurePath
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
@@ -49,6 +51,18 @@ def _check(name: str, value: Any, hint: _Hint) -> None:
         given = "None" if value is None else f"{type(value).__name__} {value!r:.40}"
         expected = written.removesuffix(" | None").replace(" | ", " or ")
         raise InvalidInput(f"{name}: {given}, expected {expected}")
+    if "Path" in written:
+        for each in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(each, str | PurePath) and not _is_possible(str(each)):
+                raise InvalidInput(f"{name}: {str(each)!a:.60}, expected a possible path")
+
+
+def _is_possible(path: str) -> bool:
+    """Whether a file can have this path."""
+    try:
+        return b"\0" not in os.fsencode(path)
+    except UnicodeEncodeError:
+        return False
 
 
 class _Names(dict):
@@ -88,7 +102,11 @@ def _is_number(value: Any, kind: type) -> bool:
     """Whether a value is a number; an integer is accepted as a float."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return False
-    return kind is float or isinstance(value, Integral) or float(value).is_integer()
+    try:
+        number = float(value)
+    except OverflowError:
+        return False
+    return kind is float or isinstance(value, Integral) or number.is_integer()
 
 
 def _holds(value: Any, origin: type, inner: tuple[Any, ...]) -> bool:

@@ -119,6 +119,28 @@ def transparent(driver: Driver) -> list[list[int]]:
     return found
 
 
+def several(driver: Driver) -> list:
+    """What is said about a scene, cameras and a reload while a scene is loaded, and its name."""
+    viewer, found = driver.viewer, []
+    event = held(viewer.worker)
+    viewer.loading.open(str(driver.folder / "b.egs"), 0)
+    for load in (
+        lambda: viewer.loading.open(str(driver.folder / "a.ply"), 1),
+        lambda: viewer.loading.open_cameras(str(driver.folder / "cameras.json")),
+        viewer.loading.reload_all,
+    ):
+        load()
+        found.append(viewer.message[1])
+        viewer.dismiss()
+    found.append(viewer.panel.doing)
+    event.set()
+    driver.rest()
+    found.append([scene.name for scene in viewer.stage.scenes])
+    viewer.loading.open(str(driver.folder / "a.ply"), 0)
+    driver.rest()
+    return found
+
+
 def reload(driver: Driver) -> list:
     """What the panel says after a scene was edited while its file was read again."""
     viewer = driver.viewer
@@ -316,6 +338,7 @@ if __name__ == "__main__":
     driver.rest()
     steps = (
         transparent,
+        several,
         reload_turned,
         reload_project,
         question,

@@ -40,6 +40,11 @@ def test_transparent_parts_of_photographs_show_the_background(found):
     assert found["transparent"] == [[51, 0, 0], [51, 204, 0]]
 
 
+def test_a_scene_that_is_loaded_is_not_dropped_for_something_else(found):
+    said = "loading b.egs: wait for it, or stop it (Backspace)"
+    assert found["several"] == [*[said] * 3, "loading b.egs ... 0 %", ["b.egs", "b.egs"]]
+
+
 def test_a_scene_edited_while_it_is_read_again_is_kept(found):
     said = "not reloaded, because the scene was edited: ctrl + R reloads it"
     assert found["reload"] == [said, ""]

@@ -98,8 +98,7 @@ class Encoding(TrialJobs):
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
             return chosen.open(progress, viewer.request.max_bytes)
 
-        viewer.panel.say(f"decoding {chosen.name} ...", progress=0)
-        viewer.worker.submit("load", job, put, viewer.fail)
+        viewer.load(f"decoding {chosen.name}", job, put)
 
     def _put(self, scenes: list[Opened]) -> None:
         """Show scenes from the present pose; show pruned Gaussians if A is the source."""

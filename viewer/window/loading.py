@@ -49,8 +49,7 @@ class Loading:
                     remember(Path(source))
             self.show(*found)
 
-        viewer.panel.say("loading ...", progress=0)
-        viewer.worker.submit("load", read, done, self._failed)
+        viewer.load("loading", read, done, self._failed)
 
     def _preview(self, stale: Stale, scenes: list[Opened]) -> None:
         """Show centres from above until the first view is known; part of a job."""
@@ -82,6 +81,8 @@ class Loading:
         If two scenes are open and `pane` is None, a dialog asks which one to replace.
         """
         viewer = self._viewer
+        if not viewer.may_load():
+            return
         before = list(viewer.stage.scenes)
         if len(before) > 1 and pane is None:
             names = [scene.name for scene in before]
@@ -105,8 +106,7 @@ class Loading:
             scenes = [*viewer.stage.scenes[:pane], opened, *viewer.stage.scenes[pane + 1 :]]
             self.show(scenes, seen, viewer.stage.pruned if pane else None)
 
-        viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
-        viewer.worker.submit("load", read, done, self._failed)
+        viewer.load(f"loading {Path(path).name}", read, done, self._failed)
 
     def reload(self, pane: int, path: Path, then: Callable[[], None] = lambda: None) -> None:
         """Show a file in place of scene `pane`, of which it is a later version; the pose stays.
@@ -134,12 +134,15 @@ class Loading:
             viewer.refresh()
             then()
 
-        say = viewer.panel.say
-        say(f"loading {path.name} ...", progress=0)
-        viewer.worker.submit("load", read, done, lambda error: say(f"not reloaded: {error}"))
+        def failed(error: Exception) -> None:
+            viewer.panel.say(f"not reloaded: {error}")
+
+        viewer.load(f"loading {path.name}", read, done, failed)
 
     def reload_all(self) -> None:
         """Read changed files of the scenes again; asks first if unsaved edits would be lost."""
+        if not self._viewer.may_load():
+            return
         scenes = self._viewer.stage.scenes
         changed = [k for k, each in enumerate(scenes) if modified(each.path) != each.modified]
         # Not a cloud, or a project.
@@ -150,6 +153,7 @@ class Loading:
     def stop(self) -> None:
         """Stop loading or selecting; the scenes shown stay."""
         self._viewer.worker.cancel("load")
+        self._viewer.loads = ""
         self._editor.stop()
         self._viewer.panel.say("")
 
@@ -194,7 +198,7 @@ class Loading:
             scenes = [viewer.stage.scenes[0], edits.scene]
             self.show(scenes, self._visits.views, viewer.stage.pruned)
 
-        viewer.worker.submit("load", lambda stale: turned(whole), done, viewer.fail)
+        viewer.load(f"converting {whole.name}", lambda stale: turned(whole), done)
 
     def open_cameras(self, path: str) -> None:
         """Look from the cameras of a file, and remove photographs of others."""
@@ -207,8 +211,7 @@ class Loading:
             viewer.request = request
             self._visits.put(views, first_view(request, views))
 
-        viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
-        viewer.worker.submit("load", lambda stale: find_views(request, scene), done, viewer.fail)
+        viewer.load(f"loading {Path(path).name}", lambda stale: find_views(request, scene), done)
 
     def open_photographs(self, folder: str) -> None:
         """Show the photographs in a folder next to the scenes, each with its camera."""
@@ -229,7 +232,7 @@ class Loading:
             viewer.choice.layers.add("pruned")
             self.show(list(viewer.stage.scenes), self._visits.views, pruned)
 
-        viewer.worker.submit("load", lambda stale: read_pruned(folder, scene), done, viewer.fail)
+        viewer.load(f"loading {folder.name}", lambda stale: read_pruned(folder, scene), done)
 
     def ask_open(self, pane: int | None = None) -> None:
         """Ask for a scene or a sequence, and call `open`."""

@@ -12,7 +12,7 @@ import gs_codec
 from gs_codec.runtime.arrays import release_large_when_freed
 from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
-from viewer.scenes.worker import Worker
+from viewer.scenes.worker import Result, Stale, Worker
 from viewer.window import dialogs
 from viewer.window.background_encoding import Encoding
 from viewer.window.controls import Controls
@@ -86,6 +86,7 @@ class Viewer(Controls):
         if request.scale is not None:
             self.choice.scales[request.colouring] = request.scale
         self.message: tuple[str, str] | None = None
+        self.loads = ""
         self._later: list[tuple[str, str]] = []
         # Otherwise changing picture sizes would fragment the heap.
         release_large_when_freed()
@@ -161,6 +162,32 @@ class Viewer(Controls):
         """Close the dialog."""
         self.message = None
         self.modal.close_dialog()
+
+    def may_load(self) -> bool:
+        """Whether nothing is being loaded; otherwise a dialog says so."""
+        if self.loads:
+            self.tell("Not possible", f"{self.loads}: wait for it, or stop it (Backspace)")
+        return not self.loads
+
+    def load(
+        self,
+        text: str,
+        job: Callable[[Stale], Result],
+        done: Callable[[Result], None],
+        failed: Callable[[Exception], None] | None = None,
+    ) -> None:
+        """Load something in the background if `may_load`; `failed` is by default `fail`."""
+        if self.may_load():
+            self.loads = text
+            self.panel.say(f"{text} ...", progress=0)
+            self.worker.submit("load", job, self._ended(done), self._ended(failed or self.fail))
+
+    def _ended(self, call: Callable[[Result], None]) -> Callable[[Result], None]:
+        def end(result: Result) -> None:
+            self.loads = ""
+            call(result)
+
+        return end
 
     def _select_range(self, name: str, low: float, high: float) -> None:
         self.editor.select_range(name, low, high)

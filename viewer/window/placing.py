@@ -95,8 +95,7 @@ class Placing:
                 viewer.stage.put_pruned(None)
             self._editor.do(lambda edits: edits.add(scene))
 
-        viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
-        viewer.worker.submit("load", read, done, viewer.fail)
+        viewer.load(f"loading {Path(path).name}", read, done)
 
     def select_part(self, number: int) -> None:
         """Select a scene of those joined."""

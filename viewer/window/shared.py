@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from open3d.visualization import gui
 
 from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
-from viewer.scenes.worker import Worker
+from viewer.scenes.worker import Result, Stale, Worker
 from viewer.window.dialogs import Modal
 from viewer.window.file_dialog import Files
 from viewer.window.stage import Stage
@@ -35,7 +36,13 @@ class Status(Protocol):
 
 
 class Host(Protocol):
-    """The window, for its parts."""
+    """The window, for its parts.
+
+    Attributes
+    ----------
+    loads : str
+        What is being loaded; empty if nothing is.
+    """
 
     request: Request
     choice: Choice
@@ -45,6 +52,19 @@ class Host(Protocol):
     files: Files
     stage: Stage
     panel: Status
+    loads: str
+
+    def may_load(self) -> bool:
+        """Whether nothing is being loaded; otherwise a dialog says so."""
+
+    def load(
+        self,
+        text: str,
+        job: Callable[[Stale], Result],
+        done: Callable[[Result], None],
+        failed: Callable[[Exception], None] | None = None,
+    ) -> None:
+        """Load something in the background if `may_load`; `failed` is by default `fail`."""
 
     def fail(self, error: Exception) -> None:
         """Show an error in a dialog; the scenes shown stay."""

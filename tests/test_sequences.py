@@ -410,6 +410,16 @@ def test_refused(folder, typed, said):
     assert said in line
 
 
+def test_a_sequence_of_one_frame_is_reported(folder):
+    """The folder of a trainer's only scene is one, too."""
+    hint = "a sequence of one frame; name its file to encode it as a scene"
+    assert hint not in folder.run("encode", "frames", "a.egs").err
+    for number in (9, 10, 11):
+        (folder.path / f"frames/f{number}.ply").unlink()
+    assert f"frames: {hint}\n" in folder.run("encode", "frames", "b.egs").err
+    assert is_sequence("b.egs")
+
+
 def test_sequences_are_encoded_again(folder):
     folder.run("encode", "frames", "a.egs", "--fps", "24", "--group", "3")
     result = folder.run("encode", "a.egs", "b.egs", "--coarseness", "3", "--json")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.cli.documents import print_document
-from gs_codec.cli.output import bars, print_table, print_text, progress_bar, smaller
+from gs_codec.cli.output import bars, print_status, print_table, print_text, progress_bar, smaller
 from gs_codec.cli.streams import is_stdout
 from gs_codec.cli.typed import Typed
 from gs_codec.config import EGS
@@ -64,6 +64,8 @@ def encode(source: Path, target: Path, typed: Typed) -> None:
             source, target, request, typed["group"] or GROUP, typed["fps"], progress,
             typed["overwrite"],
         )  # fmt: skip
+    if done.frames == 1:
+        print_status(f"{source}: a sequence of one frame; name its file to encode it as a scene")
     if typed["json"]:
         shown = asdict(done)
         print_document(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import sys
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -418,6 +419,11 @@ def test_workers_of_a_cluster_give_the_same_files(folder):
     folder.run("decode", "whole.egs", "whole.ply")
     assert folder.run("decode", "whole.egs", "tasks.ply", "--dask", "local")[0] == 0
     assert Path("tasks.ply").read_bytes() == Path("whole.ply").read_bytes()
+    Path("tiles/more").mkdir(parents=True)
+    shutil.copy("scene.ply", "tiles/a.ply")
+    shutil.copy("whole.egs", "tiles/more/b.egs")
+    status, _, err = folder.run("encode", "tiles", "both.egs", "--dask", "local")
+    assert (status, "tiles: merging 2 files (.ply and .egs)" in err) == (0, True)
     data = bytearray(Path("whole.egs").read_bytes())
     data[-50] ^= 1
     Path("whole.egs").write_bytes(data)

@@ -92,6 +92,8 @@ def _encode_divided(source: Path, target: Path, request: Request, typed: Typed) 
     tiles = [location.path for _, location in LocalStorage(str(source)).find((".ply", ".egs"))]
     if not tiles:
         raise InvalidInput(f"{source}: no such file, or no .ply or .egs in this folder")
+    if len(tiles) > 1:
+        print_status(f"{source}: merging {counted(len(tiles), 'file')} (.ply and .egs)")
     with progress_bar() as progress:
         return encode_divided(tiles, target, request, request.dask, progress, typed["overwrite"])
 

@@ -12,6 +12,9 @@ from gs_codec.cameras.lens import Lens, check_view
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import check_fields
 
+#: Minimum depth of a Gaussian to be drawn, scene units, as in the 3DGS rasteriser.
+NEAR = 0.2
+
 #: Maximum deviation of R R^T from the identity; files have about six digits.
 _ORTHONORMAL_TOLERANCE = 1e-3
 
@@ -50,6 +53,8 @@ class Camera:
     lens : Lens, optional
         The distorted lens that this camera replaces (see `Lens.pinhole`). Photographs read for the
         camera are undistorted; renders do not depend on it.
+    near : float
+        Minimum depth of a Gaussian to be drawn, scene units, above 0.
 
     Raises
     ------
@@ -77,11 +82,14 @@ class Camera:
     position: NDArray[np.float64]
     split: Literal["train", "test"] | None = None
     lens: Lens | None = None
+    near: float = NEAR
 
     def __post_init__(self) -> None:
         check_fields(self)
         where = f"camera '{self.name}'"
         check_view(where, self)
+        if not (np.isfinite(self.near) and self.near > 0):
+            raise InvalidInput(f"{where}: near {self.near}, expected a depth above 0")
         for side in ("width", "height"):  # 64.0 is an integer, too
             object.__setattr__(self, side, int(getattr(self, side)))
         object.__setattr__(self, "position", np.asarray(self.position))

@@ -21,7 +21,7 @@ from gs_codec.edit.spacing import (
     usual_distance,
 )
 from gs_codec.errors import InvalidInput
-from gs_codec.rendering.project import NEAR, camera_arguments, rotated
+from gs_codec.rendering.project import camera_arguments, rotated
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
@@ -168,19 +168,19 @@ def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) ->
 
 
 @kernel
-def _find_held(positions, rotation, position, intrinsics, width, height, near, held, closest):
-    """Count a view for each centre in its image, and keep the minimum depth in units of `near`."""
-    fx, fy, cx, cy = intrinsics
+def _find_held(positions, rotation, position, intrinsics, width, height, middle, held, closest):
+    """Count a view for each centre in its image; keep the minimum depth in units of `middle`."""
+    fx, fy, cx, cy, near = intrinsics
     for i in range(positions.shape[1]):
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
         x, y, z = rotated(rotation, dx, dy, dz)
         u, v = fx * x / z + cx, fy * y / z + cy
-        if z > NEAR and 0.0 <= u < width and 0.0 <= v < height:
+        if z > near and 0.0 <= u < width and 0.0 <= v < height:
             held[i] += 1
-            if near > 0.0:
-                closest[i] = min(closest[i], z / near)
+            if middle > 0.0:
+                closest[i] = min(closest[i], z / middle)
 
 
 def _outside(

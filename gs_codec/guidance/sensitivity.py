@@ -237,7 +237,7 @@ def _to_attributes(
     antialiased, fields, gaussians, sums, found,
 ):  # fmt: skip
     """Fill ``found (V, 9)``, initially 0, from the sums over the pixels of each splat."""
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy, _ = intrinsics
     for place in range(len(gaussians)):
         i = gaussians[place]
         if sums[place, SQUARED_WEIGHT] == 0.0:

@@ -19,7 +19,6 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
 from gs_codec.rendering.frame import draw_few
-from gs_codec.rendering.project import NEAR
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
@@ -249,7 +248,7 @@ def _find_inside(
     """Count the Gaussians that reach into a window; list the first of them in `found`."""
     slopes = (
         -window.cx / window.fx, (window.width - window.cx) / window.fx,
-        -window.cy / window.fy, (window.height - window.cy) / window.fy, NEAR,
+        -window.cy / window.fy, (window.height - window.cy) / window.fy, window.near,
     )  # fmt: skip
     rotation = tuple(tuple(np.float32(v) for v in row) for row in window.rotation)
     with np.errstate(over="ignore"):  # an infinitely distant Gaussian is not in a window

@@ -62,7 +62,7 @@ def differentiate_gaussians(
     They are the derivatives of Gaussians ``chosen[start:stop]``, computed from ``sums (M, 9)`` of
     `sum_gradients`.
     """
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy, _ = intrinsics
     to_world = rotation.T
     basis, weights = np.zeros(15), np.zeros(15)
     by_turn = np.empty((3, 3))

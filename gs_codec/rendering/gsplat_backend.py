@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.rendering.image_loss import differentiate_loss_tensor
-from gs_codec.rendering.project import LOW_PASS, NEAR
+from gs_codec.rendering.project import LOW_PASS
 from gs_codec.runtime.optional import is_available, missing_package
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 
@@ -124,7 +124,7 @@ def _rasterise(
         Ks=to_device(lens)[None],
         width=camera.width,
         height=camera.height,
-        near_plane=NEAR,
+        near_plane=camera.near,
         eps2d=LOW_PASS,
         sh_degree=sh_degree,
         packed=False,

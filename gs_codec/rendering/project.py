@@ -17,9 +17,6 @@ from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
-#: Minimum depth of a Gaussian to be drawn, in scene units.
-NEAR = 0.2
-
 #: Added to the variance of a splat along both axes, square pixels.
 LOW_PASS = 0.3
 
@@ -57,8 +54,11 @@ class Splats(NamedTuple):
 
 
 def camera_arguments(camera: Camera) -> tuple[NDArray, NDArray, NDArray, int, int]:
-    """Convert a camera for kernels: rotation, position, intrinsics, width and height."""
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    """Convert a camera for kernels: rotation, position, intrinsics, width and height.
+
+    The intrinsics are focal lengths, principal point and minimum depth.
+    """
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
     return camera.rotation, camera.position, intrinsics, camera.width, camera.height
 
 
@@ -93,7 +93,7 @@ def _project(
     positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
     width, height, antialiased, start, stop, fields, tiles, gaussians,
 ):  # fmt: skip
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy, near = intrinsics
     columns = (width + TILE - 1) // TILE
     rows = (height + TILE - 1) // TILE
     seen = np.int64(0)
@@ -102,7 +102,7 @@ def _project(
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
         x, y, z = rotated(rotation, dx, dy, dz)
-        if not NEAR < z < np.inf or not _are_finite(opacity, log_scale, i):
+        if not near < z < np.inf or not _are_finite(opacity, log_scale, i):
             continue
         x /= z
         y /= z

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.cameras.camera import Camera, facing
+from gs_codec.cameras.camera import NEAR, Camera, facing
 from gs_codec.coding.exact_math import combine
 from gs_codec.errors import InvalidInput
-from gs_codec.rendering.project import NEAR
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all

@@ -8,9 +8,9 @@ from math import dist
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.cameras.camera import NEAR
 from gs_codec.cameras.inria import as_camera
 from gs_codec.rendering.footprint import covering
-from gs_codec.rendering.project import NEAR
 from viewer.scenes.appearance import Look, gaussians_drawn, which_drawn
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose

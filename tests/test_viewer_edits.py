@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from viewer.scenes.pose import look_at
 from viewer.scenes.region import REGIONS, Region, in_polygon, in_region
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import around, by_rule, grown, in_range, inside_box, rules, shrunk
+from viewer.window.watching import Watching
 
 
 @pytest.fixture(scope="module")
@@ -507,6 +510,33 @@ def test_a_file_that_has_changed_is_not_saved(file, tmp_path):
     with pytest.raises(gs_codec.GsCodecError, match=r"a\.ply: changed after it was opened"):
         save_scene(scene, tmp_path / "b.ply")
     assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.mark.parametrize("name", ["meta.json", "lod-meta.json", "tileset.json"])
+def test_a_change_of_any_file_of_a_scene_is_noticed(file, tmp_path, name):
+    gs_codec.convert_file(file, tmp_path / name)
+    scene = open_scene(tmp_path / name)
+    others = [path for path in scene.files if path.name != name]
+    assert {*others} == {path for path in tmp_path.rglob("*") if path.is_file()} - {scene.path}
+    loading = SimpleNamespace(reload=Mock())
+    shown = SimpleNamespace(scenes=[scene])
+    worker, request = SimpleNamespace(busy=False), SimpleNamespace(watch=True)
+    viewer = SimpleNamespace(worker=worker, request=request, stage=shown)
+    watching = Watching(viewer, loading, SimpleNamespace(unsaved=[]))
+    for path in others:
+        before = path.stat()
+        os.utime(path, ns=(0, 0))
+        with pytest.raises(gs_codec.GsCodecError, match=f"{name}: changed after it was opened"):
+            scene.check_unchanged()
+        loading.reload.reset_mock()
+        for _ in range(3):
+            watching._looked = -np.inf
+            watching.tick()
+        loading.reload.assert_called_once_with(0, scene.path)
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+        watching._looked = -np.inf
+        watching.tick()
+    scene.check_unchanged()
 
 
 def test_unwritable_outputs_are_reported(scene, file, tmp_path):

@@ -78,8 +78,10 @@ class Opened:
         Path of the file; empty for a cloud.
     comments : tuple of str
         Comments of the file; a comment on the order is kept only if the scene was not turned.
-    modified : int or None
-        Modification time of the file, nanoseconds.
+    files : tuple of Path
+        All its files, which some formats have several of; empty for a cloud.
+    modified : tuple of int or None
+        Their modification times before they were read; see `times_of`.
     system_given : bool
         Whether `turned` set `system`, not the file.
     whole : Opened or None
@@ -103,7 +105,8 @@ class Opened:
     system: str = CONVENTION
     path: Path = Path()
     comments: tuple[str, ...] = ()
-    modified: int | None = None
+    files: tuple[Path, ...] = ()
+    modified: tuple[int | None, ...] = ()
     system_given: bool = False
     whole: Opened | None = None
     left: NDArray[np.bool_] | None = None
@@ -285,14 +288,19 @@ class Opened:
             return "not an .egs file" if self.count else "without Gaussians"
         return "stored in the original order" if self.info.keeps_order else ""
 
+    @property
+    def has_changed(self) -> bool:
+        """Whether a file has changed since it was opened."""
+        return times_of(self.files) != self.modified
+
     def check_unchanged(self) -> None:
-        """Check that the file has not changed since it was opened.
+        """Check that no file has changed since it was opened.
 
         Raises
         ------
         gs_codec.GsCodecError
         """
-        if last_modified(self.parts) != self.modified:
+        if self.has_changed:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
 
     def _array(self, name: str) -> NDArray[np.float32]:
@@ -318,8 +326,10 @@ def open_scene(
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
-    written = modified(source)
+    written = times_of([Path(source)])
     with registry.open_scene(source) as file:
+        beside = file.files_beside
+        written += times_of(beside)
         scene, size = scene_in(file, "drop", progress, None, max_bytes), file.stored_bytes
     shown = turn_scene(scene, CONVENTION)
     cloud = to_cloud(shown)
@@ -328,21 +338,20 @@ def open_scene(
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
     path, system = Path(source), system_of(scene)
-    return Opened(printable(path.name), cloud, size, info, system, path, shown.comments, written)
+    name, files = printable(path.name), (path, *beside)
+    return Opened(name, cloud, size, info, system, path, shown.comments, files, written)
 
 
-def modified(path: Path | str) -> int | None:
-    """Modification time of a file, nanoseconds; None if unknown."""
+def times_of(files: Sequence[Path]) -> tuple[int | None, ...]:
+    """Modification times of files, nanoseconds; None for one that is unknown."""
+    return tuple(map(_modified, files))
+
+
+def _modified(path: Path) -> int | None:
     try:
         return os.stat(path).st_mtime_ns
     except OSError:
         return None
-
-
-def last_modified(parts: Sequence[Source]) -> int | None:
-    """The latest modification time of files, nanoseconds; None if one is unknown."""
-    times = [modified(part.path) for part in parts]
-    return None if None in times else max(time for time in times if time is not None)
 
 
 def keep(scene: Opened, left: NDArray[np.bool_], moves: tuple[Move, ...] = ()) -> Opened:
@@ -369,7 +378,8 @@ def joined(scenes: Sequence[Opened]) -> Opened:
         to_cloud(merged),
         path=scenes[0].path,
         comments=merged.comments,
-        modified=last_modified(parts),
+        files=tuple(file for scene in scenes for file in scene.files),
+        modified=tuple(time for scene in scenes for time in scene.modified),
         sources=parts,
     )
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import gs_codec
-from viewer.scenes.opened import Opened, Pruned, modified, read_pruned, turned
+from viewer.scenes.opened import Opened, Pruned, read_pruned, turned
 from viewer.scenes.recent import recent_files, remember
 from viewer.scenes.saving import open_file
 from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SEQUENCES, Kind
@@ -144,7 +144,7 @@ class Loading:
         if not self._viewer.may_load():
             return
         scenes = self._viewer.stage.scenes
-        changed = [k for k, each in enumerate(scenes) if modified(each.path) != each.modified]
+        changed = [k for k, each in enumerate(scenes) if each.has_changed]
         # Not a cloud, or a project.
         changed = [k for k in changed if scenes[k].file_bytes is not None and not scenes[k].sources]
         if changed and not self._editor.ask_unsaved(changed, self.reload_all):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
-from viewer.scenes.opened import modified
+from viewer.scenes.opened import times_of
 from viewer.window.editor import Editor
 from viewer.window.loading import Loading
 from viewer.window.shared import Host
@@ -32,7 +33,7 @@ class Watching:
         self._viewer, self._loading, self._editor = viewer, loading, editor
         self.on = viewer.request.watch
         self._looked = 0.0
-        self._seen: dict[Path, tuple[int | None, int]] = {}  # its time, and how often
+        self._seen: dict[Path, tuple[Sequence[int | None], int]] = {}  # times, and how often
 
     def set_on(self, on: bool) -> None:
         """Reload without being asked, or only say what has changed."""
@@ -48,9 +49,10 @@ class Watching:
             if scene.file_bytes is None or scene.sources:  # a cloud, or a project
                 continue
             path = newest(scene.path) if self.on else scene.path
-            now, (before, looks) = modified(path), self._seen.get(path, (None, 0))
+            now = times_of(scene.files if path == scene.path else (path,))
+            before, looks = self._seen.get(path, ((), 0))
             self._seen[path] = now, looks + 1 if now == before else 1
-            if now in (None, scene.modified) or self._seen[path][1] != _LOOKS:
+            if now[0] is None or now == scene.modified or self._seen[path][1] != _LOOKS:
                 continue
             if self.on and number not in self._editor.unsaved:
                 self._loading.reload(number, path)

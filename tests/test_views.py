@@ -21,6 +21,7 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.metrics.comparison import Comparison, table_of
 from gs_codec.metrics.image_quality import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
 from gs_codec.plan import Plan, Steps
@@ -142,7 +143,12 @@ def test_means_and_differences_of_qualities():
     yuv = [Quality(30.0, 0.9, None, psnr) for psnr in (31.0, 33.0)]
     assert mean_quality(yuv).psnr_yuv == 32
     assert yuv[1].over(yuv[0]).psnr_yuv == 2
-    assert mean_quality([same, a]).psnr == math.inf
+    assert mean_quality([same, a]) == Quality(30.0, pytest.approx(0.95), None, math.inf)
+    assert mean_quality([same, same]).psnr == math.inf
+    assert math.isnan(mean_quality([same, Quality(math.nan, 0.0)]).psnr)
+    views = tuple(View("x", each) for each in (same, Quality(30.0, 0.9), same))
+    mean, _ = table_of(Comparison((1, 1), views=views)).rows[-2:]
+    assert mean == ["mean (PSNR without 2 equal)", "30.000", "0.96667"]
 
 
 # Comparing rendered views

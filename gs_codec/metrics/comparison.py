@@ -131,7 +131,9 @@ def _views(comparison: Comparison) -> Table:
         columns += ["A to truth", "B to truth", "delta-PSNR", "delta-SSIM"]
         columns += ["delta-LPIPS"] * with_lpips
     rows = [_row(view.name, view) for view in comparison.views]
-    rows += [_row("mean", mean), _row(f"worst: {worst.name}", worst)]
+    equal = sum(view.between.psnr == float("inf") for view in comparison.views)
+    name = f"mean (PSNR without {equal} equal)" if 0 < equal < len(comparison.views) else "mean"
+    rows += [_row(name, mean), _row(f"worst: {worst.name}", worst)]
     return Table(columns, rows)
 
 

@@ -91,7 +91,7 @@ class Quality:
     Attributes
     ----------
     psnr : float
-        dB; infinite for equal images.
+        dB; infinite for equal images, which a mean leaves out unless all are equal.
     ssim : float
         At most 1 (Wang et al. 2004): Gaussian window of sigma 1.5, 11 pixels wide, averaged over
         the pixels whose window is inside the image.
@@ -170,14 +170,22 @@ class View:
 
 
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
-    """Means of each metric, and of LPIPS if every pair has it."""
+    """Means of each metric, and of LPIPS if every pair has it.
+
+    The mean PSNR is that of pairs that differ: an equal pair, such as two views of nothing, would
+    make it infinite and hide the loss of all others.
+    """
     lpips = [q.lpips for q in qualities if q.lpips is not None]
     return Quality(
-        float(np.mean([q.psnr for q in qualities])),
+        _mean_psnr([q.psnr for q in qualities]),
         float(np.mean([q.ssim for q in qualities])),
         float(np.mean(lpips)) if len(lpips) == len(qualities) else None,
-        float(np.mean([q.psnr_yuv for q in qualities])),
+        _mean_psnr([q.psnr_yuv for q in qualities]),
     )
+
+
+def _mean_psnr(values: Sequence[float]) -> float:
+    return float(np.mean([value for value in values if value != float("inf")] or values))
 
 
 @checked

@@ -301,8 +301,14 @@ class RateTarget:
         """Maximum file size in bytes of a scene, or of a sequence that takes some seconds.
 
         None if the target is a PSNR loss. Raises InvalidInput if it is a bit rate, and `seconds` is
-        None.
+        None; or if it is less than a byte.
         """
+        limit = self._limit(count, ply_bytes, seconds)
+        if limit == 0:
+            raise InvalidInput("target: less than 1 byte, expected more")
+        return limit
+
+    def _limit(self, count: int, ply_bytes: int, seconds: float | None) -> int | None:
         if self.size is not None:
             return int(self.size)
         if self.ratio is not None:

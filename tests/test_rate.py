@@ -467,6 +467,12 @@ def test_command_line_refuses_unreachable_targets(scene, tmp_path, options, want
     assert not out.exists()
 
 
+@pytest.mark.parametrize("target", [{"bits": 1e-4}, {"ratio": 1e9}], ids=str)
+def test_targets_below_a_byte_are_refused(scene, target):
+    with pytest.raises(InvalidInput, match="target: less than 1 byte, expected more"):
+        gs_codec.encode(to_cloud(scene), rate=target)
+
+
 def test_two_targets_are_refused(scene, tmp_path):
     options = ["--target-ratio", "20", "--target-bpg", "30"]
     result = CliRunner().invoke(app, ["encode", "scene.ply", str(tmp_path / "x.egs"), *options])

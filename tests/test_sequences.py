@@ -164,6 +164,24 @@ def test_gaussians_of_a_limb_are_found_again():
     assert np.mean(order[partners] == np.arange(scene.count)) > 0.995
 
 
+def test_gaussians_that_look_alike_are_found_again(tmp_path):
+    """A sheet of one colour: what a format rounds differs more than neighbours do."""
+    rng = np.random.default_rng(0)
+    x, y = np.mgrid[:40, :40].reshape(2, -1) / 10
+    alike = random_scene(1600, 0)
+    for group in ("log_scale", "rot", "opacity", "f_dc"):
+        getattr(alike, group)[:] = getattr(alike, group)[:, :1]
+    scenes = []
+    for time in range(3):
+        places = np.float32([x, y, 0.1 * np.sin(x + 0.1 * time)])
+        frame = replace(alike, positions=places)
+        for group in ("log_scale", "f_dc"):
+            rounded = getattr(alike, group) + rng.integers(-1, 2, (3, 1600)) / 64
+            frame = replace(frame, **{group: np.float32(rounded)})
+        scenes.append(frame.take(rng.permutation(1600)))
+    assert coded(tmp_path / "a.egs", scenes).key_frames == 1
+
+
 def test_discs_turn_by_large_angles(tmp_path):
     """Only two axes show a turn; what is left out about the third must not tilt the disc."""
     rng = np.random.default_rng(0)

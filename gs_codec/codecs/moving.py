@@ -35,8 +35,8 @@ _RUNS, _RUN = 32, 64
 #: at least 0.99, in another at most 0.84; paired with other Gaussians, at most 0.43.
 _SAME = 0.95
 
-#: Minimum share of Gaussians with unmistakable partners for which all are paired: it is at most
-#: 0.01 if frames were trained one by one, and at least 0.55 if not.
+#: Minimum share of Gaussians with unmistakable partners for which all are paired. If frames were
+#: trained one by one, it is at most 0.01 by appearance, 0.03 by centres; else at least 0.55 by one.
 _CERTAIN = 0.1
 
 #: Bytes of contexts that any limit on a scene permits.
@@ -90,13 +90,21 @@ class FrameEncoder:
             return None
         source, _ = finite_ends(source)
         if len(self._some) and not self._same(source):
-            pairs = Pairing(before, source)
-            if pairs.certain() < _CERTAIN:
+            found = self._paired(source)
+            if found is None:
                 return None
-            source = source.take(pairs.nearest())
-            if not self._same(source):
-                return None
+            source = found
         return source if sound_gaussians(source)[self._order].all() else None
+
+    def _paired(self, source: Scene) -> Scene | None:
+        """A frame in the order of the one before, by appearance or else by centres."""
+        for by_centres in (False, True):
+            pairs = Pairing(self._before, source, by_centres)
+            if pairs.certain() >= _CERTAIN:
+                found = source.take(pairs.nearest())
+                if self._same(found):
+                    return found
+        return None
 
     def _same(self, source: Scene) -> bool:
         """Whether the same Gaussians are in the same order as in the frame before."""

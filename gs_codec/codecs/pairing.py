@@ -25,7 +25,8 @@ _SAMPLE = 2000
 #: Maximum value of a term.
 _MOST = 4.0
 
-#: A pair is certain if its appearance differs at most by this share of any other candidate's.
+#: A pair is certain if it differs at most by this share of any other candidate: in appearance, or
+#: in the distance of the centres where only these count.
 _SURE = 0.2
 
 #: Rounds that accept only certain pairs.
@@ -50,10 +51,14 @@ class Pairing:
     ----------
     first, second : Scene
         Both in the same coordinate system.
+    by_centres : bool
+        Whether partners are searched by their centres alone, for Gaussians that look alike.
     """
 
-    def __init__(self, first: Scene, second: Scene) -> None:
+    def __init__(self, first: Scene, second: Scene, by_centres: bool = False) -> None:
         self.count = first.count
+        # The terms that choose a partner, and those that make it certain.
+        self._chosen, self._told = (slice(1),) * 2 if by_centres else (slice(None), slice(1, None))
         self._places = _places(first), _places(second)
         self._looks = _looks(first), _looks(second)
         self._some = np.arange(0, self.count, -(-self.count // _SAMPLE))
@@ -131,7 +136,7 @@ class Pairing:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
         """The most similar of the `free` Gaussians nearest to ``centres (N, 3)``; cost; certainty.
 
-        A pair is certain if its appearance differs far less than that of the others.
+        A pair is certain if it differs far less than the others; see `_SURE`.
         """
         others = Neighbours(self._places[1][free])
         best, cost = np.empty(len(which), np.int64), np.empty(len(which))
@@ -142,13 +147,14 @@ class Pairing:
             part = which[chunk]
             _, found = others.nearest(centres[part], number)
             terms = self._terms(part, free[found], centres)
-            costs, looks = _cost(terms, self._unit), _cost(terms[..., 1:], self._unit[1:])
+            kinds = self._chosen, self._told
+            costs, told = (_cost(terms[..., kind], self._unit[kind]) for kind in kinds)
             least = costs.argmin(axis=1)[:, None]
             best[chunk] = free[np.take_along_axis(found, least, 1)[:, 0]]
             cost[chunk] = np.take_along_axis(costs, least, 1)[:, 0]
-            own = np.take_along_axis(looks, least, 1)[:, 0]
-            np.put_along_axis(looks, least, np.inf, 1)
-            sure[chunk] = own < _SURE * looks.min(axis=1)
+            own = np.take_along_axis(told, least, 1)[:, 0]
+            np.put_along_axis(told, least, np.inf, 1)
+            sure[chunk] = own < _SURE * told.min(axis=1)
         return best, cost, sure
 
     def _terms(

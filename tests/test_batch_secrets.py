@@ -6,10 +6,12 @@ import base64
 import logging
 import os
 import random
+import socket
 import string
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -19,6 +21,7 @@ from urllib.parse import quote, quote_plus, urlsplit
 import pytest
 from scenes import random_scene
 
+from gs_codec.batch import remote
 from gs_codec.batch.local import Location
 from gs_codec.batch.remote import storage_of
 from gs_codec.errors import InvalidInput
@@ -52,6 +55,8 @@ class Handler(BaseHTTPRequestHandler):
                 {"Content-Length": "100"} if path == "/more.ply" and self.command == "HEAD" else {}
             )
             self.answer(200, None, **said)
+        elif path == "/slow.ply" and self.command == "GET":
+            time.sleep(1)
         elif path.endswith("loop/"):
             self.answer(200, b'<a href="a.ply">a</a> <a href="loop/">b</a> <a href="x.loop/">c</a>')
         elif path == "/in/" and "Authorization" not in self.headers:
@@ -91,6 +96,7 @@ def server(tmp_path) -> Iterator[ThreadingHTTPServer]:
     scene = (tmp_path / "a.ply").read_bytes()
     links = b'<a href="a.ply">a</a> <a href="gone.ply">gone</a>'
     server.files = {"/in/": links, "/none/": b"", "/in/a.ply": scene, "/a%20b.ply": scene[:-1]}
+    server.files["/slow.ply"] = b""
     server.url = f"http://127.0.0.1:{server.server_port}"
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield server
@@ -169,6 +175,22 @@ def test_endless_folders_of_a_server_are_abandoned(server, pattern):
     url = f"{server.url}/{pattern}"
     with pytest.raises(InvalidInput, match="loop/: 33 folders deep; links may"):
         storage_of(url).find()
+
+
+def test_servers_that_refuse_or_do_not_answer_are_reported(server, tmp_path, monkeypatch):
+    for name, text in (("gone.ply", "500, message='no /gone.ply'"), ("x.ply", "No such file or d")):
+        with pytest.raises(InvalidInput, match=f"/{name}: {text}"):
+            storage_of(f"{server.url}/{name}").find()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        with pytest.raises(InvalidInput, match=r"/a\.ply: Connect call failed"):
+            storage_of(f"http://127.0.0.1:{free.getsockname()[1]}/a.ply").find()
+    monkeypatch.setattr(remote, "_PATIENCE", 0.2)
+    place = storage_of(f"{server.url}/slow.ply")
+    assert place._fs.client_kwargs["timeout"].total is None  # a download may take hours
+    ((_, file),) = place.find()
+    with pytest.raises(InvalidInput, match=r"/slow\.ply: .*imeout"):
+        place.fetch(file, tmp_path)
 
 
 @pytest.mark.parametrize(("name", "most"), [("endless.ply", 9000), ("more.ply", 100)])

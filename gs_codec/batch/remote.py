@@ -43,6 +43,9 @@ _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss")
 #: host that does not answer.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
 
+#: Seconds to wait for a web server.
+_PATIENCE = 60
+
 #: Maximum depth of folders to read.
 _DEEPEST = 32
 
@@ -80,8 +83,16 @@ class RemoteStorage:
     def _open(self) -> tuple[Any, str]:
         fsspec = needed("fsspec", self._name)
         # Each protocol of a chain has its own options.
-        options = {name: dict(_SSH) for name in ("ssh", "sftp") if name in self._protocols}
+        options: dict[str, Any] = {
+            name: dict(_SSH) for name in ("ssh", "sftp") if name in self._protocols
+        }
         try:
+            if self._read_only:
+                from aiohttp import ClientTimeout
+
+                # By default, aiohttp ends downloads after five minutes.
+                waits = ClientTimeout(total=None, sock_connect=_PATIENCE, sock_read=_PATIENCE)
+                options |= {name: {"client_kwargs": {"timeout": waits}} for name in self._read_only}
             return fsspec.core.url_to_fs(self._base, **options)
         except ImportError as error:
             text = redacted(one_line(error), self._base)
@@ -105,6 +116,10 @@ class RemoteStorage:
             named = (shown, without_secrets(path))
             if isinstance(error, FileNotFoundError) and text in named:
                 text = os.strerror(errno.ENOENT)
+                cause = error.__cause__
+                # A web server that refuses or does not answer; fsspec's error is the same.
+                if self._read_only and cause is not None and getattr(cause, "status", 0) != 404:
+                    text = _cause(cause, self._base, path)
             raise InvalidInput(f"{shown}: {text}") from error
 
     def find(self, suffixes: tuple[str, ...] = BATCHED) -> list[tuple[str, Location]]:

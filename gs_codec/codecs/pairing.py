@@ -58,7 +58,8 @@ class Pairing:
     def __init__(self, first: Scene, second: Scene, by_centres: bool = False) -> None:
         self.count = first.count
         # The terms that choose a partner, and those that make it certain.
-        self._chosen, self._told = (slice(1),) * 2 if by_centres else (slice(None), slice(1, None))
+        self._chosen = slice(1) if by_centres else slice(None)
+        self._told = slice(1) if by_centres else slice(1, None)
         self._places = _places(first), _places(second)
         self._looks = _looks(first), _looks(second)
         self._some = np.arange(0, self.count, -(-self.count // _SAMPLE))

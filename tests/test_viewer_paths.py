@@ -154,3 +154,14 @@ def test_suggested_names_are_unused(folder, scene, suffix, mark, name):
 def test_another_format_changes_only_the_suffix():
     assert SAVED_SCENES.named("a.b.compressed.ply", ".egs") == "a.b.egs"
     assert SAVED_SCENES.named("a.b", ".egs") == "a.b.egs"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a\0.ply", "file:///a%00.ply", "file://[a/b.ply", "~\0/a.ply", "a\ud800.ply"],
+    ids=ascii,
+)
+@pytest.mark.parametrize("saves", [False, True])
+def test_what_is_no_path_is_refused(folder, text, saves):
+    with pytest.raises(gs_codec.InvalidInput, match="not a path"):
+        typed_path(text, folder, saves)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -74,12 +75,22 @@ def typed_path(text: str, folder: Path, saves: bool = False) -> Path:
         Folder for relative paths; the working directory is used if the file does not exist there.
     saves : bool
         Whether the file is to be written: then `folder` is used in any case.
+
+    Raises
+    ------
+    InvalidInput
+        If no path can be so.
     """
     line = (text.strip().splitlines() or [""])[0].strip()
     if len(line) > 1 and line[0] == line[-1] and line[0] in "'\"":
         line = line[1:-1]
-    if line.startswith("file://"):
-        line = unquote(urlsplit(line).path)
+    try:
+        if line.startswith("file://"):
+            line = unquote(urlsplit(line).path)
+        with suppress(OSError):
+            os.lstat(line)  # another error for NUL, or what is not Unicode
+    except ValueError as error:
+        raise InvalidInput(f"{line}: not a path") from error
     path = Path(os.path.expanduser(line))
     inside = folder / path
     elsewhere = not saves and os.path.exists(path) and not os.path.exists(inside)

@@ -8,6 +8,7 @@ from typing import NamedTuple, SupportsInt
 
 from open3d.visualization import gui
 
+from gs_codec.cli.main import describe_error
 from gs_codec.errors import InvalidInput
 from viewer.scenes.typed_paths import (
     UP,
@@ -162,15 +163,15 @@ class FileDialog:
     def accept(self) -> None:
         """Accept the path in the field if it is valid; list it if it is a folder."""
         question, text = self._question, self.field.text_value
-        path = typed_path(text, self._folder, question.saves)
-        chosen = not question.kind.suffixes and (not text.strip() or path == self._folder)
         try:
+            path = typed_path(text, self._folder, question.saves)
+            chosen = not question.kind.suffixes and (not text.strip() or path == self._folder)
             if path.is_dir() and not chosen and (text.strip() or question.kind.suffixes):
                 self._go_to(path)
                 return
             path = self._checked(path)
         except (InvalidInput, OSError) as error:
-            self._say(str(error))
+            self._say(describe_error(error))
             return
         if question.saves and path.exists() and path != self._replaced:
             self._say(f"{path.name} already exists. Press Enter or Replace to overwrite it.")
@@ -200,7 +201,7 @@ class FileDialog:
             folder = folder.resolve()
             names = listed(folder, self._question.kind)
         except (InvalidInput, OSError, RuntimeError) as error:
-            self._say(str(error))
+            self._say(describe_error(error))
             return
         self._folder = folder
         self._where.text = shortened(str(folder), self._line)

@@ -189,7 +189,7 @@ def reload_project(driver: Driver) -> list[int]:
 
 
 def memory(driver: Driver) -> list[str]:
-    """What is said if memory is short in a step, and in a job."""
+    """What is said if memory is short in a step, and in a job, and if a file cannot be read."""
     viewer, found = driver.viewer, []
 
     def fail(_: object) -> None:
@@ -201,6 +201,9 @@ def memory(driver: Driver) -> list[str]:
     viewer.dismiss()
     viewer.worker.submit("fail", fail, print, viewer.fail)
     driver.wait(lambda: viewer.message is not None)
+    found.append(viewer.message[1])
+    viewer.dismiss()
+    viewer.fail(PermissionError(13, "Permission denied", "a.ply"))
     found.append(viewer.message[1])
     viewer.dismiss()
     driver.rest()

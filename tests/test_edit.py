@@ -289,7 +289,7 @@ def test_edits_of_a_project_move_and_remove_rows(scene, tmp_path):
         ({"removed": "9-3"}, "rows 9-3, expected"),
         ({"removed": "x"}, "not a project of gs-viewer"),
         ({"moves": [{"rows": "1", "matrix": [[1, 0], [0, 1]]}]}, "not a project of gs-viewer"),
-        ({"moves": 5}, "not a project of gs-viewer"),
+        ({"moves": 5}, r"not a project of gs-viewer \(a field is missing or wrong\)"),
         ({"scenes": [{"path": "a", "name": "", "gaussians": 1e300}]}, "not a project|number"),
         ({"scenes": [{"path": "a", "name": "", "gaussians": 9}], "moves": [], "removed": "",
           "hidden": ""}, "edits of 9 Gaussians, the scene has 500"),

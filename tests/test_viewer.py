@@ -171,8 +171,17 @@ def test_reports_of_other_scenes_are_refused(files):
         read_pruned(files / "report", open_scene(files / "b.egs"))
     with pytest.raises(gs_codec.GsCodecError, match=r"900 Gaussians, kept.ply has 300"):
         read_pruned(files / "report", open_scene(files / "kept.ply"))
-    with pytest.raises(gs_codec.GsCodecError, match="no report of prepare"):
+    with pytest.raises(gs_codec.GsCodecError, match=r"no report of prepare \(No such file"):
         read_pruned(files, scene)
+
+
+@pytest.mark.parametrize("report", ["", "[]", "{}", '{"removed": 3}'])
+@pytest.mark.parametrize("labels", [b"", b"abc"])
+def test_a_damaged_report_is_named_in_plain_words(files, tmp_path, report, labels):
+    (tmp_path / "report.json").write_text(report)
+    (tmp_path / "labels.npy").write_bytes(labels)
+    with pytest.raises(gs_codec.GsCodecError, match=r"no report of prepare \(damaged\)"):
+        read_pruned(tmp_path, open_scene(files / "a.ply"))
 
 
 # Colours and shapes

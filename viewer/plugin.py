@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.cameras.image_files import find_image, seek_images
+from gs_codec.cli.main import describe_error
 from gs_codec.errors import printable
 from gs_codec.formats.cloud import check_cloud
 from gs_codec.runtime.arguments import checked
@@ -415,4 +416,4 @@ class Actions:
         try:
             action()
         except (gs_codec.GsCodecError, OSError, MemoryError) as error:
-            self._visualizer.show_message_box("Not possible", str(error) or "not enough memory")
+            self._visualizer.show_message_box("Not possible", describe_error(error))

@@ -94,7 +94,8 @@ def read_project(path: str | Path) -> Project:
             raise ValueError(f"more than {_LONGEST:,} bytes")
         return _project_of(parse_json(text), Path(path).parent)
     except _DAMAGE as error:
-        raise InvalidInput(f"not a project of gs-viewer ({error!s:.80})") from error
+        why = str(error) if isinstance(error, ValueError) else "a field is missing or wrong"
+        raise InvalidInput(f"not a project of gs-viewer ({why:.80})") from error
 
 
 def _project_of(found: Any, folder: Path) -> Project:

@@ -438,7 +438,7 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
         reasons, centres = tuple(dict(report["removed"])), report.get("centres_crc32c")
         labels = np.load(folder / "labels.npy", allow_pickle=False)
     except _DAMAGE as error:
-        reason = one_line(error) or type(error).__name__
+        reason = one_line(error) if isinstance(error, OSError) else "damaged"
         raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason})") from error
     if labels.dtype != np.uint8 or labels.shape != (scene.file_count,):
         raise gs_codec.GsCodecError(

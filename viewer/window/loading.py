@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import gs_codec
+from gs_codec.cli.main import describe_error
 from viewer.scenes.opened import Opened, Pruned, read_pruned, turned
 from viewer.scenes.recent import recent_files, remember
 from viewer.scenes.saving import open_file
@@ -135,7 +136,7 @@ class Loading:
             then()
 
         def failed(error: Exception) -> None:
-            viewer.panel.say(f"not reloaded: {error}")
+            viewer.panel.say(f"not reloaded: {describe_error(error)}")
 
         viewer.load(f"loading {path.name}", read, done, failed)
 

@@ -9,6 +9,7 @@ from typing import Literal
 from open3d.visualization import gui, rendering
 
 import gs_codec
+from gs_codec.cli.main import describe_error
 from gs_codec.runtime.arrays import release_large_when_freed
 from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
@@ -147,7 +148,7 @@ class Viewer(Controls):
         if not isinstance(error, (gs_codec.GsCodecError, OSError, MemoryError)):
             raise error
         self.panel.say("")
-        self.tell("Not possible", str(error) or "not enough memory")
+        self.tell("Not possible", describe_error(error))
 
     def tell(self, title: str, text: str) -> None:
         """Open a dialog, after the one that is open."""

@@ -8,6 +8,7 @@ from open3d.visualization import gui
 import gs_codec
 from gs_codec.cameras.image_files import find_image
 from gs_codec.cameras.up import BY_CAMERAS
+from gs_codec.cli.main import describe_error
 from gs_codec.runtime.wording import counted
 from gs_codec.views.photographs import read_photograph
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
@@ -88,7 +89,9 @@ class Visits:
             viewer.refresh_panel()
 
         viewer.panel.say("choosing views ...")
-        viewer.worker.submit("cameras", choose, done, lambda error: viewer.panel.say(str(error)))
+        viewer.worker.submit(
+            "cameras", choose, done, lambda error: viewer.panel.say(describe_error(error))
+        )
 
     def _find(self) -> None:
         viewer = self._viewer

@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from gs_codec.bench.measured_scenes import open_with_cameras
-from gs_codec.bench.suite.datasets import DATASETS, models_of, open_model, published
-from gs_codec.bench.suite.measurements import GROUPS, STAGES
+from gs_codec.bench.suite.datasets import DATASETS, open_model, published
+from gs_codec.bench.suite.measurements import GROUPS, STAGES, Options
 from gs_codec.cameras.camera_files import read_cameras
 from gs_codec.cameras.image_files import write_png
 from gs_codec.cli.main import app
@@ -143,8 +143,9 @@ def test_views_without_photographs_have_the_size_of_training(tmp_path, caplog):
     assert (len(measured.cameras), len(measured.guides)) == (2, VIEWS - 2)
     assert "cfg_args: eval=False, so test photographs were used for training" in caplog.text
     assert {camera.width for camera in open_model(path, None, 20).guides} == {20}
-    assert models_of("mipnerf360", tmp_path) == [path]
-    assert "means exclude bicycle, bonsai, counter" in caplog.text
+    options = Options((tmp_path,), dataset="mipnerf360")
+    assert options.paths == options.paths == [path]
+    assert caplog.text.count("means exclude bicycle, bonsai, counter") == 1
     # Without a dataset, a model is found with its cameras and name all the same.
     assert (open_with_cameras(path, 20).name, measured.name) == ("room", "room")
     assert len(open_with_cameras(path, 20).cameras) == 3
@@ -183,7 +184,7 @@ def test_invalid_requests_are_refused(tmp_path, arguments, message):
     result = CliRunner().invoke(app, ["bench", "suite", *options, *arguments])
     assert isinstance(result.exception, InvalidInput)
     assert re.search(message, str(result.exception))
-    assert not (tmp_path / "out" / "suite.jsonl").exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_published_rows_have_sources():

@@ -356,7 +356,7 @@ def test_invalid_requests_are_refused_before_the_work(tmp_path, monkeypatch, arg
     assert isinstance(result.exception, InvalidInput)
     assert re.search(message, str(result.exception))
     assert result.stdout == ""
-    assert not (tmp_path / "out" / "suite.jsonl").exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_matplotlib_nothing_is_started(tmp_path, monkeypatch):

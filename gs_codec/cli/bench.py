@@ -155,9 +155,10 @@ def measure_suite(
         minutes, seconds = divmod(round(time.monotonic() - start), 60)
         print_status(f"{minutes:3}:{seconds:02} {stage}")
 
+    measuring = run_suite(options, _typed(), announce)  # opens the scenes
     target = make_folder(out) / "suite.jsonl"
     check_writable(target)
-    lines = _printed(_written(run_suite(options, _typed(), announce), target))
+    lines = _printed(_written(measuring, target))
     announce("report")
     write_report(lines, out)
     print_codecs(lines)

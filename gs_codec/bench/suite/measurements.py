@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ class Options:
         for group in sorted(self.skip - set(groups)):
             raise InvalidInput(f"--skip {group}: expected one of {', '.join(groups)}")
 
-    @property
+    @cached_property
     def paths(self) -> Sequence[Path]:
         """The scenes, or those of the dataset."""
         return self.scenes if self.dataset is None else models_of(self.dataset, *self.scenes)

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from gs_codec.edit import statistics
 from gs_codec.edit.description import statistics_of
+from gs_codec.formats.cloud import to_cloud
 from samples.generate import generate
 from viewer.pictures.charts import (
+    SCENES,
     ContactSheet,
     HistogramChart,
     Message,
     QualityChart,
     decibels,
 )
+from viewer.scenes.opened import Opened
+from viewer.window.dock import Dock
 
 SIZE = (700, 170)
 
@@ -102,6 +109,19 @@ def test_attributes_of_several_values_select_nothing():
     band = HistogramChart([next(a for a in found if a.name == "SH band 1")])
     assert not band.selects
     assert band.draw(*SIZE).std() > 0
+
+
+@pytest.mark.parametrize("having", [0, 1])
+def test_a_histogram_of_an_attribute_of_one_scene_has_the_colour_of_that_scene(having):
+    degrees = [having == k for k in range(2)]
+    scenes = [Opened(f"{k}", to_cloud(generate(200, int(d), 3))) for k, d in enumerate(degrees)]
+    dock = object.__new__(Dock)
+    dock._viewer = SimpleNamespace(stage=SimpleNamespace(scenes=scenes))
+    dock._statistics = {s: {a.name: a for a in statistics(s.cloud).attributes} for s in scenes}
+    dock.chart = Message("")
+    drawn = dock._histogram("SH band 1").draw(*SIZE)
+    assert [len(colours(drawn, SCENES[k])) > 50 for k in range(2)] == degrees
+    assert isinstance(dock._histogram("SH band 2"), Message)
 
 
 def test_tiny_and_empty_charts_are_drawn():

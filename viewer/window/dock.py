@@ -125,9 +125,12 @@ class Dock:
         if missing:
             self._describe(missing[0])
             return Message("histogram: counting ...")
-        found = [each for s in scenes if (each := self._statistics[s].get(name)) is not None]
-        if not found:
+        known = [self._statistics[scene].get(name) for scene in scenes]
+        some = next(filter(None, known), None)
+        if some is None:
             return Message(f"No {name}: the SH degree is lower.")
+        # A scene of a lower SH degree has no outline.
+        found = [each or replace(some, counts=(), edges=()) for each in known]
         before = self.chart
         kept = isinstance(before, HistogramChart) and before.scenes[0].name == name
         return HistogramChart(found, before.chosen if kept else None)  # type: ignore[attr-defined]

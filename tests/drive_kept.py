@@ -83,6 +83,29 @@ def brush(driver: Driver) -> list:
     return [*found, bool(np.array_equal(before, after))]
 
 
+def buttons(driver: Driver) -> list:
+    """Numbers selected by a drag, without and with another button, and whether the pose stays."""
+    viewer, pose, found = driver.viewer, driver.viewer.stage.pose, []
+    frame = viewer.stage.panes[0].widget.frame
+    corners = [frame.x + k * frame.width // 8 for k in (1, 3, 5, 7)]
+    viewer.editor.set_tool("box")
+    for other in (False, True):
+        driver.move(corners[0], frame.y + 20)
+        driver.xdotool("mousedown", 1)
+        driver.move(corners[1], frame.y + frame.height // 3)
+        if other:
+            driver.xdotool("mousedown", 3)
+            driver.move(corners[2], frame.y + frame.height // 2)
+            driver.xdotool("mouseup", 3)
+        driver.move(corners[3], frame.get_bottom() - 20)
+        driver.xdotool("mouseup", 1)
+        driver.rest()
+        found.append(viewer.editor.edits.count)
+        viewer.editor.do(Edits.select_none)
+    viewer.editor.set_tool("box")
+    return [*found, viewer.stage.pose is pose]
+
+
 def fails(driver: Driver) -> list:
     """What is said about photographs of cameras that failed, and whether scenes can be edited."""
     viewer, request = driver.viewer, driver.viewer.request
@@ -348,6 +371,7 @@ if __name__ == "__main__":
         memory,
         saves,
         brush,
+        buttons,
         fails,
         reload,
         lengths,

@@ -32,6 +32,12 @@ def test_a_stroke_ends_when_its_gaussians_are_deleted_and_leaves_no_preview(foun
     assert same
 
 
+def test_a_drag_with_a_tool_ends_when_another_button_is_released(found):
+    plain, other, still = found["buttons"]
+    assert 0 < other < plain
+    assert still
+
+
 def test_scenes_whose_cameras_cannot_be_read_can_be_edited(found):
     assert found["fails"] == ["photographs: need cameras from a file", True]
 

@@ -120,6 +120,8 @@ class Mouse:
 
     def _press(self, pane: Pane, event: gui.MouseEvent, pose: Pose) -> None:
         left = event.is_button_down(gui.MouseButton.LEFT)
+        if self._drawing and not left:  # its release, after which Open3D sends no drags, ends this
+            return
         self._pressed = (event.x, event.y) if left else None
         at = self._stage.place(pane, event.x, event.y)
         self._drawing = left and self.tool is not None and self.tool.begin(pane, at, event)

@@ -9,6 +9,7 @@ import pytest
 from splats import crowd, render, turned
 
 from gs_codec.cameras.camera import NEAR
+from gs_codec.cameras.camera_files import read_cameras, write_cameras
 from gs_codec.errors import InvalidInput
 from gs_codec.views.find import find_cameras
 
@@ -44,3 +45,9 @@ def test_few_floaters_in_front_of_a_camera_stay_hidden():
 def test_a_camera_needs_a_minimum_depth_above_0(near):
     with pytest.raises(InvalidInput, match="expected a depth above 0"):
         replace(turned(2), near=near)
+
+
+def test_a_camera_file_keeps_the_minimum_depth(tmp_path):
+    cameras = [turned(3), replace(turned(4), near=0.01)]
+    write_cameras(tmp_path / "cameras.json", cameras)
+    assert [camera.near for camera in read_cameras(tmp_path / "cameras.json")] == [NEAR, 0.01]

@@ -52,6 +52,7 @@ from gs_codec.files.sharing import share
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import ANTIALIASED, Scene
 from gs_codec.views.estimate import auto_cameras
+from gs_codec.views.find import find_cameras
 from samples.generate import generate
 from viewer.pictures.layers import error_image
 
@@ -865,10 +866,12 @@ def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_pat
 
 @pytest.mark.one_in(2)
 @in_browser
-@pytest.mark.parametrize("kind", ["turned", thorough("antialiased"), thorough("paper"), "empty"])
+@pytest.mark.parametrize(
+    "kind", ["turned", thorough("antialiased"), thorough("paper"), "empty", "tiny"]
+)
 def test_scenes_of_all_kinds(files, tmp_path, kind):
-    """In the file's coordinates, antialiased, with other profiles, and empty."""
-    scene, config = files.a, Config("l", block_size=1024)
+    """In the file's coordinates, antialiased, with other profiles, empty, and in tiny units."""
+    scene, config, cameras = files.a, Config("l", block_size=1024), files.cameras
     if kind == "turned":
         scene = turn_scene(replace(scene, comments=["CoordinateSystem: RDF"]), "RUB")
     if kind == "antialiased":
@@ -877,14 +880,23 @@ def test_scenes_of_all_kinds(files, tmp_path, kind):
         config = Config("paper-l", block_size=1024)
     if kind == "empty":
         scene = random_scene(0)
+    if kind == "tiny":
+        unit = 1 / 256
+        scene = replace(
+            scene,
+            positions=scene.positions * np.float32(unit),
+            log_scale=scene.log_scale + np.float32(np.log(unit)),
+        )
+        cameras = [replace(view, position=unit * view.position) for view in cameras]
+    write_cameras(tmp_path / "cameras.json", cameras)
     (tmp_path / "a.egs").write_bytes(encode_scene(scene, config)[0])
-    share([tmp_path / "a.egs"], tmp_path / "page.html", files.folder / "cameras.json")
+    share([tmp_path / "a.egs"], tmp_path / "page.html", tmp_path / "cameras.json")
     expected = sharing._open(tmp_path / "a.egs", None, None)[1]
     job = Job((tmp_path / "page.html").as_uri(), [])
     job.shot(str(tmp_path / "a.png"))
     [told] = open_pages(job)
     assert (told.state, told.errors) == ("ready", [])
-    ours = drawn(expected, files.cameras[0])
+    ours = drawn(expected, find_cameras(cameras, expected)[0])
     page = seen(tmp_path / "a.png")
     if kind == "empty":
         assert not page.any()

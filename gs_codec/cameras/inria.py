@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.camera import NEAR, Camera
 from gs_codec.cameras.json_fields import (
     as_number,
     as_numbers,
@@ -57,6 +57,7 @@ def as_entry(index: int, camera: Camera) -> dict[str, Any]:
     The trainer's own keys come first, because its viewers expect that.
     """
     split = {} if camera.split is None else {"split": camera.split}
+    near = {} if camera.near == NEAR else {"near": float(camera.near)}
     return {
         "id": index,
         "img_name": camera.name,
@@ -66,6 +67,7 @@ def as_entry(index: int, camera: Camera) -> dict[str, Any]:
         "rotation": camera.rotation.T.tolist(),
         **{key: float(getattr(camera, key)) for key in ("fy", "fx", "cx", "cy")},
         **split,
+        **near,
     }
 
 
@@ -90,4 +92,5 @@ def _fields(where: str, entry: Any) -> dict[str, Any]:
         "rotation": as_rotation(where, get(where, entry, "rotation")).T,
         "position": np.array(as_numbers(where, "position", get(where, entry, "position"), 3)),
         "split": split,
+        "near": as_number(where, "near", entry.get("near", NEAR)),
     }

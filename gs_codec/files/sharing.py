@@ -42,6 +42,7 @@ from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted, size_text
 from gs_codec.scene import Scene
 from gs_codec.views.estimate import COUNT, estimate_views
+from gs_codec.views.find import near_enough
 
 log = logging.getLogger(__name__)
 
@@ -308,7 +309,7 @@ def _views(
         if up is None and not found.up_certain:
             log.warning(UNSURE)
     else:
-        views = given
+        views = near_enough(given, scene)
         by_cameras = up_of([view.rotation for view in views])
         home = widest_view(scene, views)
     ups = {BY_CAMERAS: by_cameras} | UPS

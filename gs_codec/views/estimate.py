@@ -34,6 +34,9 @@ HEIGHT = 280
 #: Focal length, pixels: a horizontal field of view of 51 degrees.
 _FOCAL = 1.04 * WIDTH
 
+#: Minimum depth of a Gaussian to be drawn in tiny scenes, relative to the scene's size.
+_NEAR = 0.03
+
 #: Number of positions tried for an overview.
 _OVERVIEWS = 48
 
@@ -298,12 +301,11 @@ def _see_most(weights: NDArray[np.float32], views: list[int], count: int) -> lis
 
 
 def look_at(position: NDArray, target: NDArray, seen: Evidence) -> Camera:
-    """A camera that looks at a target; for tiny scenes, from farther away with a longer lens."""
-    zoom = max(1.0, 2 * NEAR / (0.3 * seen.size)) if seen.size < NEAR else 1.0
-    position = target + zoom * (position - target)
+    """A camera that looks at a target; in tiny scenes, also at what is near."""
+    near = _NEAR * seen.size if seen.size < NEAR else NEAR
     rotation = facing(target - position, seen.up)
-    focal = zoom * _FOCAL
-    return Camera("auto", WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, rotation, position)
+    lens = (_FOCAL, _FOCAL, WIDTH / 2, HEIGHT / 2)
+    return Camera("auto", WIDTH, HEIGHT, *lens, rotation, position, near=near)
 
 
 def _judge(seen: Evidence, view: Camera) -> tuple[float, NDArray[np.float32]]:

@@ -76,13 +76,14 @@ class CameraPath:
         curve = fits.CubicHermiteSpline(knots, places, _slopes(knots, places))
         turns = transform.Rotation.from_matrix(np.array([pose.rotation for pose in way]))
         spline = transform.RotationSpline(knots, turns)
+        near = min(pose.near for pose in way)
         lenses = np.array([(*pose.focal, *pose.shift) for pose in way])
 
         def at(times: NDArray) -> list[Pose]:
             along = progress(times)
             lens = np.stack([np.interp(along, knots, column) for column in lenses.T], axis=1)
             return [
-                Pose(turn, place, (fx, fy), way[0].frame, (x, y))
+                Pose(turn, place, (fx, fy), way[0].frame, (x, y), near)
                 for turn, place, (fx, fy, x, y) in zip(
                     spline(along).as_matrix(), curve(along), lens.tolist(), strict=True
                 )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.cameras.camera import Camera, facing
+from gs_codec.cameras.camera import NEAR, Camera, facing
 from gs_codec.cameras.up import UPS
 from viewer.scenes.opened import thinned
 
@@ -42,6 +42,8 @@ class Pose:
         Width and height of the camera's own picture, pixels.
     shift : tuple of two float
         Offset of the principal point from the middle of the frame, in frame heights.
+    near : float
+        Minimum depth of a Gaussian to be drawn, scene units.
     """
 
     rotation: NDArray[np.float64]
@@ -49,6 +51,7 @@ class Pose:
     focal: tuple[float, float] = (_FOCAL, _FOCAL)
     frame: tuple[int, int] = _FRAME
     shift: tuple[float, float] = (0.0, 0.0)
+    near: float = NEAR
 
     @property
     def measured(self) -> tuple[int, int]:
@@ -81,6 +84,7 @@ class Pose:
             **lens,
             "rotation": self.rotation.T.tolist(),
             "position": self.position.tolist(),
+            "near": self.near,
         }
 
     def intrinsics(self, width: int, height: int, left: float = 0.0) -> NDArray[np.float64]:
@@ -113,7 +117,7 @@ def of_camera(camera: Camera) -> Pose:
     size, high = (camera.width, camera.height), camera.height
     focal = camera.fx / high, camera.fy / high
     shift = (camera.cx - camera.width / 2) / high, (camera.cy - high / 2) / high
-    return Pose(camera.rotation, camera.position, focal, size, shift)
+    return Pose(camera.rotation, camera.position, focal, size, shift, camera.near)
 
 
 def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) -> Pose:

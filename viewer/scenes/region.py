@@ -8,7 +8,6 @@ from math import dist
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.cameras.camera import NEAR
 from gs_codec.cameras.inria import as_camera
 from gs_codec.rendering.footprint import covering
 from viewer.scenes.appearance import Look, gaussians_drawn, which_drawn
@@ -121,7 +120,7 @@ def in_region(
     drawn = which_drawn(scene, look)
     chosen = np.ones(scene.count, bool) if drawn is None else drawn.copy()
     if not footprint:
-        chosen &= centres_in(region, *pose.project(scene.positions, *size))
+        chosen &= centres_in(region, *pose.project(scene.positions, *size), pose.near)
     if footprint or front:
         rows, columns = np.indices(size[::-1])
         pixels = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
@@ -132,11 +131,11 @@ def in_region(
 
 
 def centres_in(
-    region: Region, pixels: NDArray, depth: NDArray, since: int = 0
+    region: Region, pixels: NDArray, depth: NDArray, near: float, since: int = 0
 ) -> NDArray[np.bool_]:
     """Mask of the centres in a region, from `Pose.project`; `since` is as in `Region.covers`."""
     chosen = np.zeros(len(pixels), bool)
-    candidates = np.flatnonzero(depth > NEAR)
+    candidates = np.flatnonzero(depth > near)
     chosen[candidates] = region.covers(pixels[candidates], since)
     return chosen
 

@@ -29,7 +29,8 @@ class RegionTool(SelectingTool):
         self.hold(pane, event)
         self._region = Region(self.kind, at, self._chooser.selecting.radius)
         if self.kind == "brush" and stage.pose is not None:
-            self._projected = stage.pose.project(pane.scene.positions, *stage.picture_size)
+            seen = stage.pose.project(pane.scene.positions, *stage.picture_size)
+            self._projected = *seen, stage.pose.near
             self._painted = np.zeros(pane.scene.count, bool)
             self._paint(pane, self._region)
         return True

@@ -1,5 +1,4 @@
 // Annotations: numbered points of the scene, each with a title and a text.
-import { NEAR } from './limits.js';
 import { Pose, dot, plus } from './pose.js';
 
 const $ = (id) => document.getElementById(id);
@@ -57,12 +56,12 @@ export class Annotations {
   }
 
   /** Put the numbers where a camera sees the points; the lens is in pixels of the page. */
-  place({ eye, turn }, { focal, centre, size }) {
+  place({ eye, turn }, { focal, centre, size, near }) {
     this.listed.forEach(({ position }, k) => {
       const away = plus(position, eye, -1);
       const depth = dot(turn[2], away);
       const at = [0, 1].map((axis) => (focal[axis] * dot(turn[axis], away)) / depth + centre[axis]);
-      const isSeen = depth > NEAR && at.every((value, axis) => value >= 0 && value <= size[axis]);
+      const isSeen = depth > near && at.every((value, axis) => value >= 0 && value <= size[axis]);
       const { style } = this.buttons[k];
       style.visibility = isSeen ? '' : 'hidden';
       if (isSeen) style.translate = `${at[0]}px ${at[1]}px`;

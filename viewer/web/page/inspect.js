@@ -212,8 +212,9 @@ class Inspection {
   get #view() {
     const { width, height, fx, fy, cx, cy } = viewer.frame ?? viewer.views[viewer.view];
     const { eye: position, turn } = viewer.pose;
+    const { near } = viewer;
     const rotation = [0, 1, 2].map((axis) => turn.map((row) => row[axis]));
-    const camera = { img_name: '', width, height, fx, fy, cx, cy, position, rotation };
+    const camera = { img_name: '', width, height, fx, fy, cx, cy, position, rotation, near };
     const { clientWidth, clientHeight } = viewer.canvas;
     const dots = Math.min(devicePixelRatio || 1, MOST / Math.max(clientWidth, clientHeight));
     const [w, h] = [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(dots * side)));

@@ -3,5 +3,5 @@
 /** Gaussians per texture row. */
 export const ROW = 1024;
 
-/** Near plane, scene units. */
+/** Near plane of views that state none, scene units. */
 export const NEAR = 0.2;

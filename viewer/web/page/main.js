@@ -9,6 +9,7 @@ import { control } from './controls.js';
 import { answer } from './embedded.js';
 import { Headset } from './headset.js';
 import { joystick } from './joystick.js';
+import { NEAR } from './limits.js';
 import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
 import { Pose } from './pose.js';
@@ -440,6 +441,11 @@ class Viewer extends EventTarget {
     return this.#lens(width, height).focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
   }
 
+  /** Near plane of the view. */
+  get near() {
+    return this.views[this.view].near ?? NEAR;
+  }
+
   /** The lens of the view, with its whole frame inside w x h pixels. */
   #lens(w, h) {
     const { width, height, fx, fy, cx, cy } = this.frame ?? this.views[this.view];
@@ -512,7 +518,8 @@ class Viewer extends EventTarget {
     this.shrink = this.#shrink;
     this.#resize();
     this.paint(pose, this.#lens(this.canvas.width, this.canvas.height));
-    this.notes.place(pose, this.#lens(this.canvas.clientWidth, this.canvas.clientHeight));
+    const lens = this.#lens(this.canvas.clientWidth, this.canvas.clientHeight);
+    this.notes.place(pose, { ...lens, near: this.near });
     if (this.shrink > 1) this.#sharpen();
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
     const isDrawn = inOrder && !this.player?.isJumping;
@@ -538,7 +545,7 @@ class Viewer extends EventTarget {
       errors: look.show === 'error',
     };
     for (const scene of scenes) scene.flush();
-    renderer.draw(scenes, pose, lens, shown, target);
+    renderer.draw(scenes, pose, { ...lens, near: this.near }, shown, target);
     for (const { detail } of scenes) detail?.pictured();
   }
 

@@ -314,7 +314,7 @@ export class Renderer {
   }
 
   /** Project a scene's Gaussians, and compute colours of those visible from `from` to `until`. */
-  #project(splats, { eye, turn }, { focal, centre }, span, degree) {
+  #project(splats, { eye, turn }, { focal, centre, near }, span, degree) {
     const { gl } = this;
     const { program, uniforms } = this.projection;
     gl.bindFramebuffer(gl.FRAMEBUFFER, splats.target);
@@ -325,6 +325,7 @@ export class Renderer {
     gl.uniformMatrix3fv(uniforms.turn, true, turn.flat());
     gl.uniform3fv(uniforms.eye, eye);
     gl.uniform2fv(uniforms.focal, focal);
+    gl.uniform1f(uniforms.nearest, near);
     gl.uniform2fv(uniforms.centre, centre);
     gl.uniform2fv(uniforms.size, this.size);
     gl.uniform2fv(uniforms.span, span);

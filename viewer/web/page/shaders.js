@@ -1,6 +1,6 @@
 // Shaders: splats drawn like gs_codec's rasteriser (EWA projection of 3DGS), and the final picture
 // of one or two scenes.
-import { NEAR, ROW } from './limits.js';
+import { ROW } from './limits.js';
 
 /**
  * Texels of a Gaussian: position and opacity; deviations, and R and G of SH-DC as halves; its
@@ -41,6 +41,7 @@ uniform usampler2D harmonics;
 uniform mat3 turn; // from the world to the camera: right, down, forward
 uniform vec3 eye;
 uniform vec2 focal;
+uniform float nearest; // near plane
 uniform vec2 centre; // of the picture, pixels from its upper left corner
 uniform vec2 size;
 uniform vec2 span; // of the picture that is seen: left and right end
@@ -105,7 +106,7 @@ void main() {
   vec4 point = uintBitsToFloat(shape(0));
   vec3 away = point.xyz - eye;
   vec3 c = turn * away;
-  if (!(c.z > float(${NEAR}))) return;
+  if (!(c.z > nearest)) return;
   vec2 slope = c.xy / c.z;
   vec2 pixel = focal * slope + centre;
   // The Jacobian is that of a slope near the picture.

@@ -1,5 +1,4 @@
 // A worker that sorts Gaussians by depth, farthest first.
-import { NEAR } from './limits.js';
 
 let positions = new Float32Array(0); // x, y, z of each Gaussian
 let known = []; // ranges [first, end] that are decoded, or to be drawn
@@ -33,7 +32,7 @@ function ordered(eye, [x, y, z]) {
   for (const [first, end] of known) {
     for (let i = first, at = 3 * first; i < end; i++, at += 3) {
       const depth = x * positions[at] + y * positions[at + 1] + z * positions[at + 2] + offset;
-      if (!(depth > NEAR && depth < Infinity)) continue;
+      if (!(depth > 0 && depth < Infinity)) continue;
       depths[seen] = depth;
       indices[seen++] = i;
     }

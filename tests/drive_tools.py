@@ -103,9 +103,15 @@ def flights(driver: Driver, found: dict) -> None:
         found["film"] = viewer.panel.status.text
         save(driver, "Film", "stopped")
         timeline.close()
+    kept = timeline.path
+    timeline.set_seconds(1e9)
+    timeline.film("long.mp4")
+    driver.wait(lambda: viewer.message is not None)
+    found["long"] = viewer.message[1]
+    viewer.dismiss()
+    timeline.path = kept
     save(driver, "Save", "path")
     driver.wait(Path("path.json").exists)
-    kept = timeline.path
     timeline.drop()
     timeline.open("path.json")
     driver.wait(lambda: len(timeline.path.poses) == 3)

@@ -272,6 +272,8 @@ def test_saved_paths_round_trip_and_their_frames_are_cameras(tmp_path):
         np.testing.assert_allclose(camera.rotation, pose.rotation, atol=1e-6)
     with pytest.raises(gs_codec.GsCodecError, match="needs two poses"):
         write_path(tmp_path / "none.json", CameraPath())
+    with pytest.raises(gs_codec.GsCodecError, match="10,000,000,001 frames, expected at most 99"):
+        write_path(tmp_path / "none.json", replace(path, times=(0.0, 1.0, 2.0, 3.0, 1e9)))
     assert os.listdir(tmp_path) == ["path.json"]
 
 

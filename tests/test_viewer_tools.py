@@ -51,6 +51,10 @@ def test_the_timeline_looks_along_the_path(found):
     assert apart < 1e-9
 
 
+def test_a_film_of_too_many_frames_is_refused(found):
+    assert found["long"] == "5,000,000,001 frames, expected at most 99,999"
+
+
 def test_the_path_is_flown_filmed_saved_and_opened(found, folder):
     assert found["flown"]
     assert found["ends"][0] > 0.1

@@ -16,7 +16,7 @@ from gs_codec.runtime.wording import counted
 from viewer.pictures.drawer import Drawer
 from viewer.pictures.reels import check_reel, is_folder, open_reel
 from viewer.pictures.screenshot import compose, shown_of
-from viewer.scenes.flight import FPS, read_path
+from viewer.scenes.flight import FPS, MOST, read_path
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.turntable import turntable
@@ -27,7 +27,7 @@ from viewer.scenes.viewpoints import COUNT, find_viewpoints
 FRAMES = 180
 
 #: Range of the number of frames.
-_FRAMES = range(2, 100_000)
+_FRAMES = range(2, MOST + 1)
 
 #: Range of frames per second.
 _FPS = range(1, 121)

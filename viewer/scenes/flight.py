@@ -19,6 +19,9 @@ from viewer.scenes.pose import Pose, of_camera
 #: Default frames per second.
 FPS = 24
 
+#: Maximum number of frames of a film.
+MOST = 99_999
+
 #: Time from pose to pose on average, if a path has no times, seconds.
 LEG = 2.0
 
@@ -54,8 +57,16 @@ class CameraPath:
         return self.times[-1] if self.times else 0.0
 
     def frames(self, count: int | None = None) -> list[Pose]:
-        """Poses of the frames of a film, from the first pose to the last; at least two."""
+        """Poses of the frames of a film, from the first pose to the last; at least two.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+            If there are more than `MOST`.
+        """
         count = max(round(self.seconds * self.fps) + 1, 2) if count is None else count
+        if count > MOST:
+            raise gs_codec.GsCodecError(f"{count:,} frames, expected at most {MOST:,}")
         return self.at(np.linspace(0, self.seconds, count))
 
     def at(self, times: Sequence[float] | NDArray) -> list[Pose]:
@@ -149,7 +160,7 @@ def write_path(path: Path, flight: CameraPath) -> None:
     Raises
     ------
     gs_codec.GsCodecError
-        If there are fewer than two poses, or they cannot be written.
+        If there are fewer than two poses, or too many frames, or they cannot be written.
     """
     if len(flight.poses) < 2:
         raise gs_codec.GsCodecError("a camera path needs two poses")

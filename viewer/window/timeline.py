@@ -206,7 +206,7 @@ class Timeline:
     def film(self, path: str) -> None:
         """Write a film of the path, with all that the panes show, in the background."""
         viewer, stage, target = self._viewer, self._viewer.stage, Path(path)
-        poses, fps = self.path.frames(), self.path.fps
+        flight = self.path
         (wide, high), choice = stage.saved_size, viewer.choice
         size = wide // 2 * 2, high // 2 * 2
         look = {"shown": stage.shown, "mode": choice.mode, "wipe": choice.wipe}
@@ -215,13 +215,14 @@ class Timeline:
         def say(share: float) -> None:
             viewer.panel.say(f"writing {target.name}: {100 * share:.0f} % (Film stops)")
 
-        def write(stale: Stale) -> None:
+        def write(stale: Stale) -> int:
             check_reel(target, size, True)
-            progress = self._films.progress(stale, say)
-            write_frames(target, poses, fps, size, draw, progress)
+            progress, poses = self._films.progress(stale, say), flight.frames()
+            write_frames(target, poses, flight.fps, size, draw, progress)
+            return len(poses)
 
-        def done(_: None) -> None:
-            viewer.panel.say(f"{target.name} saved: {counted(len(poses), 'frame')}")
+        def done(count: int) -> None:
+            viewer.panel.say(f"{target.name} saved: {counted(count, 'frame')}")
             viewer.panel.refresh()
 
         say(0.0)

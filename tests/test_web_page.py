@@ -33,6 +33,7 @@ from web_pages import (
     open_pages,
     seen,
     serving,
+    small_page,
 )
 
 from gs_codec.cameras.camera import Camera, facing
@@ -48,7 +49,7 @@ from gs_codec.encoding.request import Request
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files import sharing
 from gs_codec.files.scenes import turn_scene
-from gs_codec.files.sharing import share
+from gs_codec.files.sharing import Publication, share
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.scene import ANTIALIASED, Scene
 from gs_codec.views.estimate import auto_cameras
@@ -832,6 +833,14 @@ def test_no_external_code_runs_and_names_are_text(files, tmp_path):
         assert told.state == "ready"
         assert told.values[1] == {"title": name, "name": name, "ran": False}
     assert found[1].values[2] == "TypeError"
+
+
+@in_browser
+def test_pictures_are_named_after_the_title_in_any_script(tmp_path):
+    page = small_page(tmp_path, publication=Publication(title="\u5bfa\u306e\u5ead: \u00e9t\u00e9/2"))
+    steps = [("drawn",), ("saved", "#save", str(tmp_path / "saved.png"))]
+    [told] = open_pages(Job(page, steps, panel=True))
+    assert told.values[-1] == "\u5bfa\u306e\u5ead_\u00e9t\u00e9_2.png"
 
 
 @pytest.mark.thorough

@@ -582,7 +582,7 @@ class Viewer extends EventTarget {
   async save() {
     const link = document.createElement('a');
     link.href = URL.createObjectURL(await this.picture());
-    link.download = `${document.title.replace(/[^\w.-]+/g, '_')}.png`;
+    link.download = `${document.title.replace(/[^\p{L}\p{M}\p{N}_.-]+/gu, '_')}.png`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
   }

@@ -837,7 +837,8 @@ def test_no_external_code_runs_and_names_are_text(files, tmp_path):
 
 @in_browser
 def test_pictures_are_named_after_the_title_in_any_script(tmp_path):
-    page = small_page(tmp_path, publication=Publication(title="\u5bfa\u306e\u5ead: \u00e9t\u00e9/2"))
+    titled = Publication(title="\u5bfa\u306e\u5ead: \u00e9t\u00e9/2")
+    page = small_page(tmp_path, publication=titled)
     steps = [("drawn",), ("saved", "#save", str(tmp_path / "saved.png"))]
     [told] = open_pages(Job(page, steps, panel=True))
     assert told.values[-1] == "\u5bfa\u306e\u5ead_\u00e9t\u00e9_2.png"

@@ -28,7 +28,9 @@ from gs_codec.formats.ply.body import ply_of
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene
+from gs_codec.runtime import mapped
 from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, offset_of
 
 #: Every scalar type of the PLY format.
@@ -371,6 +373,23 @@ def test_file_that_changes_after_its_header_was_read_is_refused(change, message,
         with pytest.raises(InvalidInput, match=message) as caught:
             file.scene()
     assert_one_line(caught.value, path)
+
+
+def test_files_are_read_without_functions_of_posix(tmp_path, monkeypatch):
+    """Windows can only move the position of a file, which threads share."""
+    scene = random_scene(3000, 2)
+    write_ply(tmp_path / "a.ply", scene)
+    encode_file(tmp_path / "a.ply", tmp_path / "a.egs", Config("m", block_size=1024))
+    expected = read_scene(tmp_path / "a.egs")
+    monkeypatch.delattr(os, "preadv")
+    monkeypatch.setattr(mapped, "_MOST", 999)
+    assert_same_floats(read_scene(tmp_path / "a.ply"), scene)
+    with using_threads(3):
+        assert_same_floats(read_scene(tmp_path / "a.egs"), expected)
+    with open_scene(tmp_path / "a.ply") as file:
+        cut(tmp_path / "a.ply")
+        with pytest.raises(InvalidInput, match="truncated while it was read: 500 bytes, expected"):
+            file.scene()
 
 
 @pytest.mark.parametrize("change", [Path.unlink, lambda path: write_ply(path, random_scene(6, 1))])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -13,6 +14,12 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.wording import counted
+
+#: Maximum bytes to read at once: macOS refuses 2 GiB, and Windows reads into a copy.
+_MOST = 1 << 24
+
+#: Held while the position of an open file is moved.
+_MOVING = threading.Lock()
 
 
 class FileBytes:
@@ -61,7 +68,8 @@ class FileBytes:
         done, view = 0, data.data
         while done < len(view):
             try:
-                read = os.preadv(self._number, [view[done:]], self._first + start + done)
+                some = view[done : done + _MOST]
+                read = _read_at(self._number, some, self._first + start + done)
             except OSError as error:
                 raise self._error(str(error.strerror)) from error
             if not read:
@@ -78,6 +86,17 @@ class FileBytes:
         error = InvalidInput(f"{self._path}: {text}")
         error.of_another_file = True  # already names its file
         return error
+
+
+def _read_at(number: int, view: memoryview, start: int) -> int:
+    """Fill a view from a position of an open file; the number of bytes, fewer at its end."""
+    if hasattr(os, "preadv"):
+        return os.preadv(number, [view], start)
+    with _MOVING:  # Windows
+        os.lseek(number, start, os.SEEK_SET)
+        data = os.read(number, len(view))
+    view[: len(data)] = data
+    return len(data)
 
 
 @contextmanager

@@ -245,6 +245,13 @@ def test_a_different_program_is_refused(failure, message, stand_in, monkeypatch)
         Tmc3.find()
 
 
+@pytest.mark.usefixtures("stand_in")
+def test_a_system_without_limits_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "resource", None)  # as on Windows
+    with pytest.raises(MissingTool, match="other programs cannot be limited on this system"):
+        Tmc3.find()
+
+
 def test_an_unrunnable_program_is_refused(tmp_path):
     broken = tmp_path / "broken"
     broken.write_bytes(b"\x7fELF and nothing more")

@@ -126,7 +126,10 @@ def _run(
     command: Sequence[str], folder: str, limits: Limits, most: int
 ) -> tuple[bytes, bytes, int]:
     """Run a command; return the start and end of its output, and its status (-N: signal N)."""
-    import resource  # not available on Windows
+    try:
+        import resource
+    except ImportError:  # Windows
+        raise MissingTool("other programs cannot be limited on this system") from None
 
     # In the units of the shell: seconds, KiB, 512 bytes.
     numbers = [

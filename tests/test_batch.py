@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ntpath
 import os
 import platform
 import re
@@ -323,6 +324,16 @@ def test_usage_errors_are_one_line(folder, arguments, text):
     assert_one_error_line(err)
     assert text in err
     assert folder.contents().keys() - {"out"} == before
+
+
+def test_patterns_of_windows_have_a_fixed_part(monkeypatch):
+    monkeypatch.setattr(local.os, "sep", "\\")
+    monkeypatch.setattr(local.os.path, "abspath", ntpath.abspath)
+    place = storage_of("C:\\city\\tiles\\**\\*.ply")
+    assert place.path == "C:/city/tiles/**/*.ply"
+    assert local.fixed_part(place.path) == "C:/city/tiles"
+    target = storage_of("D:\\coded").location("a\\b.egs")
+    assert local.by_folder([target]) == {"D:/coded/a": {"b.egs"}}
 
 
 def test_two_sources_of_one_output_are_refused(folder):

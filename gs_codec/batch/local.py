@@ -71,7 +71,7 @@ class LocalStorage:
 
     def __init__(self, base: str) -> None:
         plain = unquote(urlsplit(base).path) if base.startswith("file://") else base
-        self.path = os.path.abspath(plain)
+        self.path = _with_slashes(os.path.abspath(plain))
 
     def find(self, suffixes: tuple[str, ...] = BATCHED) -> list[tuple[str, Location]]:
         """The matching scenes, named relative to the part of the path without wildcards.
@@ -89,7 +89,10 @@ class LocalStorage:
         else:
             root, paths = fixed_part(self.path), matching_paths(self.path)
         files = _each_once(root, [path for path in set(paths) if not os.path.isdir(path)])
-        return [(os.path.relpath(path, root), Location(path)) for path in sorted(files)]
+        return [
+            (_with_slashes(os.path.relpath(path, root)), Location(_with_slashes(path)))
+            for path in sorted(files)
+        ]
 
     def is_missing(self) -> bool:
         """Whether it neither exists nor is a glob."""
@@ -97,7 +100,7 @@ class LocalStorage:
 
     def location(self, name: str) -> Location:
         """The location of a file by name, which may contain folders."""
-        return Location(os.path.join(self.path, name))
+        return Location(_with_slashes(os.path.join(self.path, name)))
 
     def shown(self, location: Location) -> str:
         """Name of a file for messages, without secrets."""
@@ -144,6 +147,11 @@ class LocalStorage:
                 continue
             for entry in leftovers(entries, names):
                 remove_leftover(os.path.join(folder, entry))
+
+
+def _with_slashes(path: str) -> str:
+    """A path as patterns and storage elsewhere have it; Windows accepts both."""
+    return path.replace(os.sep, "/")
 
 
 def matching_paths(pattern: str) -> list[str]:

@@ -157,6 +157,15 @@ def test_rounded_doubles_are_reported_seed4(tmp_path, caplog):
     assert caplog.messages == [f"{path}: opacity rounded to float32 in 3 Gaussians"]
 
 
+def test_doubles_beyond_float32_are_infinite_not_rounded(tmp_path, caplog):
+    rows = vertex_rows(random_scene(20, 0))
+    far = rows["x"].astype("<f8")
+    far[5] = 1e300
+    scene = read_ply(write_rows(tmp_path / "a.ply", with_columns(rows, {"x": far})))
+    assert np.flatnonzero(np.isinf(scene.positions[0])).tolist() == [5]
+    assert caplog.text == ""
+
+
 @pytest.mark.parametrize("name", ["tiny_sh3.ply", "bonsai/point_cloud.ply"])
 def test_real_files_are_written_back_byte_for_byte(name, tmp_path):
     path = shared_scene_path(name)

@@ -84,7 +84,7 @@ class Rounding:
                 plane[:] = self._exact(k, tile)
                 if np.can_cast(tile.dtype[name], np.float32):
                     continue
-                differs = (plane != self._exact(k, tile)) & ~np.isnan(plane)
+                differs = (plane != self._exact(k, tile)) & np.isfinite(plane)
             with self._lock:
                 self._rounded[name] += int(np.count_nonzero(differs))
         if any(self._rounded[name] for name in self._names[:3]):

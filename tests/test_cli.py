@@ -134,6 +134,15 @@ def test_ratio_of_a_compressed_source_is_relative_to_the_floats(folder):
     assert f" 48.00 kB -> {size / 1e3:.2f} kB ({1500 * 56 / size:.2f}x relative to the" in out
 
 
+def test_a_file_that_is_not_smaller_than_its_rounded_source_is_reported(folder, caplog):
+    folder.run("encode", "scene.ply", "a.spz", "--coarseness", "12")
+    warning = "out.egs: not smaller than its source, whose values are already rounded"
+    for profile, is_reported in (("l", True), ("s", False), ("lossless", False)):
+        caplog.clear()
+        folder.run("encode", "a.spz", "out.egs", "-p", profile, "--overwrite")
+        assert (warning in caplog.messages) == is_reported, profile
+
+
 @pytest.mark.parametrize("suffix", ["ply", "splat", "egs"])
 def test_inspect_describes_every_scene(folder, suffix):
     scene = replace(

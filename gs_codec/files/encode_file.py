@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.scenes import early_shifts, scene_in
 from gs_codec.files.suffixes import ENCODED, check_target, config_for
-from gs_codec.files.writing import keeps_rounding, tell_lost, write_parts
+from gs_codec.files.writing import is_rounded, keeps_rounding, tell_lost, write_parts
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.registry import open_scene
 from gs_codec.plan import Plan
@@ -22,6 +23,8 @@ from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene, Shift
+
+log = logging.getLogger(__name__)
 
 
 @checked
@@ -122,6 +125,9 @@ def encode_requested(
         times.seconds |= report.seconds
         with times.stage("write"):
             write_parts(target, parts)
+    lossy = config.format == EGS and config.profile != LOSSLESS
+    if lossy and report.file_bytes >= input_bytes and is_rounded(source):
+        log.warning("%s: not smaller than its source, whose values are already rounded", target)
     tell_lost(target, report.lost)
     return replace(report, seconds=times.seconds, input_bytes=input_bytes)
 

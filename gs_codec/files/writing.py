@@ -107,10 +107,11 @@ def keeps_rounding(
     known = format_of(suffix)
     known = known.variants.get(config.gltf_compression, known)
     takes_steps = known.is_rounded and known.writes in ("steps", "levels")
-    return not chosen and takes_steps and all(map(_is_rounded, sources))
+    return not chosen and takes_steps and all(map(is_rounded, sources))
 
 
-def _is_rounded(source: str | Path) -> bool:
+def is_rounded(source: str | Path) -> bool:
+    """Whether a file's format rounds nearly all values."""
     with open_scene(source) as file:
         return file.scene_format.is_rounded
 

@@ -109,6 +109,22 @@ def test_files_are_written_with_and_without_names(tmp_path, monkeypatch, nameles
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no such permissions")
+@pytest.mark.parametrize("nameless", [True, False])
+def test_permissions_of_a_replaced_file_remain(tmp_path, monkeypatch, nameless):
+    if not nameless:
+        monkeypatch.delattr(os, "O_TMPFILE", raising=False)
+    before = os.umask(0o022)
+    try:
+        for mode in (0o644, 0o600):  # of a new file, then as the user changed it
+            with atomic_writer(tmp_path / "out") as file:
+                file.write(b"data")
+            assert (tmp_path / "out").stat().st_mode & 0o777 == mode
+            (tmp_path / "out").chmod(0o600)
+    finally:
+        os.umask(before)
+
+
 def test_a_link_is_replaced_and_not_followed(tmp_path):
     (tmp_path / "old").write_bytes(b"old")
     for name, pointed in (("link", "old"), ("broken", "nowhere")):

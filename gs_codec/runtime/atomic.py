@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -143,8 +144,9 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
 
     If the system supports it, the file has no name until it is complete, so a process killed at any
     moment leaves nothing behind. Exception: if `path` exists, a process killed between the two
-    system calls that name and move the file leaves a complete, hidden copy. Raises InvalidInput if
-    the file cannot be written; then nothing is left behind.
+    system calls that name and move the file leaves a complete, hidden copy. A file that is replaced
+    passes on its permissions. Raises InvalidInput if the file cannot be written; then nothing is
+    left behind.
     """
     check_writable(path)
     target = Path(path)
@@ -155,6 +157,9 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
             with open(descriptor, "wb") as file:
                 yield file
                 file.flush()
+                if hasattr(os, "fchmod"):
+                    with suppress(OSError):  # there is no file yet
+                        os.fchmod(descriptor, stat.S_IMODE(os.stat(target).st_mode))
                 os.fsync(descriptor)
                 if not named:
                     _name(descriptor, target, hidden)

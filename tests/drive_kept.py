@@ -23,7 +23,9 @@ from viewer.scenes.edits import Edits
 from viewer.scenes.opened import open_scene
 from viewer.scenes.saving import save_project
 from viewer.scenes.trial_list import Trials
+from viewer.scenes.typed_paths import PICTURES
 from viewer.scenes.worker import Stale, Worker
+from viewer.window.file_dialog import FileDialog, FileQuestion
 
 
 def held(worker: Worker) -> threading.Event:
@@ -283,6 +285,11 @@ def tiny(driver: Driver) -> list[list[int]]:
     viewer, sizes, before = driver.viewer, [], driver.viewer.window.size
     viewer.window.size = gui.Size(1, 1)
     driver.tick(10, redraw=True)
+    dialog = FileDialog(viewer.modal, FileQuestion("Open", PICTURES, driver.folder), print)
+    dialog.field.text_value = "none.png"
+    dialog.accept()
+    driver.tick(5)
+    dialog.cancel()
     for mode in MODES:
         viewer.set_mode(mode)
         driver.tick(5)

@@ -23,8 +23,8 @@ from viewer.window.dialogs import Modal, folded, shortened
 from viewer.window.stage import Stage
 from viewer.window.x11 import BACKSPACE, Keyboard
 
-#: Width of the dialog, in font sizes.
-_WIDTH = 34.0
+#: Width of the dialog, in font sizes; the least is for tiny windows.
+_WIDTH, _LEAST = 34.0, 4.0
 
 #: Characters per line for each font size of width.
 _CHARACTERS = 2.0
@@ -101,7 +101,7 @@ class FileDialog:
         self._folder = question.folder
         self._replaced: Path | None = None
         em = modal.theme.font_size
-        wide = min(_WIDTH * em, modal.room[0] - 4 * em)
+        wide = max(min(_WIDTH * em, modal.room[0] - 4 * em), _LEAST * em)
         self._line = int(_CHARACTERS * wide / em)
         self.dialog = gui.Dialog(question.title)
         box = gui.Vert(0.4 * em, gui.Margins(em, 0.6 * em, em, 0.6 * em))

@@ -238,13 +238,17 @@ def test_accessors_of_an_spz_state_the_decoded_attributes():
     assert document["extensionsRequired"] == document["extensionsUsed"] == [KHR, SPZ_2]
 
 
-def test_a_gltf_of_an_earlier_draft_without_a_kernel_is_read(tmp_path):
+def test_gltf_of_earlier_drafts_is_read(tmp_path):
     scene = random_scene(20, 1)
     document, binary = split(pack_gltf_spz(scene)[0])
     expected = read(tmp_path, document, binary)
-    splats = document["meshes"][0]["primitives"][0]["extensions"][KHR]
+    [primitive] = document["meshes"][0]["primitives"]
+    splats = primitive["extensions"][KHR]
     del splats["kernel"], splats["colorSpace"]
-    splats["extensions"][f"{KHR}_compression_spz"] = splats["extensions"].pop(SPZ_2)
+    stated = splats["extensions"].pop(SPZ_2)
+    splats["extensions"][f"{KHR}_compression_spz"] = stated
+    assert_same_floats(read(tmp_path, document, binary), expected)
+    primitive["extensions"] = {"KHR_spz_gaussian_splats_compression": stated}
     assert_same_floats(read(tmp_path, document, binary), expected)
 
 
@@ -443,6 +447,10 @@ BAD = {
     "MPEG": (
         edited(*SPLATS, "extensions", to={"MPEG_gaussian_splatting": {}, SPZ_2: {}}),
         r"'MPEG_gaussian_splatting' \(MPEG's codec\) is not read",
+    ),
+    "meshopt": (
+        edited("bufferViews", 0, "extensions", to={"EXT_meshopt_compression": {}}),
+        "'EXT_meshopt_compression' is not read",
     ),
     "no .spz": (edited(*SPLATS, "extensions", to={SPZ_2: {}}), "bufferViews None, expected one"),
     "an .spz of text": (edited(*SPLATS, "extensions", to={SPZ_2: "0"}), "bufferViews None"),

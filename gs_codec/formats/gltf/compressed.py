@@ -31,8 +31,11 @@ COLOUR_SPACE = "srgb_rec709_display"
 
 SPZ_2 = f"{EXTENSION}_compression_spz_2"
 
-#: Names of the extension; the second is of an earlier draft.
-_NAMES = (SPZ_2, f"{EXTENSION}_compression_spz")
+#: The extension of drafts of 2025, which was not within the other.
+_ALONE = "KHR_spz_gaussian_splats_compression"
+
+#: Names of the extension; the others are of earlier drafts.
+_NAMES = (SPZ_2, f"{EXTENSION}_compression_spz", _ALONE)
 
 #: Proposed compressions, by parts of the names of their extensions.
 _PROPOSED = {"lgsc": "L-GSC", "egsc": "EGSC", "mpeg": "MPEG's codec"}
@@ -47,6 +50,14 @@ _INSIDE = Path(SPZ_2)
 def sh_name(degree: int, coefficient: int) -> str:
     """Name of the attribute of an SH coefficient."""
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{coefficient}"
+
+
+def as_current(primitive: Any) -> Any:
+    """A primitive of a draft of 2025 as it would be stated now; others unchanged."""
+    extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
+    if not isinstance(extensions, dict) or _ALONE not in extensions:
+        return primitive
+    return primitive | {"extensions": {EXTENSION: {"extensions": {_ALONE: extensions[_ALONE]}}}}
 
 
 def _inner(primitive: dict[str, Any]) -> Any:

@@ -41,6 +41,9 @@ _COMPONENTS = {
 }
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
+#: Compressions of a buffer view.
+_COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+
 
 @dataclass(frozen=True)
 class GltfFile:
@@ -117,6 +120,10 @@ class GltfFile:
 
     def _span(self, view: dict[str, Any]) -> tuple[memoryview, int, int]:
         """Buffer of a buffer view, and its offset and length there, which are not checked."""
+        extensions = view.get("extensions")
+        for name in _COMPRESSED:
+            if isinstance(extensions, dict) and name in extensions:
+                raise InvalidInput(f"glTF: {name!r} is not read")
         data = self._buffer(view.get("buffer"))
         first = whole(view.get("byteOffset", 0), "bufferView.byteOffset")
         return data, first, whole(view.get("byteLength"), "bufferView.byteLength")

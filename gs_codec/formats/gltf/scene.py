@@ -20,6 +20,7 @@ from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.formats.extra_properties import left_out_of, say_degree_4, say_left_out
 from gs_codec.formats.gltf.compressed import (
     EXTENSION,
+    as_current,
     check_supported,
     compressed_scene,
     compressed_size,
@@ -199,7 +200,7 @@ class _Splats:
 
 def _primitives(mesh: dict[str, Any]) -> list[Any]:
     found = mesh.get("primitives")
-    return found if isinstance(found, list) else []
+    return [as_current(each) for each in found] if isinstance(found, list) else []
 
 
 def _children(node: dict[str, Any]) -> list[int]:

@@ -39,6 +39,7 @@ from gs_codec.formats.ply.writer import write_ply
 from gs_codec.plan import Plan, Steps
 from gs_codec.runtime import memory as free_memory
 from gs_codec.runtime.atomic import atomic_writer, leftovers
+from gs_codec.runtime.optional import is_available
 from gs_codec.views.estimate import HEIGHT, WIDTH
 from gs_codec.workers.pool import Pool
 
@@ -443,6 +444,11 @@ def test_a_scene_of_several_files_is_compared_as_a_whole(folder):
     assert (resumed(folder).done, resumed(folder).skipped) == (4, 4)
     record = next(each for each in records() if each["input"].endswith("d.rad"))
     assert record["input_bytes"] == sum(path.stat().st_size for path in Path("in").glob("d*.rad*"))
+    if is_available("fsspec"):
+        folder.run("batch", f"local://{Path('in').resolve()}/d.rad", "other")
+        [record] = records("other/report.jsonl")
+        text = "in/d.rad: a scene of 3 files, expected one file in remote storage"
+        assert record["error"]["text"].endswith(text)
     changed = foreign.rad_file([chunks[0], chunks[2]], prefix="d-")["d-1.radc"]
     Path("in/d-1.radc").write_bytes(changed)
     assert resumed(folder).done == 1

@@ -21,8 +21,10 @@ from gs_codec.batch.needed_memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scene_tasks import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
+from gs_codec.formats.registry import scene_files
 from gs_codec.report import Progress, StageTimes, bits_per_gaussian
 from gs_codec.runtime.atomic import make_folder
+from gs_codec.runtime.wording import counted
 from gs_codec.workers.interface import Place
 
 if TYPE_CHECKING:
@@ -70,6 +72,10 @@ def _encode(
     with times.stage("fetch"):
         before = sources.stamp(task.source)
         file = sources.fetch(task.source, folder)
+        number = len(scene_files(file))
+        if number > 1 and isinstance(sources, RemoteStorage):
+            text = f"a scene of {counted(number, 'file')}, expected one file in remote storage"
+            raise InvalidInput(f"{task.shown[0]}: {text}")
         files = present_files(file)
         digest, size = file_sha256(*files), sum(each.stat().st_size for each in files)
     output = folder / f"scene.{options.format}"

@@ -19,6 +19,7 @@ from gs_codec.errors import InvalidInput, MissingTool, ToolFailed
 from gs_codec.files.scenes import read_scene, stated_bytes
 from gs_codec.format_table import USD
 from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.registry import open_scene
 from gs_codec.formats.usd import scene as usd
 from gs_codec.formats.usd.scene import pack_usd
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
@@ -66,6 +67,13 @@ def test_written_usd_round_trips(count, degree, suffix, tmp_path):
     back = read_scene(path)
     assert (back.count, back.sh_degree, back.coordinates) == (count, degree, "RDF")
     assert_held_exactly(back, scene)
+
+
+def test_a_scene_of_megabytes_is_read_without_a_limit(tmp_path):
+    """What an encoder wrote is read like this, to measure its loss; a limit of bytes wrapped."""
+    path = written(tmp_path / "a.usdc", pack_usd(random_scene(20_000, 3), ".usdc")[0])
+    with open_scene(path) as file:
+        assert file.scene(max_bytes=sys.maxsize).count == 20_000
 
 
 @pytest.mark.parametrize("degree", range(4))

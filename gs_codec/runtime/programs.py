@@ -10,6 +10,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -162,7 +163,8 @@ def _run(
 
 def _least(limit: int | None, own: int, unit: int) -> str:
     """The lower of a limit and this process's own (negative: none), in units of `unit`."""
-    limits = [value for value in (limit, own) if value is not None and value >= 0]
+    # A shell computes with 64 bits: there, larger numbers would be small.
+    limits = [value for value in (limit, own) if value is not None and 0 <= value <= sys.maxsize]
     return str(min(limits) // unit) if limits else "unlimited"
 
 

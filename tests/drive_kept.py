@@ -166,6 +166,25 @@ def several(driver: Driver) -> list:
     return found
 
 
+def added(driver: Driver) -> list:
+    """Names of the scenes after A was extended while B was chosen; then, after A was replaced."""
+    viewer, stage, found = driver.viewer, driver.viewer.stage, []
+    for replaces in (False, True):
+        viewer.editor.set_number(0)
+        event = held(viewer.worker)
+        viewer.placing.add(str(driver.folder / "a.ply"))
+        viewer.editor.set_number(1)
+        if replaces:
+            scenes = [open_scene(driver.folder / "a.ply"), stage.scenes[1]]
+            viewer.loading.show(scenes, viewer.visits.views, None)
+        event.set()
+        driver.rest()
+        found += [[each.name for each in stage.scenes], " ".join(viewer.panel.status.text.split())]
+        for edits in viewer.editor.all:
+            edits.mark_saved(edits.scene)
+    return found
+
+
 def reload(driver: Driver) -> list:
     """What the panel says after a scene was edited while its file was read again."""
     viewer = driver.viewer
@@ -372,6 +391,7 @@ if __name__ == "__main__":
     steps = (
         transparent,
         several,
+        added,
         reload_turned,
         reload_project,
         question,

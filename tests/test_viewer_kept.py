@@ -51,6 +51,14 @@ def test_a_scene_that_is_loaded_is_not_dropped_for_something_else(found):
     assert found["several"] == [*[said] * 3, "loading b.egs ... 0 %", ["b.egs", "b.egs"]]
 
 
+def test_a_scene_is_added_to_the_one_chosen_before(found):
+    first, said, second, other = found["added"]
+    assert (first, said) == (["a.ply + a.ply", "b.egs"], "")
+    assert (second, other) == (
+        ["a.ply", "b.egs"], "a.ply not added, because another scene was opened"
+    )  # fmt: skip
+
+
 def test_a_scene_edited_while_it_is_read_again_is_kept(found):
     said = "not reloaded, because the scene was edited: ctrl + R reloads it"
     assert found["reload"] == [said, ""]

@@ -85,8 +85,10 @@ class Placing:
 
         def done(scene: Opened) -> None:
             viewer.panel.say("")
-            if edits is not self._editor.edits or edits is None:
+            if edits is None or edits not in self._editor.all:
+                viewer.panel.say(f"{scene.name} not added, because another scene was opened")
                 return
+            self._editor.number = self._editor.all.index(edits)
             if scene.whole is not None or edits.whole.system_given:
                 why = "only a scene of a file can be added, to one that was not turned"
                 viewer.fail(gs_codec.GsCodecError(f"{path}: {why}"))

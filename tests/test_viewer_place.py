@@ -281,6 +281,14 @@ def test_clouds_have_no_command(folder):
         command_of(edits, Path())
 
 
+def test_a_project_in_a_folder_that_is_a_link_finds_its_scenes(folder):
+    (folder / "deep" / "real").mkdir(parents=True)
+    (folder / "link").symlink_to(folder / "deep" / "real")
+    save_project(Edits(open_scene("a.ply")), folder / "link" / "p.gsproj")
+    for place in ("link", "deep/real"):
+        assert open_file(f"{place}/p.gsproj").count == 300
+
+
 def test_a_project_of_changed_scenes_is_refused(folder):
     save_project(Edits(open_scene("a.ply")), folder / "p.gsproj")
     write_ply(folder / "a.ply", random_scene(299, 2, seed=51))

@@ -133,8 +133,10 @@ def project_text(project: Project, folder: Path) -> str:
 
 
 def _relative(path: Path, folder: Path) -> str:
+    # ".." in a folder that is a link leads elsewhere.
+    real = path.parent.resolve() / path.name
     try:
-        return Path(os.path.relpath(path, folder)).as_posix()
+        return Path(os.path.relpath(real, folder.resolve())).as_posix()
     except ValueError:  # on another drive of Windows
         return path.absolute().as_posix()
 

@@ -172,6 +172,15 @@ def test_a_cancelled_encoding_leaves_nothing(page, monkeypatch):
     assert told == {"doing": None, "error": "", "trials": []}
 
 
+def test_an_encoding_that_fails_says_why(page, monkeypatch):
+    def encode(self: object, settings: object, progress: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("viewer.scenes.trial_list.Trials.encode", encode)
+    ask(page, ENCODING)
+    assert until_idle(page)["error"] == "not enough memory"
+
+
 def test_the_latest_picture_of_a_kind_is_drawn(page):
     page.inspector.open()
     found: dict[int, int] = {}

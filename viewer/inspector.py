@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from gs_codec.cameras.image_files import find_image
 from gs_codec.cameras.inria import as_camera
 from gs_codec.cameras.json_fields import as_list, as_numbers, as_object, as_pixels, as_text, get
+from gs_codec.cli.main import describe_error
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES
-from gs_codec.errors import InvalidInput, one_line
+from gs_codec.errors import InvalidInput
 from gs_codec.files.sharing import is_read_by_pages
 from gs_codec.views.photographs import read_photograph
 from viewer.pictures.drawer import Drawer, measure
@@ -285,7 +286,7 @@ class Inspector:
             return _json(doing=doing, error=self._error, trials=numbers)
 
     def _failed(self, error: Exception) -> None:
-        self._error = one_line(error) or type(error).__name__
+        self._error = describe_error(error)
 
     def _now(self, call: Callable[[], None]) -> None:
         """Pass on a result of the worker."""

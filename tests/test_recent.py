@@ -39,3 +39,12 @@ def test_an_unwritable_list_is_ignored(state, tmp_path):
     state.mkdir()
     remember(tmp_path)
     assert recent_files() == []
+
+
+def test_nothing_is_remembered_without_a_home(tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)
+    monkeypatch.chdir(tmp_path)
+    remember(tmp_path)
+    assert recent_files() == []
+    assert list(tmp_path.iterdir()) == []

@@ -173,7 +173,7 @@ def test_the_address_is_not_in_the_browsers_arguments(page, monkeypatch, tmp_pat
     monkeypatch.delenv("SSH_CONNECTION", raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(served.webbrowser, "open", opening)
-    monkeypatch.setattr(served.Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr(page, "serve_forever", lambda: None)
     page.run()
     [(address, mode, text)] = told
@@ -184,6 +184,19 @@ def test_the_address_is_not_in_the_browsers_arguments(page, monkeypatch, tmp_pat
     assert f'content="0; url={page.url}"' in text
     assert list(tmp_path.iterdir()) == []
     assert page.url in capsys.readouterr().out
+
+
+def test_a_browser_is_opened_without_a_home(page, monkeypatch, tmp_path):
+    told: list[str] = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(served.os.path, "expanduser", lambda path: path)
+    monkeypatch.delenv("SSH_CONNECTION", raising=False)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(served.webbrowser, "open", told.append)
+    monkeypatch.setattr(page, "serve_forever", lambda: None)
+    page.run()
+    assert told[0].startswith("file:///")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.thorough

@@ -225,7 +225,7 @@ def _leading_to(url: str) -> Iterator[str]:
     All users can see a browser's arguments. The file is in the home folder, because sandboxed
     browsers cannot read folders for temporary files.
     """
-    home = Path.home()
+    home = Path(os.path.expanduser("~"))  # stays "~" if it is unknown
     folder = home if os.access(home, os.W_OK) else None
     with tempfile.NamedTemporaryFile("w", prefix="gs-viewer-", suffix=".html", dir=folder) as file:
         file.write(f'<meta http-equiv="refresh" content="0; url={escape(url)}">\n')

@@ -26,7 +26,7 @@ def recent_files() -> list[Path]:
     try:
         with _list().open("rb") as file:
             names = json.loads(file.read(_BYTES))
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError, RuntimeError):  # also without a home
         return []
     names = [n for n in names if isinstance(n, str)] if isinstance(names, list) else []
     return [Path(name) for name in names if "\0" not in name and os.path.exists(name)][:MOST]
@@ -40,5 +40,5 @@ def remember(path: Path) -> None:
         _list().parent.mkdir(parents=True, exist_ok=True)
         with atomic_writer(_list()) as file:
             file.write(json.dumps(names[:MOST], indent=1).encode("utf-8", "surrogatepass"))
-    except (OSError, GsCodecError):
+    except (OSError, GsCodecError, RuntimeError):
         return

@@ -601,3 +601,17 @@ def test_cesium_draws_fine_tiles_when_near_and_coarse_ones_from_afar(tmp_path):
     assert [tiles[-1] for tiles in shown] == expected
     for number, view in enumerate(views):
         assert decibels(seen(tmp_path / f"{number}.png"), drawn(scene, view)) > 43
+
+
+def test_a_loss_by_the_limits_of_a_format_is_a_warning(tmp_path, caplog):
+    """An `.spz` has no standard deviations above 365; tiles in millimetres need larger ones."""
+    scene = generate(2000, 0, seed=0)
+    large = replace(
+        scene,
+        positions=scene.positions * np.float32(1e5),
+        log_scale=scene.log_scale + np.float32(np.log(1e5)),
+    )
+    write_ply(tmp_path / "a.ply", large)
+    report = convert_file([tmp_path / "a.ply"], tmp_path / "tiles" / "tileset.json")
+    assert report.rendered.loss > 2 * report.rendered.aimed
+    assert "rendered views lose" in caplog.text

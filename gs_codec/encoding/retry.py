@@ -202,12 +202,12 @@ def _decoded(encoded: Encoded, config: Config) -> Scene:
     return decode_as(config, np.concatenate(parts, out=data).data)
 
 
-def warn_of_loss(loss: RenderedLoss, config: Config) -> None:
-    """Warn if views lose too much; raise if strict."""
+def warn_of_loss(loss: RenderedLoss, config: Config, tried: bool = True) -> None:
+    """Warn if views lose too much; raise if strict. `tried`: whether finer steps were tried."""
     if loss.aimed is None or loss.loss <= 2 * loss.aimed:
         return
     text = f"rendered views lose {loss.loss:.2f} dB (aim: {loss.aimed:.2f} dB)"
-    if config.format != EGS:
+    if tried and config.format != EGS:
         text += f"; finer steps do not help, because of the limits of .{config.format}"
     if config.strict:
         raise InvalidInput(text)

@@ -8,6 +8,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from gs_codec.formats.tiles.earth import Place
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.levels.tiling import Blocks, tile_levels
-from gs_codec.report import RenderedLoss
+from gs_codec.report import RenderedLoss, psnr_loss
 from gs_codec.runtime.atomic import atomic_writer, write_files
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
@@ -84,7 +85,7 @@ def write_scene(
                 write_zip(file, {STREAMED: files.pop(STREAMED), **files})
         else:
             write_files(Path(path).parent, files)
-        written = Written(lost, measured(path, scene, config))
+        written = Written(lost, measured(path, scene, config, finest))
     else:
         with located(path):
             config = config_for(path, config)
@@ -116,9 +117,11 @@ def is_rounded(source: str | Path) -> bool:
         return file.scene_format.is_rounded
 
 
-def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | None:
-    """The loss in rendered views of a written file."""
+def measured(path: str | Path, scene: Scene, config: Config, finest: bool) -> RenderedLoss | None:
+    """The loss in rendered views of a written file; warns if it is far above a profile's aim."""
     from gs_codec.encoding.loss import Check
+    from gs_codec.encoding.retry import warn_of_loss
+    from gs_codec.guidance.calibrate import wanted_error
 
     clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
     with open_scene(path) as file:
@@ -127,7 +130,12 @@ def measured(path: str | Path, scene: Scene, config: Config) -> RenderedLoss | N
             decoded, _ = finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))
         finally:
             _of_tiles.disabled = False
-        return Check.by_plan(clean, None).measure(turn_axes(decoded))
+        loss = Check.by_plan(clean, None).measure(turn_axes(decoded))
+    if loss is None or finest:
+        return loss
+    loss = replace(loss, aimed=psnr_loss(wanted_error(config)))
+    warn_of_loss(loss, config, tried=False)
+    return loss
 
 
 def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:

@@ -468,6 +468,7 @@ def test_a_small_file_takes_little_memory(tmp_path, monkeypatch):
 
     def run(command, inputs, output, limits, most):
         allowed.append(limits.memory_bytes)
+        assert Path(command[3], "gs_codec", "__init__.py").is_file()  # imported from there
         raise ToolFailed("did not start")
 
     monkeypatch.setattr(usd, "run_on_files", run)

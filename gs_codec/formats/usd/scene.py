@@ -141,7 +141,7 @@ def _read_in_process(view: memoryview, most: int, time: float = _EARLIEST) -> di
     require_usd_core()
     suffix = dict(zip(USD.signatures, (".usda", ".usdc", ".usdz"), strict=True))
     name = "scene" + next((s for begin, s in suffix.items() if view[: len(begin)] == begin), ".usd")
-    package = Path(__file__).parents[2]
+    package = Path(__file__).parents[3]
     command = [sys.executable, "-c", _READ, str(package), name, "found.npz", str(most), repr(time)]
     floats, size = max(most, 0), len(view)
     seconds = _SECONDS + size // _BYTES_A_SECOND

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import tempfile
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -323,6 +324,17 @@ def tiny(driver: Driver) -> list[list[int]]:
     return sizes
 
 
+def full(driver: Driver) -> list:
+    """What is said if there is no folder for temporary files, and whether anything is encoded."""
+    viewer, folder = driver.viewer, tempfile.tempdir
+    tempfile.tempdir = str(driver.folder / "none")
+    viewer.encoding.encode(viewer.panel.rate.settings)
+    tempfile.tempdir = folder
+    found = [viewer.message[1], viewer.encoding.doing]
+    viewer.dismiss()
+    return found
+
+
 def measured(driver: Driver) -> list[str]:
     """What measured views are called, of trials with cameras and without any."""
     encoding, rate, found = driver.viewer.encoding, driver.viewer.panel.rate, []
@@ -403,6 +415,7 @@ if __name__ == "__main__":
         reload,
         lengths,
         tiny,
+        full,
         measured,
         limit,
         escape,

@@ -51,6 +51,12 @@ def test_a_scene_that_is_loaded_is_not_dropped_for_something_else(found):
     assert found["several"] == [*[said] * 3, "loading b.egs ... 0 %", ["b.egs", "b.egs"]]
 
 
+def test_an_encoding_without_room_for_it_is_reported(found):
+    text, doing = found["full"]
+    assert text.endswith(": No such file or directory")
+    assert doing is None
+
+
 def test_a_scene_is_added_to_the_one_chosen_before(found):
     first, said, second, other = found["added"]
     assert (first, said) == (["a.ply + a.ply", "b.egs"], "")

@@ -47,7 +47,12 @@ class Encoding(TrialJobs):
             if first in self._opened:
                 self._put([first, opened])
 
-        self.run(self._begin(), settings, show)
+        try:
+            trials = self._begin()
+        except OSError as error:  # no room for temporary files
+            self._viewer.fail(error)
+            return
+        self.run(trials, settings, show)
 
     def _begin(self) -> Trials:
         """The trials of the scene shown; a new scene starts with none."""

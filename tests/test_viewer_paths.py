@@ -17,6 +17,7 @@ from viewer.scenes.typed_paths import (
     SCENES,
     SEQUENCES,
     check_readable,
+    first_folder,
     listed,
     suggested,
     to_write,
@@ -165,3 +166,11 @@ def test_another_format_changes_only_the_suffix():
 def test_what_is_no_path_is_refused(folder, text, saves):
     with pytest.raises(gs_codec.InvalidInput, match="not a path"):
         typed_path(text, folder, saves)
+
+
+def test_dialogs_begin_elsewhere_if_the_working_directory_was_removed(folder, monkeypatch):
+    (folder / "gone").mkdir()
+    monkeypatch.chdir(folder / "gone")
+    (folder / "gone").rmdir()
+    assert first_folder(Path("a.ply")) == first_folder(Path()) == Path(os.sep)
+    assert first_folder(folder / "a.ply") == folder

@@ -25,7 +25,7 @@ from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned
 from viewer.scenes.pose import of_camera
-from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind
+from viewer.scenes.typed_paths import CAMERAS, FOLDERS, REPORTS, SCENES, Kind, first_folder
 from viewer.scenes.view_request import Request, find_views, parse_layers
 from viewer.scenes.viewpoints import find_viewpoints, nearest_camera
 from viewer.window.display import find_device
@@ -400,10 +400,9 @@ class Actions:
             return True
 
         scene = self.scene.path if self.scene is not None else Path()
-        folder = scene.absolute().parent if scene.name else Path.cwd()
         dialog = FileDialog(
             modal,
-            FileQuestion(title, kind, folder),
+            FileQuestion(title, kind, first_folder(scene)),
             lambda path: self._try(lambda: then(path)),
             close,
         )

@@ -97,6 +97,18 @@ def typed_path(text: str, folder: Path, saves: bool = False) -> Path:
     return path.absolute() if elsewhere else inside
 
 
+def first_folder(scene: Path, last: Path | None = None) -> Path:
+    """The folder to list first: the last one, that of a scene, or the working directory.
+
+    If it was removed, one around it.
+    """
+    try:
+        folder = last or (scene.absolute().parent if scene.name else Path.cwd())
+    except FileNotFoundError:  # the working directory was removed
+        folder = Path(os.sep)
+    return next((each for each in (folder, *folder.parents) if each.is_dir()), folder)
+
+
 def check_readable(path: Path, kind: Kind) -> None:
     """Check that a file or folder can be opened.
 

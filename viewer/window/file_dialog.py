@@ -14,6 +14,7 @@ from viewer.scenes.typed_paths import (
     UP,
     Kind,
     check_readable,
+    first_folder,
     listed,
     suggested,
     to_write,
@@ -316,9 +317,7 @@ class Files:
         self._last: Path | None = None
 
     def _folder(self, scene: Path) -> Path:
-        """The first folder to list; if it was removed, one around it."""
-        folder = self._last or (scene.absolute().parent if scene.name else Path.cwd())
-        return next((each for each in (folder, *folder.parents) if each.is_dir()), folder)
+        return first_folder(scene, self._last)
 
     def ask_open(self, title: str, kind: Kind, then: Callable[[str], None]) -> None:
         """Ask for a file of a kind, or a folder."""

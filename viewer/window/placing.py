@@ -143,7 +143,7 @@ class Placing:
             return
         try:
             text = command_of(edits, path)
-        except gs_codec.GsCodecError as error:
+        except (OSError, gs_codec.GsCodecError) as error:
             self._viewer.fail(error)
             return
         print_text(text)

@@ -168,3 +168,4 @@ def test_bad_lcc2_is_refused_in_one_line(case, tmp_path):
     with pytest.raises(InvalidInput, match=message) as caught:
         read_scene(path)
     assert "\n" not in str(caught.value)
+    assert scene_files(path) in ([path], [path, path])  # it may name itself

@@ -47,7 +47,8 @@ def files_beside(path: Path, data: FileBytes) -> list[Path]:
     """The files that are read."""
     with located(path):
         files = _described(path, data).files
-    return [beside for file in files for beside in scene_files(file)]
+    texts = [file for file in files if file.suffix.lower() == ".json"]
+    return files + [beside for file in texts for beside in scene_files(file)[1:]]
 
 
 def read_lcc(path: Path, data: memoryview, max_bytes: int | None) -> Scene:

@@ -24,6 +24,9 @@ from scenes import random_scene
 from gs_codec.batch import remote
 from gs_codec.batch.local import Location
 from gs_codec.batch.remote import storage_of
+from gs_codec.batch.run import Batch, run_batch
+from gs_codec.batch.scene_tasks import Options
+from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.runtime.redaction import redact_process, redacted, without_secrets
@@ -64,7 +67,7 @@ class Handler(BaseHTTPRequestHandler):
         elif content is None:
             self.answer(500 if "gone" in path else 404, self.path.encode())
         else:
-            self.answer(200, content)
+            self.answer(200, content, **self.server.headers)  # type: ignore[attr-defined]
 
     def do_HEAD(self) -> None:
         self.do_GET()
@@ -97,6 +100,7 @@ def server(tmp_path) -> Iterator[ThreadingHTTPServer]:
     links = b'<a href="a.ply">a</a> <a href="gone.ply">gone</a>'
     server.files = {"/in/": links, "/none/": b"", "/in/a.ply": scene, "/a%20b.ply": scene[:-1]}
     server.files["/slow.ply"] = b""
+    server.headers = {}
     server.url = f"http://127.0.0.1:{server.server_port}"
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield server
@@ -175,6 +179,20 @@ def test_endless_folders_of_a_server_are_abandoned(server, pattern):
     url = f"{server.url}/{pattern}"
     with pytest.raises(InvalidInput, match="loop/: 33 folders deep; links may"):
         storage_of(url).find()
+
+
+@pytest.mark.parametrize("headers", [{}, {"Last-Modified": "Sun, 29 Nov 2026 15:00:00 GMT"}])
+def test_files_of_a_server_without_times_are_compared_by_content(server, tmp_path, headers):
+    server.headers = headers
+    batch = Batch(f"{server.url}/in/a.ply", str(tmp_path / "out"), Options(Config()), resume=True)
+    assert (run_batch(batch).done, run_batch(batch).skipped) == (1, 1)
+    data = bytearray(server.files["/in/a.ply"])
+    data[-4:] = b"\0\0\0\0"
+    server.files["/in/a.ply"] = bytes(data)
+    if headers:
+        assert run_batch(batch).skipped == 1
+        server.headers = {"Last-Modified": "Sun, 29 Nov 2026 16:00:00 GMT"}
+    assert run_batch(batch).done == 1
 
 
 def test_servers_that_refuse_or_do_not_answer_are_reported(server, tmp_path, monkeypatch):

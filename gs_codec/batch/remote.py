@@ -211,7 +211,9 @@ class RemoteStorage:
                 info = self._fs.info(location.path)
             except FileNotFoundError:
                 return None
-        keys = ("mtime", "LastModified", "last_modified", "updated", "created", "ETag")
+        keys = (
+            "mtime", "LastModified", "Last-Modified", "last_modified", "updated", "created", "ETag",
+        )  # fmt: skip
         modified = next((str(info[key]) for key in keys if info.get(key)), "")
         size = info.get("size")
         return Stamp(size if isinstance(size, int) else -1, modified)

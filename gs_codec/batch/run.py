@@ -241,11 +241,13 @@ def _complete(
         written = targets.stamp(task.target)
         if written is None or written.size not in (-1, record.output_bytes):
             return None
-        # A local file with a new modification time may still have the same content.
-        was = record.input_bytes, record.input_modified
-        if (task.stamp.size, task.stamp.modified) != was and (
-            not isinstance(sources, LocalStorage)
-            or task.stamp.size != record.input_bytes
+        stamp, was = task.stamp, (record.input_bytes, record.input_modified)
+        # A local file with a new modification time may still have the same content; a web server
+        # may state none.
+        by_content = isinstance(sources, LocalStorage) or not stamp.modified
+        if ((stamp.size, stamp.modified) != was or not stamp.modified) and (
+            not by_content
+            or stamp.size != record.input_bytes
             or sources.sha256(task.source) != record.input_sha256
         ):
             return None

@@ -13,6 +13,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -61,6 +62,7 @@ from viewer.scenes.pose import Pose, look_at, of_camera, overview
 from viewer.scenes.view_request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
 from viewer.scenes.worker import Worker
+from viewer.window.view_survey import Survey
 
 STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
 
@@ -564,6 +566,32 @@ def test_only_the_newest_job_of_a_kind_reports():
     worker.submit("picture", lambda _: 3, told.append, told.append)
     worker.cancel("picture")
     worker.end()
+
+
+def test_views_of_another_scene_are_drawn_while_the_last_is_still_being_drawn(monkeypatch):
+    calls, started, go_on = [], threading.Event(), threading.Event()
+
+    def splats(views, scene, *_):
+        started.set()
+        go_on.wait(10)
+        return scene
+
+    monkeypatch.setattr("viewer.window.view_survey.splats", splats)
+    stage = SimpleNamespace(scenes=["first"], views={})
+    viewer = SimpleNamespace(stage=stage, worker=Worker(calls.append), fail=print)
+    points = [SimpleNamespace(pose=SimpleNamespace(frame=(4, 3))) for _ in range(2)]
+    visits = SimpleNamespace(viewpoints=points, views=SimpleNamespace(first=0))
+    survey = Survey(viewer, visits, lambda: None)
+    survey.ask("pictures", True)
+    assert started.wait(10)
+    stage.scenes = ["second"]
+    survey.ask("pictures", True)
+    go_on.set()
+    for _ in range(2):  # one after the other
+        finish(viewer.worker, calls)
+        calls.clear()
+    assert survey.pictures == {0: "second", 1: "second"}
+    viewer.worker.end()
 
 
 def test_another_thread_does_not_wait_for_the_first_and_ends_with_it():

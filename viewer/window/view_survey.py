@@ -43,6 +43,7 @@ class Survey:
         self._of: tuple[Opened, ...] = ()
         self._poses: list[Pose] = []
         self._wanted: set[str] = set()
+        self._coming: set[str] = set()  # a running job may be of other scenes
         self.decibels: dict[int, float] = {}
         self.pictures: dict[int, NDArray] = {}
 
@@ -51,9 +52,13 @@ class Survey:
         self._forget()
         (self._wanted.add if wanted else self._wanted.discard)(what)
         if not wanted:
-            self._viewer.worker.cancel(f"survey {what}")
-        elif f"survey {what}" not in self._viewer.worker.kinds:
+            self._cancel(what)
+        elif what not in self._coming:
             self._next(what)
+
+    def _cancel(self, what: str) -> None:
+        self._viewer.worker.cancel(f"survey {what}")
+        self._coming.discard(what)
 
     def _forget(self) -> None:
         """Drop results of other scenes or viewpoints."""
@@ -64,7 +69,7 @@ class Survey:
                 self.pictures = {}
             self._of, self._poses, self.decibels = scenes, poses, {}
             for what in ("decibels", "pictures"):
-                self._viewer.worker.cancel(f"survey {what}")
+                self._cancel(what)
 
     def _next(self, what: str) -> None:
         """Process the next view, if any."""
@@ -94,9 +99,11 @@ class Survey:
         """Compute a result for a view, then continue with the next."""
 
         def done(value: Result) -> None:
+            self._coming.discard(what)
             put(value)
             self._changed()
             if what in self._wanted:
                 self._next(what)
 
+        self._coming.add(what)
         self._viewer.worker.submit(f"survey {what}", job, done, self._viewer.fail)

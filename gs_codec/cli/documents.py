@@ -50,9 +50,9 @@ def begin_run(typed: list[str], command: str | None) -> None:
     logging.getLogger().addHandler(_run)
 
 
-def leave_stdout() -> None:
-    """Print the document to stderr, because a scene goes to stdout."""
-    _run.file = sys.stderr
+def keep_off_stdout(is_taken: bool) -> None:
+    """Print the document to stderr if a scene goes to stdout."""
+    _run.file = sys.stderr if is_taken else None
 
 
 def print_document(**shown: Any) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from gs_codec.cli.action_options import action_parameters, typed_actions
-from gs_codec.cli.documents import leave_stdout
+from gs_codec.cli.documents import keep_off_stdout
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
 from gs_codec.cli.output import set_loudness
 from gs_codec.cli.streams import is_stdout
@@ -111,8 +111,7 @@ def takes(
         ]
 
         def called(ctx: typer.Context, **values: Any) -> None:
-            if is_stdout(values.get("target")):
-                leave_stdout()
+            keep_off_stdout(is_stdout(values.get("target")))
             quiet, verbose = values.pop("quiet"), values.pop("verbose")
             if quiet and verbose:
                 raise InvalidInput("--quiet and --verbose cannot be combined")

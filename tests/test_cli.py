@@ -903,3 +903,18 @@ def test_decoded_file_can_be_encoded_again(folder, trio):
     assert again.count == scene.count
     encode_file("decoded.ply", "by_library.egs", Config("paper-m"))
     assert Path("again.egs").read_bytes() == Path("by_library.egs").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "inspect https://host/a.egs",
+        "encode https://host/a.ply?b=1 a.egs",
+        "encode scene.ply s3://host/a.egs",
+        "render scene.ply --cameras https://host/cameras.json --out views",
+    ],
+)
+def test_files_at_urls_give_a_hint(folder, typed):
+    assert folder.refuse(*typed.split()).endswith("; only `batch` reads and writes URLs\n")
+    url = "https://host/page"
+    assert "only" not in folder.refuse("share", "none.egs", "--out", "page", "--url", url)

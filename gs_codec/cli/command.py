@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 
@@ -71,6 +72,14 @@ def message_of(error: Any) -> str:
     dashed = [name for name in sys.argv[1:] if name.startswith("-") and os.path.exists(name)]
     if dashed and text.startswith("No such option"):
         return f"{text}; write the name of the file as ./{dashed[0]}"
+    return text
+
+
+def with_hint(text: str, typed: list[str]) -> str:
+    """The text of an error; if it names a URL as a file, with a hint."""
+    urls = [name for name in typed if "://" in name]
+    if any(str(Path(url)) in text for url in urls):
+        return f"{text}; only `batch` reads and writes URLs"
     return text
 
 

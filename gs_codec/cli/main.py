@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gs_codec import __version__
-from gs_codec.cli.command import Shown, usage_of, usage_text
+from gs_codec.cli.command import Shown, usage_of, usage_text, with_hint
 from gs_codec.cli.documents import begin_run, print_error
 from gs_codec.cli.output import (
     is_verbose,
@@ -117,7 +117,7 @@ def main() -> None:
         _tell_cost(start)
         _flush_output()
     except (GsCodecError, OSError, MemoryError) as error:
-        _tell_error(error, describe_error(error))
+        _tell_error(error, with_hint(describe_error(error), sys.argv[2:]))
         with suppress(OSError):
             _flush_output()
         sys.exit(2)

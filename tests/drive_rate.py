@@ -109,6 +109,10 @@ def encodings(rates: Rates) -> dict:
     found["sized"] = rates.state()
     found["quality"] = viewer.stage.quality
     found |= stop(rates)
+    found["coarsest"] = []
+    for number in (100.0, 100.0, 0.001, 1.0):
+        rates.choose("m", 0, number)
+        found["coarsest"].append([rates.tab.number.double_value, rates.tab.settings.value])
     rates.choose("m", 1, 0.001)
     rates.encode()
     rates.wait(lambda: viewer.message is not None)

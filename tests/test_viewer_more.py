@@ -498,6 +498,10 @@ def test_panes_are_drawn_during_encoding_and_cancel_keeps_the_scenes(rated):
     assert rated["files"] == ["1.egs", "2.egs"]
 
 
+def test_step_sizes_are_those_that_can_be_encoded(rated):
+    assert rated["coarsest"] == [[64, 64], [64, 64], [1 / 64, 1 / 64], [1, 1]]
+
+
 def test_an_unreachable_target_reports_the_reachable_range(rated):
     title, text = rated["refused"]
     assert title == "Not possible"

@@ -8,6 +8,7 @@ from typing import SupportsFloat
 from open3d.visualization import gui
 
 from gs_codec.config import PROFILE_CHOICES
+from gs_codec.rate.search import COARSEST, FINEST
 from gs_codec.runtime.wording import size_text
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
@@ -119,11 +120,15 @@ class RateTab:
         return EncodingSettings(profile, wish, value, self.guided.checked or wish == "loss")
 
     def set_value(self, value: SupportsFloat) -> None:
-        """Set the target's value."""
-        scale = self._scales.get(WISHES[self.wish.selected_index])
-        if scale is not None and not math.isclose(float(value), scale.value, rel_tol=_SAME):
-            scale.value = float(value)
-            self.refresh()
+        """Set the target's value; step sizes to the nearest that can be encoded."""
+        wish, number = WISHES[self.wish.selected_index], float(value)
+        if wish == "steps":
+            number = min(max(number, 2.0**FINEST), 2.0**COARSEST)
+        scale, is_possible = self._scales.get(wish), number == float(value)
+        if scale is None or (is_possible and math.isclose(number, scale.value, rel_tol=_SAME)):
+            return
+        scale.value = number
+        self.refresh()
 
     def _slide(self, value: SupportsFloat) -> None:
         """Set the target's value from the slider, which also reports values set by the program."""

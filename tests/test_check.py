@@ -251,6 +251,22 @@ def test_given_cameras_measure_in_held_out_views(still_life, cameras):
     assert 0 < loss.away < 4
 
 
+def test_the_limits_of_a_format_are_not_blamed_on_cameras(still_life, cameras, caplog):
+    """In small units, an `.spz` clips scales, whatever the cameras."""
+    large = replace(
+        still_life,
+        positions=np.float32(1e5) * still_life.positions,
+        log_scale=still_life.log_scale + np.float32(np.log(1e5)),
+    )
+    views = [replace(camera, position=1e5 * camera.position) for camera in cameras]
+    as_requested(large, Config(format="spz"), Plan(cameras=views))
+    assert "because of the limits of .spz" in caplog.text
+    assert "do not fit" not in caplog.text
+    flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
+    as_requested(still_life, Config(format="spz"), Plan(cameras=flipped))
+    assert "cameras do not fit the scene" in caplog.text
+
+
 def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
     flipped = [replace(c, rotation=np.diag([1.0, -1, -1]) @ c.rotation) for c in cameras]
     data, report = as_requested(still_life, Config(), Plan(cameras=flipped))

@@ -13,6 +13,7 @@ import numpy as np
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import Encoded
+from gs_codec.codecs.interchange import pack_finest
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
 from gs_codec.encoding.loss import Check, error_of
 from gs_codec.errors import InvalidInput
@@ -123,7 +124,8 @@ def encode_within_loss(
         result, loss = attempt(chosen)
         if loss is None:
             return result, None
-        if origin is not None and aim is not None and _misfits(check, loss, check.before + aim):
+        guided = origin is not None and aim is not None
+        if guided and _misfits(check, loss, check.before + (aim or 0.0), config):
             worst = max(loss.loss, loss.away or 0.0)
             warn_misfit(f"guided by them, views lose {worst:.1f} dB", config)
             return None
@@ -154,12 +156,20 @@ def encode_within_loss(
     return best
 
 
-def _misfits(check: Check, loss: RenderedLoss, aim: float) -> bool:
+def _misfits(check: Check, loss: RenderedLoss, aim: float, config: Config) -> bool:
     """Whether the cameras that guided an encode do not fit the scene."""
-    times = error_of(max(loss.loss, loss.away or 0.0)) / aim
-    if not check.telling:
-        return times > _MISFIT_ANYWHERE
-    return times > (_MISFIT_IF_BARE if check.covered < _BARE else _MISFIT)
+    most = _MISFIT_IF_BARE if check.covered < _BARE else _MISFIT
+    most = most if check.telling else _MISFIT_ANYWHERE
+    error = error_of(max(loss.loss, loss.away or 0.0))
+    return error > most * aim and error > most * (aim + _limit(check, config))
+
+
+def _limit(check: Check, config: Config) -> float:
+    """The error of a scene that is written as finely as its format can."""
+    if config.format == EGS:
+        return 0.0
+    loss = _measure(pack_finest(check.scene, config), config, check, None)
+    return 0.0 if loss is None else error_of(max(loss.loss, loss.away or 0.0))
 
 
 def warn_misfit(reason: str, config: Config, reaction: str = "; encoded without them") -> None:
@@ -181,7 +191,7 @@ def loss_by_plan(
     loss = check.measure(after)
     if loss is not None and loss.away is not None:
         expected = max(wanted_error(Config()), error_of(loss.loss))
-        if _misfits(check, loss, expected):
+        if _misfits(check, loss, expected, Config()):
             warn_misfit(f"away from them, views lose {loss.away:.1f} dB", config, "")
     return loss
 

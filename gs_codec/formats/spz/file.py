@@ -218,7 +218,8 @@ def _head_of(data: memoryview) -> tuple[bytes, _Inflater | None]:
     inflater = None if data[: len(MAGIC)] == MAGIC else _Inflater(data)
     head = bytes(inflater.inflate(_HEADER.size) if inflater else data[: _HEADER.size])
     if not head.startswith(MAGIC) or (inflater and len(head) < _HEADER.size):
-        raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
+        begin = f"{head[:4]!a}, expected {MAGIC!a}"
+        raise InvalidInput(f"a gzip stream that begins with {begin} of an .spz: unpack other files")
     if len(head) < _HEADER.size:
         raise InvalidInput(f"{counted(len(head), 'byte')}, expected a header of {_HEADER.size}")
     return head, inflater

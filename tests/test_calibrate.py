@@ -55,6 +55,24 @@ def test_profile_m_loses_the_same_at_any_contrast(still_life, views, contrast):
     assert LEAST < own_psnr(scene, views, Config("m")) < MOST
 
 
+def test_thin_objects_lose_the_same_where_they_are(still_life, views):
+    """Wires cover little of any crop."""
+    rng, count = np.random.default_rng(0), still_life.count
+    ends = rng.uniform(-1, 1, (40, 2, 3))[rng.integers(40, size=count)]
+    share = rng.random((count, 1))
+    wires = replace(
+        still_life,
+        positions=np.float32(ends[:, 0] * (1 - share) + ends[:, 1] * share).T,
+        log_scale=np.full((3, count), np.log(0.006), np.float32),
+        opacity=np.full((1, count), 3.0, np.float32),
+    )
+    covered = np.mean([render(wires, view, device="cpu").alpha.mean() for view in views])
+    assert covered < 0.5
+    assert 45 < own_psnr(wires, views, Config("m")) + 10 * np.log10(covered) < MOST
+    _, report = as_requested(wires, Config("m"))
+    assert 0.02 < report.rendered.loss < 0.1
+
+
 @pytest.mark.thorough
 def test_profile_m_loses_the_same_in_a_small_capture():
     made = capture("forward", 6000, seed=3, iterations=40, width=120)

@@ -13,13 +13,12 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.guidance.calibrate import ABOVE_MEAN, QUANTILE
 from gs_codec.guidance.windows import (
-    ENOUGH,
-    MOST_LEFT,
     MOST_SHOWN,
     SIDES,
     Part,
     choose_windows,
     draw_parts,
+    error_factors,
     find_shown,
     parts_of,
     sample_of,
@@ -35,23 +34,31 @@ if TYPE_CHECKING:
 #: camera has been.
 _WORST = 0.95
 
+#: Minimum number of windows: fewer than choose step sizes, as a rough loss is better than none.
+_ENOUGH = 8
+
 #: Lower bound of mean squared errors: 120 dB.
 _LEAST = 1e-12
 
 
 class _Seen(NamedTuple):
-    """Windows, each with its Gaussians ``(n,)``, image ``(H, W, 3)`` and mean transmittance."""
+    """Windows, each with its Gaussians ``(n,)``, image ``(H, W, 3)`` and mean transmittance.
+
+    See `error_factors` for the factors.
+    """
 
     windows: list[Camera]
     shown: list[NDArray[np.int64]]
     images: list[NDArray[np.float32]]
     left: list[float]
+    factors: list[float]
 
     def errors(self, coded: Scene, shown: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
         """Mean squared error of each window; `shown` are its Gaussians in the coded scene."""
         drawn = _draw(coded, self.windows, shown)
         pairs = zip(self.images, drawn, strict=True)
-        return np.array([np.mean((a - b) ** 2, dtype=np.float64) for a, (b, _) in pairs])
+        errors = np.array([np.mean((a - b) ** 2, dtype=np.float64) for a, (b, _) in pairs])
+        return errors * self.factors
 
 
 def _draw(
@@ -66,18 +73,24 @@ def _look(
     scene: Scene,
     windows: Sequence[Camera],
     shown: Sequence[NDArray[np.int64]],
-    most_left: float = MOST_LEFT,
+    with_holes: bool = False,
 ) -> _Seen | None:
-    """The windows with a mean transmittance of at most `most_left`; None if they are too few."""
+    """The usable windows, or `with_holes` all in which not too much is shown; None if too few."""
     found = zip(windows, shown, strict=True)
     usable = [(window, own) for window, own in found if len(own) <= MOST_SHOWN]
-    drawn = _draw(scene, *zip(*usable, strict=True)) if usable else []
+    if len(usable) < _ENOUGH:
+        return None
+    drawn = _draw(scene, *zip(*usable, strict=True))
+    left = [through for _, through in drawn]
+    factors = np.ones(len(left)) if with_holes else error_factors(left, _ENOUGH)
+    if factors is None:
+        return None
     rows = [
-        (window, own, image, left)
-        for (window, own), (image, left) in zip(usable, drawn, strict=True)
-        if left <= most_left
+        (window, own, image, through, factor)
+        for (window, own), (image, through), factor in zip(usable, drawn, factors, strict=True)
+        if factor
     ]
-    return _Seen(*map(list, zip(*rows, strict=True))) if len(rows) >= ENOUGH else None
+    return _Seen(*map(list, zip(*rows, strict=True)))
 
 
 def _look_from(scene: Scene, cameras: Sequence[Camera]) -> _Seen | None:
@@ -85,7 +98,7 @@ def _look_from(scene: Scene, cameras: Sequence[Camera]) -> _Seen | None:
     for side in SIDES:
         windows = windows_of(cameras, side)
         # Empty windows count as having no loss. From likely positions, they are holes.
-        seen = _look(scene, windows, find_shown(scene, windows), most_left=1.0)
+        seen = _look(scene, windows, find_shown(scene, windows), with_holes=True)
         if seen is not None:
             return seen
     return None

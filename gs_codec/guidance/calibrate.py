@@ -27,14 +27,13 @@ from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.ycocg import round_colours
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config, options_of
 from gs_codec.guidance.windows import (
-    ENOUGH,
-    MOST_LEFT,
     MOST_SHOWN,
     Part,
     Windows,
     choose_windows,
     cleaned,
     draw_parts,
+    error_factors,
     find_shown,
     parts_of,
     sample_of,
@@ -148,19 +147,24 @@ def _octaves(
 ) -> float:
     """Log2 of the coarseness that `m` needs, measured once or twice."""
     advance = step_counter(progress, "calibrate", 1 + len(roundings))
-    drawn = zip(parts, draw_parts(shown, parts), strict=True)
-    telling = [(part, colour) for part, (colour, left) in drawn if left <= MOST_LEFT]
+    drawn = draw_parts(shown, parts)
+    factors = error_factors([left for _, left in drawn])
     advance()
-    if len(telling) < ENOUGH:
+    if factors is None:
         return 0.0
+    telling = [
+        (part, colour, factor)
+        for part, (colour, _), factor in zip(parts, drawn, factors, strict=True)
+        if factor
+    ]
     _, scales, _ = sort_axes(sample.log_scale, sample.rot)
     octaves = 0.0
     for rounding in roundings:
         rules = blind_coefficients(scales, ADAPTIVE_PROFILES["m"].fineness * 2.0**octaves)
-        rounded = draw_parts(rounding(rules), [part for part, _ in telling])
+        rounded = draw_parts(rounding(rules), [part for part, *_ in telling])
         errors = [
-            np.mean((before - after) ** 2, dtype=np.float64)
-            for (_, before), (after, _) in zip(telling, rounded, strict=True)
+            factor * np.mean((before - after) ** 2, dtype=np.float64)
+            for (_, before, factor), (after, _) in zip(telling, rounded, strict=True)
         ]
         found = max(float(np.quantile(errors, QUANTILE)), 1e-12)
         step = math.log2(ABOVE_MEAN * WANTED / found) / POWER

@@ -53,11 +53,14 @@ _SHOWN = 500
 #: Skip windows with more Gaussians, which take too long.
 MOST_SHOWN = 5000
 
-#: Minimum number of usable windows.
+#: Minimum number of usable windows for choosing step sizes.
 ENOUGH = 16
 
 #: Skip windows with a higher mean transmittance, which show holes.
-MOST_LEFT = 0.3
+_MOST_LEFT = 0.3
+
+#: The same if too few windows are left, as of thin objects.
+_MOST_LEFT_THIN = 0.8
 
 #: Approximate size of the sample for choosing windows.
 _SAMPLE = 20_000
@@ -186,6 +189,21 @@ def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64
         return found[: _find_inside(scene.positions, reaches, window, found)]
 
     return run_all(find, windows)
+
+
+def error_factors(left: Sequence[float], enough: int = ENOUGH) -> NDArray[np.float64] | None:
+    """Factors on the errors of windows with a mean transmittance ``(W,)``; 0 for those to skip.
+
+    If most windows show holes, errors are those of the opaque part. None if not `enough` are
+    usable.
+    """
+    through = np.array(left)
+    for most in (_MOST_LEFT, _MOST_LEFT_THIN):
+        usable = through <= most
+        if np.count_nonzero(usable) >= enough:
+            opaque = 1.0 - through if most == _MOST_LEFT_THIN else np.ones(len(left))
+            return np.where(usable, 1.0 / np.maximum(opaque, 1e-3), 0.0)
+    return None
 
 
 def parts_of(windows: Sequence[Camera], sizes: Sequence[int]) -> list[Part]:

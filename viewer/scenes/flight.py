@@ -14,6 +14,7 @@ import gs_codec
 from gs_codec.cameras.inria import as_camera
 from gs_codec.cameras.keyframes import Keyframes, read_keyframes, write_keyframes
 from gs_codec.runtime.optional import needed
+from gs_codec.runtime.wording import counted
 from viewer.scenes.pose import Pose, of_camera
 
 #: Default frames per second.
@@ -66,7 +67,7 @@ class CameraPath:
         """
         count = max(round(self.seconds * self.fps) + 1, 2) if count is None else count
         if count > MOST:
-            raise gs_codec.GsCodecError(f"{count:,} frames, expected at most {MOST:,}")
+            raise gs_codec.GsCodecError(f"{counted(count, 'frame')}, expected at most {MOST:,}")
         return self.at(np.linspace(0, self.seconds, count))
 
     def at(self, times: Sequence[float] | NDArray) -> list[Pose]:

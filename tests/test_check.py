@@ -284,6 +284,7 @@ def _warnings(caplog):
     return found
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("prune", "target"),
     [

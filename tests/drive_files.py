@@ -140,15 +140,25 @@ def narrow(driver: Driver) -> dict:
 
 def ghosts(driver: Driver) -> int:
     """Number of screen values that differ after a dialog was open in an empty window."""
-    driver.tick(10, redraw=True)
-    before = grab(driver.viewer.window)
+    before = still(driver)
     driver.key("h")
     driver.wait(lambda: bool(said(driver)))
     driver.tick(10, redraw=True)
     driver.key("Escape")
     driver.wait(lambda: not said(driver))
-    driver.tick(20, redraw=True)
-    return int((grab(driver.viewer.window) != before).sum())
+    return int((still(driver) != before).sum())
+
+
+def still(driver: Driver) -> np.ndarray:
+    """Screenshot of a window without scenes, once it no longer changes."""
+    now = grab(driver.viewer.window)
+    for _ in range(100):
+        before = now
+        driver.tick(10, redraw=True)
+        now = grab(driver.viewer.window)
+        if (now == before).all():
+            break
+    return now
 
 
 def notices(driver: Driver) -> list[str]:

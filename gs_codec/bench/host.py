@@ -14,6 +14,7 @@ from typing import Any
 
 import gs_codec
 from gs_codec import __version__
+from gs_codec.runtime.mapped import total_bytes
 from gs_codec.runtime.threads import available_threads
 
 #: Packages used by the measured codecs, ours and others'.
@@ -114,8 +115,7 @@ def _with_needs(names: Iterable[str]) -> list[Distribution]:
 
 def _bytes_of(package: Distribution) -> int:
     """Total size of a package's existing files."""
-    paths = (Path(file.locate()) for file in package.files or ())
-    return sum(path.stat().st_size for path in paths if path.is_file())
+    return total_bytes(Path(file.locate()) for file in package.files or ())
 
 
 def _own_bytes() -> int:

@@ -31,7 +31,7 @@ from gs_codec.formats.ply.packed import is_packed
 from gs_codec.formats.ply.packed import stated_size as packed_size
 from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
-from gs_codec.runtime.mapped import FileBytes, opened
+from gs_codec.runtime.mapped import FileBytes, opened, total_bytes
 from gs_codec.runtime.wording import listed
 from gs_codec.scene import Scene, Shift, float_bytes
 
@@ -138,8 +138,7 @@ class SceneFile:
     @property
     def stored_bytes(self) -> int:
         """Size of the scene in bytes: of all its files."""
-        sizes = (path.stat().st_size for path in self.files_beside if path.is_file())
-        return len(self.data) + sum(sizes)
+        return len(self.data) + total_bytes(self.files_beside)
 
     @property
     def files_beside(self) -> list[Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
@@ -97,6 +97,11 @@ def _read_at(number: int, view: memoryview, start: int) -> int:
         data = os.read(number, len(view))
     view[: len(data)] = data
     return len(data)
+
+
+def total_bytes(paths: Iterable[Path]) -> int:
+    """Total size of those of the files that exist."""
+    return sum(path.stat().st_size for path in paths if path.is_file())
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from gs_codec.formats.lcc.node_scenes import Octree
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.registry import scene_files
 from gs_codec.runtime.json_text import parse_json
-from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.mapped import FileBytes, located, total_bytes
 from gs_codec.scene import Scene
 
 #: Commas before the end of a list or an object, which some programs write into a `.lcc2`.
@@ -55,6 +55,6 @@ def read_lcc(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the files that a `.lcc` or `.lcc2` describes; see `SceneFile.scene`."""
     with located(path):
         described = _described(path, data)
-        others = (file.stat().st_size for file in described.files if file.is_file())
-        check_count(*described.stated_size(), len(data) + sum(others), max_bytes)
+        file_bytes = len(data) + total_bytes(described.files)
+        check_count(*described.stated_size(), file_bytes, max_bytes)
         return described.read(max_bytes)

@@ -23,7 +23,7 @@ from gs_codec.formats.packed_values import (
     sh_of_colours,
 )
 from gs_codec.formats.rad.file import PROPERTIES, Chunk, RadFile, Values
-from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.mapped import FileBytes, located, total_bytes
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_COEFFICIENTS, Scene, group_rows, sh_bands
 
@@ -49,8 +49,7 @@ def read_rad(path: Path, data: FileBytes, max_bytes: int | None) -> Scene:
     """Read the leaves of a `.rad` or `.radc` file; see `SceneFile.scene`."""
     with located(path):
         file = RadFile(path, data)
-        others = (other.stat().st_size for other in file.others if other.is_file())
-        file_bytes = len(data) + sum(others)
+        file_bytes = len(data) + total_bytes(file.others)
         check_count(*file.stated_size, file_bytes, max_bytes)
         leaves, total, count = [], 0, file.stated_size[0]
         for chunk in file.chunks():

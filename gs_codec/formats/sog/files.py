@@ -20,7 +20,7 @@ from gs_codec.formats import images
 from gs_codec.formats.limits import DECODED_BYTES, is_file_name, refusing
 from gs_codec.formats.zip_file import Archive, only_scene, opened_zip
 from gs_codec.runtime.json_text import parse_json
-from gs_codec.runtime.mapped import FileBytes, located
+from gs_codec.runtime.mapped import FileBytes, located, total_bytes
 from gs_codec.runtime.wording import counted
 
 #: Number of files of each group.
@@ -244,7 +244,7 @@ class Files:
 
     def stored_bytes(self, names: Iterable[str]) -> int:
         """Total size of these files, if they exist; 0 in a zip."""
-        return sum(path.stat().st_size for path in self.paths(names) if path.is_file())
+        return total_bytes(self.paths(names))
 
 
 @dataclass(frozen=True)

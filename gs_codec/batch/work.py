@@ -72,8 +72,8 @@ def _encode(
     with times.stage("fetch"):
         before = sources.stamp(task.source)
         file = sources.fetch(task.source, folder)
-        number = len(scene_files(file))
-        if number > 1 and isinstance(sources, RemoteStorage):
+        remote = isinstance(sources, RemoteStorage)
+        if remote and (number := len(scene_files(file))) > 1:
             text = f"a scene of {counted(number, 'file')}, expected one file in remote storage"
             raise InvalidInput(f"{task.shown[0]}: {text}")
         files = present_files(file)

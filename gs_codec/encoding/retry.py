@@ -124,8 +124,11 @@ def encode_within_loss(
         result, loss = attempt(chosen)
         if loss is None:
             return result, None
-        guided = origin is not None and aim is not None
-        if guided and _misfits(check, loss, check.before + (aim or 0.0), config):
+        if (
+            origin is not None
+            and aim is not None
+            and _misfits(check, loss, check.before + aim, config)
+        ):
             worst = max(loss.loss, loss.away or 0.0)
             warn_misfit(f"guided by them, views lose {worst:.1f} dB", config)
             return None

@@ -198,11 +198,12 @@ def error_factors(left: Sequence[float], enough: int = ENOUGH) -> NDArray[np.flo
     usable.
     """
     through = np.array(left)
-    for most in (_MOST_LEFT, _MOST_LEFT_THIN):
-        usable = through <= most
-        if np.count_nonzero(usable) >= enough:
-            opaque = 1.0 - through if most == _MOST_LEFT_THIN else np.ones(len(left))
-            return np.where(usable, 1.0 / np.maximum(opaque, 1e-3), 0.0)
+    usable = through <= _MOST_LEFT
+    if np.count_nonzero(usable) >= enough:
+        return usable.astype(np.float64)
+    usable = through <= _MOST_LEFT_THIN
+    if np.count_nonzero(usable) >= enough:
+        return usable / np.where(usable, 1.0 - through, 1.0)
     return None
 
 

@@ -776,7 +776,7 @@ def test_a_failure_to_sort_is_reported(pages):
 
 @in_browser
 def test_the_camera_rests_after_the_command_key(pages):
-    """On a Mac, no event tells of a key released while the command key is held."""
+    """On a Mac, a key that is released while the command key is held causes no event."""
     moves = """new Promise((done) => {
       const send = (kind, given) =>
         document.body.dispatchEvent(new KeyboardEvent(kind, { bubbles: true, ...given }));

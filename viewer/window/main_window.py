@@ -165,7 +165,7 @@ class Viewer(Controls):
         self.modal.close_dialog()
 
     def may_load(self) -> bool:
-        """Whether nothing is being loaded; otherwise a dialog says so."""
+        """Whether loading may begin; a dialog says if something else is being loaded."""
         if self.loads:
             self.tell("Not possible", f"{self.loads}: wait for it, or stop it (Backspace)")
         return not self.loads

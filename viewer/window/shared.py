@@ -55,7 +55,7 @@ class Host(Protocol):
     loads: str
 
     def may_load(self) -> bool:
-        """Whether nothing is being loaded; otherwise a dialog says so."""
+        """Whether loading may begin; a dialog says if something else is being loaded."""
 
     def load(
         self,

@@ -34,7 +34,7 @@ SPZ_2 = f"{EXTENSION}_compression_spz_2"
 #: The extension of drafts of 2025, which was not within the other.
 _ALONE = "KHR_spz_gaussian_splats_compression"
 
-#: Names of the extension; the others are of earlier drafts.
+#: Names of the extension: the current one, then those of earlier drafts.
 _NAMES = (SPZ_2, f"{EXTENSION}_compression_spz", _ALONE)
 
 #: Proposed compressions, by parts of the names of their extensions.

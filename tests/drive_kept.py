@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from drive_edit import answer
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 from PIL import Image
@@ -379,9 +380,18 @@ def escape(driver: Driver) -> bool:
     return True
 
 
-def close(driver: Driver) -> list[bool]:
-    """Whether a window closes while it saves, if that fails, and afterwards; and a file exists."""
+def close(driver: Driver) -> list:
+    """Whether a window closes while it saves, if that fails, while it films, and afterwards.
+
+    Then whether a file exists, and the number of frames.
+    """
     viewer, window, found = driver.viewer, driver.viewer.window, []
+    viewer.timeline.keep()
+    viewer.timeline.keep()
+    viewer.timeline.set_seconds(1)
+    viewer.timeline.set_fps(5)
+    film = held(viewer.timeline._films)
+    viewer.timeline.film(str(driver.folder / "frames"))
     for name in ("none/3.ply", "3.ply"):
         event = held(viewer.editor.worker)
         viewer.editor.save(str(driver.folder / name))
@@ -393,8 +403,16 @@ def close(driver: Driver) -> list[bool]:
             driver.tick(20)
             viewer.dismiss()
             driver.rest()
+    driver.wait((driver.folder / "3.ply").exists)
+    driver.rest()
+    for choice in ("Cancel", "Finish it, then close"):
+        window.close()
+        answer(driver, choice)
+        found.append(any(not driver.app.run_one_tick() for _ in range(50)))
+    film.set()
     found.append(any(not driver.app.run_one_tick() for _ in range(1000)))
-    return [*found, (driver.folder / "3.ply").exists()]
+    frames = len(list((driver.folder / "frames").iterdir()))
+    return [*found, (driver.folder / "3.ply").exists(), frames]
 
 
 if __name__ == "__main__":

@@ -217,7 +217,7 @@ class Viewer(Controls):
         self.watching.tick()
         if self._later and self.modal.dialog is None:
             self.tell(*self._later.pop(0))
-        if self._closes and not self._saving:
+        if self._closes and not self._saving and not self.timeline.filming:
             self.post(self._close_saved)  # after the result of saving
         return drawn or flown or worked or (thrust is not None and not self.stage.painter.leads)
 
@@ -259,6 +259,10 @@ class Viewer(Controls):
         kinds = self.worker.kinds | self.editor.worker.kinds
         return any(kind.startswith("save ") for kind in kinds)
 
+    def _close_later(self) -> None:
+        """Close the window after what is being written."""
+        self._closes = not self._later  # no failure to show
+
     def _close_saved(self) -> None:
         """Close the window, unless saving has failed."""
         if self._closes:
@@ -269,11 +273,13 @@ class Viewer(Controls):
         if not self.modal.close():
             return False
         if self._saving:
-            self._closes = True
+            self._close_later()
             return False
         if self.editor.ask_unsaved((0, 1), self.window.close):
             return False
-        self.timeline.close()
+        self._closes = False
+        if self.timeline.ask_unfinished(self._close_later, self.window.close):
+            return False
         self.worker.end()
         self.encoding.close()
         return True

@@ -20,6 +20,7 @@ from viewer.scenes.flight import LEG, CameraPath, evenly, read_path, write_path
 from viewer.scenes.pose import Pose
 from viewer.scenes.typed_paths import FILMS, POSES
 from viewer.scenes.worker import Stale
+from viewer.window import dialogs
 from viewer.window.shared import Host
 
 #: Keyframes nearer than this are the same moment, seconds.
@@ -228,6 +229,26 @@ class Timeline:
         say(0.0)
         self._films.submit("film", write, done, viewer.fail)
         viewer.panel.refresh()
+
+    def ask_unfinished(self, finish: Callable[[], None], then: Callable[[], None]) -> bool:
+        """Ask whether to `finish` the film being written, if any, or to drop it and call `then`.
+
+        Returns
+        -------
+        bool
+            Whether it asked; if not, nothing is called.
+        """
+        if not self.filming:
+            return False
+
+        def drop() -> None:
+            self.close()
+            then()
+
+        choices = [("Finish it, then close", finish), ("Drop the film", drop)]
+        text = "A film is being written."
+        dialogs.ask_among(self._viewer.modal, "Unfinished film", text, choices)
+        return True
 
     def close(self) -> None:
         """Stop writing a film, so that nothing of it is left."""

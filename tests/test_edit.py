@@ -26,6 +26,7 @@ from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.metrics.image_quality import psnr
 from gs_codec.plan import Plan
+from gs_codec.preparation.prepare_report import centres_checksum
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.wording import as_typed
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
@@ -300,6 +301,15 @@ def test_edits_of_a_project_move_and_remove_rows(scene, tmp_path):
 def test_damaged_projects_are_refused(scene, tmp_path, change, said):
     (tmp_path / "p.gsproj").write_text(json.dumps({**PROJECT, **change}))
     assert re.search(said, refused(f"edits {tmp_path / 'p.gsproj'}", scene=scene))
+
+
+def test_edits_of_changed_scenes_are_refused_unless_actions_came_before(scene, tmp_path):
+    source = {**PROJECT["scenes"][0], "centres": centres_checksum(scene.positions)}
+    (tmp_path / "p.gsproj").write_text(json.dumps({**PROJECT, "scenes": [source]}))
+    edits = f"edits {tmp_path / 'p.gsproj'}"
+    assert act(scene, edits).count == act(scene, "translate 1,0,0", edits).count == 488
+    said = refused(edits, scene=act(scene, "translate 1,0,0"))
+    assert said.endswith("a.ply: has changed since the project was saved")
 
 
 def test_rows_are_written_as_runs():

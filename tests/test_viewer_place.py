@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -294,6 +295,13 @@ def test_a_project_of_changed_scenes_is_refused(folder):
     write_ply(folder / "a.ply", random_scene(299, 2, seed=51))
     with pytest.raises(gs_codec.GsCodecError, match=r"a\.ply: 299 Gaussians, expected 300"):
         open_file("p.gsproj")
+    write_ply(folder / "a.ply", random_scene(300, 2, seed=51))
+    said = r"a\.ply: has changed since the project was saved"
+    with pytest.raises(gs_codec.GsCodecError, match=said):
+        open_file("p.gsproj")
+    text = (folder / "p.gsproj").read_text()
+    (folder / "p.gsproj").write_text(re.sub(r',\s*"centres": \d+', "", text))  # as older ones
+    assert open_file("p.gsproj").count == 300
     (folder / "q.gsproj").write_text("{}")
     with pytest.raises(gs_codec.GsCodecError, match=r"q\.gsproj: not a project of gs-viewer"):
         open_file("q.gsproj")

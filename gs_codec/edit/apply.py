@@ -19,6 +19,7 @@ from gs_codec.report import ActionReport, Progress
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
+    from gs_codec.edit.project_file import Project
     from gs_codec.plan import Plan
 
 
@@ -28,6 +29,7 @@ class _Context(NamedTuple):
     plan: Plan | None
     progress: Progress | None
     details: dict[str, int]
+    is_input: bool  # whether the scene is as read
 
 
 def edit_scenes(
@@ -52,10 +54,10 @@ def edit_scenes(
         actions = actions[1:]
     if actions or len(scenes) > 1:
         scenes = [without_order(turn_axes(scene)) for scene in scenes]
-    scene = merge_scenes(scenes)
+    whole = scene = merge_scenes(scenes)
     for action in actions:
         start, before = time.perf_counter(), scene
-        context = _Context(plan, progress, {})
+        context = _Context(plan, progress, {}, scene is whole and not translated)
         try:
             scene = _EDITS[action.name](scene, context, *action.arguments)
             if before.count and not scene.count:
@@ -89,6 +91,10 @@ def _keep_largest_cluster(scene: Scene, context: _Context) -> Scene:
     return keep_largest_cluster(scene)
 
 
+def _apply_project(scene: Scene, context: _Context, project: Project) -> Scene:
+    return motion.apply_project(scene, project, context.is_input)
+
+
 def _decimate(scene: Scene, context: _Context, number: int) -> Scene:
     from gs_codec.edit.decimation import decimate
 
@@ -110,7 +116,7 @@ _EDITS: Mapping[str, Callable[..., Scene]] = {
     "rotate": lambda scene, _, *x: motion.rotate(scene, x),
     "scale": lambda scene, _, x: motion.scale(scene, x),
     "transform": lambda scene, _, x: motion.transform(scene, x),
-    "edits": lambda scene, _, x: motion.apply_project(scene, x),
+    "edits": _apply_project,
     "sh-degree": lambda scene, _, x: selection.limit_sh_degree(scene, x),
     "gaussians": _decimate,
     "keep": _decimate_to_share,

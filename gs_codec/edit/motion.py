@@ -149,15 +149,20 @@ def transform(scene: Scene, matrix: ArrayLike) -> Scene:
     return scene if moved is scene else without_order(moved)
 
 
-def apply_project(scene: Scene, project: Project) -> Scene:
+def apply_project(scene: Scene, project: Project, is_input: bool = False) -> Scene:
     """The joined scenes of a project, with its Gaussians moved and removed.
 
-    Raises InvalidInput if it has another number of Gaussians.
+    Raises InvalidInput if it has another number of Gaussians or, where it `is_input` and not moved
+    before, other centres.
     """
     if scene.count != len(project.removed):
         raise InvalidInput(
             f"edits of {counted(len(project.removed), 'Gaussian')}, the scene has {scene.count:,}"
         )
+    if is_input:
+        ends = np.cumsum([source.gaussians for source in project.sources])
+        for source, end in zip(project.sources, ends.tolist(), strict=True):
+            source.check(scene.positions[:, end - source.gaussians : end])
     scene = move_rows(scene, project.moves)
     return without_order(scene.take(~project.removed)) if project.removed.any() else scene
 

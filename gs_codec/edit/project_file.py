@@ -4,14 +4,15 @@ A project is a JSON object, written by the window of gs-viewer:
 
     {
      "project": 1,
-     "scenes": [{"path": "room.ply", "name": "room", "gaussians": 41000}, ...],
+     "scenes": [{"path": "room.ply", "name": "room", "gaussians": 41000, "centres": 7}, ...],
      "moves": [{"rows": "0-99,205", "matrix": [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0]]}, ...],
      "removed": "7,300-310",
      "hidden": ""
     }
 
-Paths are relative to the file. Rows count the Gaussians of all scenes, in their order, from 0; in
-``RDF``. Moves are applied in their order; a row may be in several.
+Paths are relative to the file. ``centres`` is the `centres_checksum` of a scene, which older
+projects lack. Rows count the Gaussians of all scenes, in their order, from 0; in ``RDF``. Moves
+are applied in their order; a row may be in several.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.runtime.json_text import parse_json
+from gs_codec.runtime.wording import counted
 
 #: Suffix of project files.
 SUFFIX = ".gsproj"
@@ -44,11 +46,23 @@ Mask = NDArray[np.bool_]
 
 
 class Source(NamedTuple):
-    """A scene of a project: its file, the name shown, and its number of Gaussians."""
+    """A scene of a project: its file, the name shown, and its Gaussians' number and checksum."""
 
     path: Path
     name: str
     gaussians: int
+    centres: int | None = None
+
+    def check(self, positions: NDArray[np.float32]) -> None:
+        """Raise InvalidInput if the centres ``(3, N)`` are not those of this scene."""
+        from gs_codec.preparation.prepare_report import centres_checksum
+
+        count = positions.shape[1]
+        if count != self.gaussians:
+            found = counted(count, "Gaussian")
+            raise InvalidInput(f"{self.path}: {found}, expected {self.gaussians:,}")
+        if self.centres is not None and centres_checksum(positions) != self.centres:
+            raise InvalidInput(f"{self.path}: has changed since the project was saved")
 
 
 class Move(NamedTuple):
@@ -102,7 +116,12 @@ def _project_of(found: Any, folder: Path) -> Project:
     if found["project"] != 1:
         raise ValueError(f"version {found['project']!r:.20}, expected 1")
     sources = tuple(
-        Source(folder / str(each["path"]), printable(str(each["name"])), int(each["gaussians"]))
+        Source(
+            folder / str(each["path"]),
+            printable(str(each["name"])),
+            int(each["gaussians"]),
+            None if each.get("centres") is None else int(each["centres"]),
+        )
         for each in found["scenes"]
     )
     count = sum(source.gaussians for source in sources)
@@ -122,8 +141,7 @@ def _project_of(found: Any, folder: Path) -> Project:
 def project_text(project: Project, folder: Path) -> str:
     """The text of a project for a file in a folder."""
     scenes = [
-        {"path": _relative(path, folder), "name": name, "gaussians": count}
-        for path, name, count in project.sources
+        source._asdict() | {"path": _relative(source.path, folder)} for source in project.sources
     ]
     moves = [
         {"rows": rows_text(rows), "matrix": matrix[:3].tolist()} for rows, matrix in project.moves

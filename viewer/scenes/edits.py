@@ -292,7 +292,11 @@ class Edits:
     def project(self) -> Project:
         """All files with these edits, in the order of the list."""
         state, parts, order = self._state, self.whole.parts, self._order
-        sources = [parts[k]._replace(name=state.names.get(k, parts[k].name)) for k in order]
+        centres = self.whole.checksums
+        sources = [
+            parts[k]._replace(name=state.names.get(k, parts[k].name), centres=centres[k])
+            for k in order
+        ]
         ends = np.cumsum([part.gaussians for part in parts])
         rows = np.concatenate([np.arange(ends[k] - parts[k].gaussians, ends[k]) for k in order])
         moves = tuple(Move(moved[rows], matrix) for moved, matrix in state.moves)

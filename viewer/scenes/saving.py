@@ -148,7 +148,7 @@ def open_file(
     Raises
     ------
     gs_codec.GsCodecError
-        Also if a scene of a project has another number of Gaussians.
+        Also if a scene of a project has changed.
     """
     if not isinstance(source, str | Path) or Path(source).suffix != SUFFIX:
         clip = open_clip(source, max_bytes)
@@ -158,12 +158,9 @@ def open_file(
     with located(source):
         project = read_project(source)
     scenes = []
-    for path, _, count in project.sources:
-        scene = open_scene(path, progress=progress, max_bytes=max_bytes)
-        if scene.count != count:
-            raise gs_codec.GsCodecError(
-                f"{path}: {counted(scene.count, 'Gaussian')}, expected {count:,}"
-            )
+    for part in project.sources:
+        scene = open_scene(part.path, progress=progress, max_bytes=max_bytes)
+        part.check(scene.positions.T)
         scenes.append(scene)
     whole = joined(scenes) if len(scenes) > 1 else scenes[0]
     name = printable(Path(source).name)

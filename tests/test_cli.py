@@ -733,6 +733,16 @@ def test_module_is_the_command(folder, arguments, error):
     assert err.startswith(f"gs-codec: error: {error}")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a folder in use cannot be removed")
+def test_removed_working_directory_is_named(folder, tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    folder.monkeypatch.chdir(gone)
+    gone.rmdir()
+    status, _, err = folder.run("batch", "in", "out")
+    assert (status, err) == (2, "gs-codec: error: the working directory was removed\n")
+
+
 @pytest.mark.thorough
 def test_warnings_are_lines_on_stderr(folder):
     with open("scene.ply", "ab") as file:

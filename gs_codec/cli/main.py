@@ -175,6 +175,8 @@ def describe_error(error: BaseException) -> str:
     """The error in one line."""
     if isinstance(error, MemoryError):
         return one_line(error) or "not enough memory"
+    if isinstance(error, FileNotFoundError) and error.errno and error.filename is None:
+        return "the working directory was removed"  # only os.getcwd names no file
     named = isinstance(error, OSError) and error.strerror and error.filename
     text = as_typed(one_line(error))
     return f"{error.filename}: {text}" if named else text  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import ROOT, assert_one_error_line
+from command_line import ROOT, assert_one_error_line, strict_json
 
 import gs_codec
 from gs_codec.cli import streams
@@ -247,6 +247,16 @@ def test_errors_name_a_piped_source(folder, given):
     assert (done.returncode, done.stdout) == (2, b"")
     assert_one_error_line(done.stderr.decode())
     assert done.stderr.startswith(b"gs-codec: error: -: ")
+
+
+@pytest.mark.parametrize(
+    ("typed", "place"), [("encode scene.ply - --none", "err"), ("encode - o.egs --none", "out")]
+)
+def test_document_of_a_usage_error_is_not_on_stdout_that_takes_a_scene(folder, typed, place):
+    result = folder.run(*typed.split(), "--json")
+    assert result.status == 2
+    assert strict_json(getattr(result, place).splitlines()[-1])["error"]["kind"] == "Usage"
+    assert place == "out" or result.out == ""
 
 
 @pytest.mark.thorough

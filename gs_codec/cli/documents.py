@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, TextIO
 
+from gs_codec.cli.streams import is_stdout
 from gs_codec.errors import printable
 from gs_codec.report import SCHEMA, finite
 from gs_codec.runtime.wording import as_typed
@@ -43,10 +44,15 @@ class _Run(logging.Handler):
 
 _run = _Run()
 
+#: Commands that write scenes to stdout.
+_TO_STDOUT = ("convert", "decode", "encode", "prepare")
+
 
 def begin_run(typed: list[str], command: str | None) -> None:
     """Begin the document of a command; `typed` are all its arguments."""
     _run.begin(typed, command)
+    # Until the arguments are parsed, a later one than the first is taken for the output.
+    keep_off_stdout(command in _TO_STDOUT and any(map(is_stdout, typed[2:])))
     logging.getLogger().addHandler(_run)
 
 

@@ -87,7 +87,7 @@ def check_no_pipes(option: str, source: Path, target: Path) -> None:
             raise InvalidInput(f"{path}: a pipe, expected a file with {option}")
 
 
-def is_stdout(target: Path | None) -> bool:
+def is_stdout(target: str | Path | None) -> bool:
     """Whether a file to write stands for stdout."""
     return str(target) in ("-", "/dev/stdout")
 

@@ -346,13 +346,18 @@ def test_two_sources_of_one_output_are_refused(folder):
     assert f" would both be written to {Path('out/a.ply.egs').absolute()}" in err
 
 
-def test_keys_of_an_object_store_stay_in_the_folder(folder):
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [("../../out.ply", "'..'"), ("a\\..\\..\\out.ply", "'..'"), ("c:/out.ply", "'c:'")],
+)
+def test_keys_of_an_object_store_stay_in_the_folder(folder, key, text):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     store = storage_of("memory://")._fs
-    folder.monkeypatch.setattr(store, "find", lambda *_, **__: {"/way/../../out.ply": {}})
+    folder.monkeypatch.setattr(store, "find", lambda *_, **__: {f"/way/{key}": {}})
+    folder.monkeypatch.setattr(scene_tasks.os.path, "splitdrive", ntpath.splitdrive)
     store.pipe_file("/way/a.ply", b"x")
     err = folder.refuse("batch", "memory://way", ".")
-    assert "memory://way/../../out.ply: '..' in its name" in err
+    assert f"memory://way/{key}: {text} in its name" in err
 
 
 def test_scene_is_not_written_over_itself(folder):

@@ -13,6 +13,7 @@ from scenes import random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.cameras import image_files
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.image_files import find_image, output_names, read_image, write_png
 from gs_codec.cli.main import app
@@ -314,6 +315,12 @@ def test_images_are_found_by_name_with_any_suffix(tmp_path):
 def test_output_names_stay_in_the_folder(name, stem):
     assert output_names([camera(name)]) == [stem]
     assert "/" not in stem
+
+
+def test_output_names_of_windows_lead_to_no_drive_or_stream(monkeypatch):
+    monkeypatch.setattr(image_files.os, "sep", "\\")
+    names = output_names([camera("c:\\d.png"), camera("photo:stream")])
+    assert names == ["c__d", "photo_stream"]
 
 
 NAMES_OUTSIDE = ("../secret", "../secret.png", "sub/../../secret.jpg", "..\\secret", "..")

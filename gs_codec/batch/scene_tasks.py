@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -172,8 +173,10 @@ def find_tasks(
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
     for name, location, target in _planned(found, sources, targets, options.format):
         shown = sources.shown(location), targets.shown(target)
-        if ".." in name.split("/"):  # possible in keys of object stores
-            raise InvalidInput(f"{shown[0]}: '..' in its name, expected a path inside the folder")
+        drive = os.path.splitdrive(name)[0]  # both are possible in keys of object stores
+        if drive or ".." in re.split(r"[/\\]", name):
+            text = f"'{drive or '..'}' in its name, expected a path inside the folder"
+            raise InvalidInput(f"{shown[0]}: {text}")
         if shown[1] in taken:
             both = f"{taken[shown[1]]} and {shown[0]}"
             raise InvalidInput(f"{both} would both be written to {shown[1]}")

@@ -23,6 +23,9 @@ from gs_codec.runtime.wording import counted
 log = logging.getLogger(__name__)
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
+#: Characters that Windows reserves: a colon leads to a drive or an alternate data stream.
+_RESERVED = '<>:"|?*'
+
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 #: Maximum number of pixels of a photograph.
@@ -77,7 +80,8 @@ def write_png(path: str | Path, image: NDArray) -> None:
 def output_names(cameras: Sequence[Camera]) -> list[str]:
     """A file name, without suffix, for each camera's image.
 
-    Path separators and characters that are not printable become underscores. Repeated names are
+    Path separators, characters that are not printable, and on Windows those that it reserves,
+    become underscores. Repeated names are
     numbered from 1, and a log message says so.
     """
     stems = [_output_stem(camera.name) for camera in cameras]
@@ -103,7 +107,8 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
 
 
 def _output_stem(name: str) -> str:
-    letters = (c if c.isprintable() and c not in "/\\" else "_" for c in _stem(name))
+    unsafe = "/\\" + (_RESERVED if os.sep == "\\" else "")
+    letters = (c if c.isprintable() and c not in unsafe else "_" for c in _stem(name))
     return "".join(letters).lstrip(".") or "_"
 
 

@@ -15,7 +15,7 @@ PIP := PYTHONWARNINGS=ignore .ci/dots $(BIN)/python -m pip --disable-pip-version
 demo: $(VENV)/installed
 	@mkdir -p demo
 	@echo; echo "1. A scene of 50,000 Gaussians, and 24 cameras around it"
-	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json
+	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json --overwrite
 	@echo; echo "2. Encode it; the first run compiles kernels, which takes some seconds"
 	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs --overwrite
 	$(BIN)/gs-codec inspect demo/still_life.egs
@@ -93,7 +93,7 @@ web: $(WEB)/node_modules/.package-lock.json
 # Time and memory of a sample tiled to up to 3 million Gaussians, and a plot: build/scaling/report. A few minutes.
 scaling: $(VENV)/installed-test
 	@mkdir -p build/scaling
-	$(BIN)/python samples/generate.py build/scaling/sample.ply --gaussians 200000 --sh-degree 3
+	$(BIN)/python samples/generate.py build/scaling/sample.ply --gaussians 200000 --sh-degree 3 --overwrite
 	$(BIN)/gs-codec bench suite build/scaling/sample.ply --out build/scaling/report --overwrite --skip memory --skip codecs --skip curves --skip geometry
 
 # Two samples and SCENES="a/point_cloud.ply ...", cameras.json and images beside each: build/suite/report.
@@ -102,15 +102,15 @@ scaling: $(VENV)/installed-test
 SAMPLE := build/suite/still_life
 suite: $(VENV)/installed-test
 	@mkdir -p $(SAMPLE)_60k $(SAMPLE)_100k
-	$(BIN)/python samples/generate.py $(SAMPLE)_60k/point_cloud.ply --gaussians 60000 --sh-degree 3 --seed 1 --cameras $(SAMPLE)_60k/cameras.json
-	$(BIN)/python samples/generate.py $(SAMPLE)_100k/point_cloud.ply --gaussians 100000 --sh-degree 1 --seed 2 --cameras $(SAMPLE)_100k/cameras.json
+	$(BIN)/python samples/generate.py $(SAMPLE)_60k/point_cloud.ply --gaussians 60000 --sh-degree 3 --seed 1 --cameras $(SAMPLE)_60k/cameras.json --overwrite
+	$(BIN)/python samples/generate.py $(SAMPLE)_100k/point_cloud.ply --gaussians 100000 --sh-degree 1 --seed 2 --cameras $(SAMPLE)_100k/cameras.json --overwrite
 	$(BIN)/gs-codec bench suite $(SCENES) $(SAMPLE)_60k/point_cloud.ply $(SAMPLE)_100k/point_cloud.ply --out build/suite/report --overwrite $(OPTIONS)
 
 # The paper's experiment on a capture with more Gaussians than its views need, as the paper's scenes have, trained here:
 # build/paper/report. About five minutes.
 paper: $(VENV)/installed-test
 	@mkdir -p build/paper
-	$(BIN)/python samples/generate.py --capture orbit build/paper/orbit --gaussians 80000 --iterations 3000 --seed 1
+	$(BIN)/python samples/generate.py --capture orbit build/paper/orbit --gaussians 80000 --iterations 3000 --seed 1 --overwrite
 	$(BIN)/gs-codec bench paper build/paper/orbit/point_cloud.ply --out build/paper/report --overwrite
 
 # Every reader, one after another, MINUTES each; findings are kept in the folder `fuzz`.

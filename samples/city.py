@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import ply_header, vertex_rows
 from gs_codec.runtime.atomic import atomic_writer
@@ -72,7 +73,12 @@ def main() -> None:
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="PLY of a tile")
     parser.add_argument("--gaussians", type=int, default=5_000_000, metavar="N")
     asked = parser.parse_args()
-    scenes = [middle_of(read_ply(path, "drop")) for path in asked.scenes]
+    if asked.target.exists():
+        parser.error(f"{asked.target}: already exists; choose another name")
+    try:
+        scenes = [middle_of(read_ply(path, "drop")) for path in asked.scenes]
+    except InvalidInput as error:
+        parser.error(str(error))
     if len({scene.sh_degree for scene in scenes}) > 1:
         parser.error("scenes of several SH degrees, expected one")
     with atomic_writer(asked.target) as file:

@@ -8,7 +8,9 @@ the repository; the references of commands and of Python are written from the pr
 
 from __future__ import annotations
 
+import argparse
 import builtins
+import os
 import re
 import shutil
 import sys
@@ -270,5 +272,11 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
-    print(f"open {Path(sys.argv[1]) / 'index.html'}")
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path, help="a site built before, or an empty or new folder")
+    target = parser.parse_args().folder
+    entries = set(os.listdir(target)) if target.exists() else set()
+    if entries and not entries & {"objects.inv", "doctrees"}:
+        parser.error(f"{target}: not empty, expected a site built before, or a new folder")
+    main(target)
+    print(f"open {target / 'index.html'}")

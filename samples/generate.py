@@ -275,6 +275,7 @@ def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, arg
         metavar="JSON",
         help="cameras.json to write, with 24 cameras on a circle",
     )
+    parser.add_argument("--overwrite", action="store_true", help="overwrite existing output")
     parser.add_argument(
         "--capture",
         choices=list(RIGS),
@@ -334,6 +335,15 @@ def _check_outputs(parser: argparse.ArgumentParser, args: argparse.Namespace) ->
         parser.error(f"{args.out}: expected a folder, or a new one in an existing folder")
 
 
+def _check_overwrite(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    if args.sequence is not None and args.overwrite:
+        parser.error("--overwrite: not with --sequence, which needs an empty or new folder")
+    for path in filter(None, (args.out, args.cameras)):
+        written = any(path.iterdir()) if path.is_dir() else path.exists()
+        if written and not args.overwrite:
+            parser.error(f"{path}: already exists; choose another name or pass --overwrite")
+
+
 def _write(args: argparse.Namespace) -> None:
     given = {"count": args.gaussians, "sh_degree": args.sh_degree, "seed": args.seed}
     given["iterations"] = args.iterations
@@ -359,6 +369,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Write a scene, and optionally cameras; exit with status 2 and one line on bad arguments."""
     parser, args = _arguments(argv)
     _check_outputs(parser, args)
+    _check_overwrite(parser, args)
     try:
         _write(args)
     except InvalidInput as error:

@@ -7,6 +7,7 @@ Needs matplotlib (extra ``test``).
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import tempfile
@@ -83,4 +84,6 @@ def _drawn(scene: Scene, camera: Camera) -> NDArray:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("target", help="picture to write")
+    main(parser.parse_args().target)

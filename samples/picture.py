@@ -7,6 +7,7 @@ The scene is encoded with profile `m`, guided by all cameras.
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -19,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import gs_codec
 from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.camera_files import read_cameras
+from gs_codec.runtime.wording import size_text
 
 _WIDTH = 600
 _FRAMES = 30
@@ -34,7 +36,7 @@ def main(scene: str, cameras: str, name: str, folder: str) -> None:
         small = Path(work) / "small.egs"
         gs_codec.encode_file(scene, small, "m", gs_codec.Plan(cameras=cameras))
         before, after = (_drawn(path, camera) for path in (scene, small))
-        texts = [f"{Path(path).stat().st_size / 1e6:.1f} MB" for path in (scene, small)]
+        texts = [size_text(Path(path).stat().st_size) for path in (scene, small)]
     picture = Image.new("RGB", (2 * before.width + _MARGIN, before.height), "white")
     picture.paste(_labelled(before, f"before: {texts[0]}", "left"), (0, 0))
     picture.paste(_labelled(after, f"after: {texts[1]}", "right"), (before.width + _MARGIN, 0))
@@ -73,4 +75,7 @@ def _wiped(before: Image.Image, after: Image.Image, column: int) -> Image.Image:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    for argument in ("scene", "cameras", "name", "folder"):
+        parser.add_argument(argument)
+    main(**vars(parser.parse_args()))

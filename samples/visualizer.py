@@ -6,7 +6,7 @@ python samples/visualizer.py scene.ply scene.egs        # errors of the other's 
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 from open3d.visualization import O3DVisualizer, gui
@@ -34,4 +34,7 @@ def main(scene: Path, other: Path | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("other", type=Path, nargs="?", help="another version of the scene")
+    main(**vars(parser.parse_args()))

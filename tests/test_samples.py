@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import ROOT, python
 
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
@@ -187,6 +188,36 @@ def test_cli_refuses_bad_arguments(
     assert stop.value.code == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_existing_output_is_kept_unless_overwritten(tmp_path: Path, capsys) -> None:
+    out = tmp_path / "scene.ply"
+    out.write_text("old")
+    arguments = [str(out), "--gaussians", "5"]
+    for refused in (arguments, [str(tmp_path), "--capture", "orbit"]):
+        with pytest.raises(SystemExit):
+            main(refused)
+        assert " or pass --overwrite\n" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "f"), "--sequence", "walker", "--overwrite"])
+    assert "--overwrite: not with --sequence" in capsys.readouterr().err
+    assert out.read_text() == "old"
+    main([*arguments, "--overwrite"])
+    assert read_ply(out).count == 5
+
+
+@pytest.mark.parametrize("name", ["documentation", "levels_picture", "picture", "visualizer"])
+def test_programs_state_their_arguments(name: str) -> None:
+    status, out, err = python(str(ROOT / "samples" / f"{name}.py"))
+    assert (status, out) == (2, "")
+    assert f"{name}.py: error: the following arguments are required: " in err
+
+
+def test_documentation_replaces_no_other_folder(tmp_path: Path) -> None:
+    (tmp_path / "letter").touch()
+    status, _, err = python(str(ROOT / "samples" / "documentation.py"), str(tmp_path))
+    assert (status, (tmp_path / "letter").exists()) == (2, True)
+    assert err.endswith("not empty, expected a site built before, or a new folder\n")
 
 
 @pytest.mark.parametrize("bad", [{"count": 1.5}, {"count": "7"}, {"sh_degree": -1}, {"seed": None}])

@@ -967,7 +967,7 @@ def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, cap
         out = capsys.readouterr().out
         assert f"folder: {name}, " in out
         shared, rendered = out.splitlines()
-        assert shared.endswith(" MB, encoded for the page by profile l")
+        assert shared.endswith(" kB, encoded for the page by profile l")
         assert re.match(r"rendered views: \d+\.\d dB against the original, a loss of ", rendered)
         info = sharing.inspect_bytes((tmp_path / "folder" / "a.egs").read_bytes())
         assert (info.profile, info.count) == ("l", files.a.count)
@@ -999,7 +999,7 @@ def test_pages_show_the_loss_of_their_encoding(files, tmp_path):
     a, b = told.values[1]
     lost = f"encoded for this page, profile l, views: {shared[0].rendered.psnr:.1f} dB"
     assert a.endswith(f", {lost} against the original")
-    assert b.endswith(" MB, profile s")
+    assert b.endswith(" kB, profile s")
 
 
 def test_two_files_of_one_name_are_kept_apart(files, tmp_path):

@@ -108,7 +108,7 @@ def test_a_page_speaks_the_language_of_its_reader(tmp_path):
     for one in opened:
         assert (one.state, one.errors) == ("ready", [])
     assert opened[0].values[1][:3] == ["de", "Bild speichern", "Show.ply"]
-    assert opened[0].values[1][3].startswith("500 Gaussians, SH-Grad 0, 0,0")
+    assert opened[0].values[1][3].startswith("500 Gaussians, SH-Grad 0, 7,00 kB, ")
     assert opened[0].values[5][:3] == ["fr", "Enregistrer l’image", "Show.ply"]
     assert opened[0].values[6] == "#view=0&lang=fr"
     assert opened[1].values[1][:2] == ["zh", "保存图片"]

@@ -13,6 +13,7 @@ from gs_codec.cli.output import SCENES, print_rendered, print_text, progress_bar
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.config import UP_AXES
 from gs_codec.plan import CAMERAS
+from gs_codec.runtime.wording import size_text
 
 
 @takes("max_bytes", "overwrite", "json")
@@ -90,6 +91,6 @@ def command(
         return
     for one in shared:
         how = ", encoded for the page by profile l" if one.encoded else ""
-        print_text(f"{out}: {one.name}, {len(one.data) / 1e6:.2f} MB{how}")
+        print_text(f"{out}: {one.name}, {size_text(len(one.data))}{how}")
         if one.encoded:
             print_rendered(one.rendered)

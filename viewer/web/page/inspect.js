@@ -2,7 +2,7 @@
 import { INSPECTED } from './inspect_words.js';
 import { slide } from './line.js';
 import { REST } from './pace.js';
-import { WORDS, number, say } from './strings.js';
+import { WORDS, number, say, sizeText } from './strings.js';
 
 Object.assign(WORDS, INSPECTED);
 
@@ -463,7 +463,7 @@ class Rates {
     this.list.replaceChildren();
     for (const { number: k, name, bytes, ratio, bits, readable, ...measured } of trials.toReversed()) {
       const parts = [
-        `${number(bytes / 1e6, 2)} MB`,
+        sizeText(bytes),
         `${number(ratio, 1)}x`,
         say('{} bits per Gaussian', number(bits, 1)),
       ];

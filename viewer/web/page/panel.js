@@ -1,7 +1,7 @@
 // The panel next to the picture, and the keys.
 import { hasHeadset } from './headset.js';
 import { slide } from './line.js';
-import { LANGUAGE, LANGUAGES, counted, number, say, translate } from './strings.js';
+import { LANGUAGE, LANGUAGES, counted, number, say, sizeText, translate } from './strings.js';
 
 const $ = (id) => document.getElementById(id);
 
@@ -192,9 +192,8 @@ export class Panel {
       bar.hidden = share === 1;
       if (!scene || told.textContent) return;
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
-      const size = `${number(bytes / 1e6, 2)} MB`;
       const profile = say('profile {}', scene.profile);
-      const parts = [counted(scene.count, 'Gaussian'), say('SH degree {}', scene.degree), size];
+      const parts = [counted(scene.count, 'Gaussian'), say('SH degree {}', scene.degree), sizeText(bytes)];
       if (isReduced) parts.push(say('SH left out to save memory'));
       const encoded = entry.encoded ? [say('encoded for this page')] : [];
       const lost = entry.psnr
@@ -214,7 +213,7 @@ export class Panel {
       const { file, drawn, missing, needed } = detail;
       this.rows[k].bar.value = needed > 0 ? 1 - missing / needed : 0;
       this.rows[k].bar.hidden = isComplete;
-      const fetched = say('{} fetched', `${number(file.fetched / 1e6, 2)} MB`);
+      const fetched = say('{} fetched', sizeText(file.fetched));
       this.rows[k].detail.textContent = `${fetched}, ${say('{} drawn', counted(drawn, 'Gaussian'))}`;
     });
     const missing = refined.reduce((sum, { detail }) => sum + detail.missing, 0);

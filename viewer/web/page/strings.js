@@ -126,6 +126,10 @@ export function say(text, ...values) {
 export const number = (value, digits = 0) =>
   value.toLocaleString(LANGUAGE, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 
+/** A number of bytes with its unit, as the commands print it. */
+export const sizeText = (bytes) =>
+  bytes < 999995 ? `${number(bytes / 1e3, 2)} kB` : `${number(bytes / 1e6, 2)} MB`;
+
 /** A number and its noun: "1 Gaussian", "1,234 Gaussians". */
 export const counted = (value, noun) =>
   value === 1 ? say(`1 ${noun}`) : say(`{} ${noun}s`, number(value));

@@ -217,6 +217,16 @@ def test_images_are_found_in_the_folder_that_their_names_begin_with(tmp_path):
             find_image(tmp_path / folder, "test/r_0")
 
 
+@pytest.mark.parametrize("name", [".\\images\\a.jpg", "images\\a.png", "./images\\a.jpg"])
+def test_names_written_on_windows_are_found_everywhere(name, tmp_path):
+    image = write_image(tmp_path / "images" / "a.jpg", 80, 60)
+    (camera,) = read_cameras(write_transforms(tmp_path / "t.json", frame(name), camera_angle_x=1.0))
+    assert (camera.width, camera.height) == (80, 60)
+    assert find_image(tmp_path, camera.name) == find_image(image.parent, camera.name) == image
+    with pytest.raises(InvalidInput, match="expected a name inside the folder"):
+        find_image(tmp_path, "\\images\\a.jpg")
+
+
 def test_images_outside_the_folder_are_not_found(tmp_path):
     folder = tmp_path / "images"
     write_image(folder / "a.jpg")

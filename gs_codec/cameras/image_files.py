@@ -142,27 +142,28 @@ def find_image(folder: str | Path, name: str) -> Path:
 
 def seek_image(folder: str | Path, name: str) -> Path | None:
     """Like `find_image`, but return None if the folder exists and has no such image."""
-    if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
+    path = PurePath(name.replace("\\", "/"))
+    if path.anchor or ".." in path.parts:
         raise InvalidInput(f"{folder}: image '{name}', expected a name inside the folder")
-    for inside in _names_inside(folder, name):
+    for inside in (name, *_names_inside(folder, path)):
         stem = _stem(inside)
         others = [f"{stem}{suffix}" for suffix in (*_SUFFIXES, *map(str.upper, _SUFFIXES))]
-        for path in [Path(folder) / other for other in (inside, *others)]:
-            if os.path.isfile(path):
-                return path
+        for image in [Path(folder) / other for other in (inside, *others)]:
+            if os.path.isfile(image):
+                return image
     if not os.path.isdir(folder):
         raise InvalidInput(f"{folder}: no such folder, expected images")
     return None
 
 
-def _names_inside(folder: str | Path, name: str) -> Iterator[str]:
-    """Yield a name, and its path within `folder` if it begins with that folder's name.
+def _names_inside(folder: str | Path, path: PurePath) -> Iterator[str]:
+    """Yield a path, and its path within `folder` if it begins with that folder's name.
 
     Names in transforms.json begin with ``images``, which may be `folder`, or have smaller copies in
     ``images_2``.
     """
-    yield name
-    first, *others = PurePath(name).parts or ("",)
+    yield str(path)
+    first, *others = path.parts or ("",)
     rest, own = PurePath(*others), os.path.basename(os.path.abspath(folder))
     if others and not rest.anchor and re.fullmatch(rf"{re.escape(first)}(_\d+)?", own):
         yield str(rest)

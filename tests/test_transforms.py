@@ -324,6 +324,18 @@ def test_cameras_move_as_nerfstudio_moved_them(how, tmp_path):
     assert depth == pytest.approx(4 * scale)
 
 
+@pytest.mark.parametrize("place", ["", "sparse/0", "colmap/sparse/0"])
+def test_cameras_of_colmap_move_as_nerfstudio_moved_them(place, tmp_path):
+    write_model(tmp_path / place, ".bin")
+    oriented, scale = moved(rotation(2), (3.0, 1.0, -2.0)), 0.25
+    beside = {"transform": oriented[:3].tolist(), "scale": scale}
+    (tmp_path / "dataparser_transforms.json").write_text(json.dumps(beside))
+    (camera,) = read_cameras(tmp_path)
+    trained = scale * (oriented @ [*POINT, 1])[:3]
+    np.testing.assert_allclose(pixel(camera, trained), (215, 60), atol=1e-9)
+    assert camera.rotation[2] @ (trained - camera.position) == pytest.approx(4 * scale)
+
+
 def test_scale_that_was_applied_before_is_not_applied_again(tmp_path):
     write_transforms(tmp_path / "t.json", applied_scale=2.0, **SHARED)
     beside = {"transform": np.eye(4)[:3].tolist(), "scale": 0.5}

@@ -17,7 +17,7 @@ from gs_codec.cameras.camera_paths import read_camera_path, read_supersplat
 from gs_codec.cameras.colmap import DEEPER_PLACES, PLACES, find_model, models_below, read_colmap
 from gs_codec.cameras.inria import as_entry, read_inria
 from gs_codec.cameras.json_fields import MAX_BYTES, load_json, short
-from gs_codec.cameras.transforms import read_transforms
+from gs_codec.cameras.transforms import move_as_trained, read_transforms
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arguments import checked
 from gs_codec.runtime.atomic import atomic_writer, check_writable
@@ -163,14 +163,14 @@ def _entries(path: Path) -> Entries:
         raise InvalidInput(f"{path}: no such file or folder, expected cameras")
     model = find_model(path, PLACES)
     if model is not None:
-        return read_colmap(model)
+        return move_as_trained(path, read_colmap(model))
     for names in _JSON_FILES:
         found = [path / name for name in names if os.path.isfile(path / name)]
         if found:
             return chain.from_iterable(map(_read_json, found))
     model = find_model(path, DEEPER_PLACES)
     if model is not None:
-        return read_colmap(model)
+        return move_as_trained(path, read_colmap(model))
     below = models_below(path)
     others = f"; COLMAP models are in {', '.join(map(short, below[:5]))}" if below else ""
     raise InvalidInput(

@@ -119,29 +119,52 @@ def _splits(path: Path, shared: Mapping[str, Any]) -> dict[str, str]:
     return splits
 
 
-def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], float]:
-    """Matrix ``(4, 4)`` and scale by which nerfstudio moved the file's cameras, if it did."""
-    moved = path.with_name(_MOVED)
-    if not os.path.isfile(moved):
-        return np.eye(4), 1.0
-    where = str(moved)
-    found = as_object(where, load_json(moved), "the transform that nerfstudio applied")
-    # From COLMAP's world to the trained scene's; the file may use a third world.
-    move, applied = np.eye(4), np.eye(4)
-    move[:3] = as_pose(where, "transform", get(where, found, "transform"))
-    is_old = os.path.isdir(path.parent / "colmap" / "sparse" / "0")
-    default = _OLD_APPLIED if is_old else applied[:3].tolist()
-    applied[:3] = as_pose(str(path), "applied_transform", shared.get("applied_transform", default))
-    scale = as_number(where, "scale", get(where, found, "scale"))
-    before = as_number(str(path), "applied_scale", shared.get("applied_scale", 1.0))
-    try:
+def move_as_trained(
+    folder: Path, entries: Iterator[tuple[str, dict[str, Any]]]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Move COLMAP's cameras as nerfstudio moved them for training, if `folder` has its file."""
+    if not os.path.isfile(folder / _MOVED):
+        yield from entries
+        return
+    move, scale = _read_move(folder / _MOVED, 1.0)
+    for where, fields in entries:
         with np.errstate(over="ignore", invalid="ignore"):
-            move = move @ np.linalg.inv(applied)
-    except np.linalg.LinAlgError as error:
-        raise InvalidInput(f"{path}: applied_transform is singular, expected a rotation") from error
+            position = scale * (move[:3] @ [*fields["position"], 1])
+        rotation = fields["rotation"] @ move[:3, :3].T
+        yield where, fields | {"rotation": rotation, "position": position}
+
+
+def _read_move(path: Path, before: float) -> tuple[NDArray[np.float64], float]:
+    """Matrix ``(4, 4)`` and scale from COLMAP's world to a scene that nerfstudio trained.
+
+    The scale is relative to `before`, which is in the cameras' positions already.
+    """
+    where = str(path)
+    found = as_object(where, load_json(path), "the transform that nerfstudio applied")
+    move = np.eye(4)
+    move[:3] = as_pose(where, "transform", get(where, found, "transform"))
+    scale = as_number(where, "scale", get(where, found, "scale"))
     if not (scale > 0 and before > 0 and math.isfinite(scale / before)):
         raise InvalidInput(f"{where}: scale {scale} of {before}, expected numbers above 0")
     return move, scale / before
+
+
+def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], float]:
+    """Matrix ``(4, 4)`` and scale by which nerfstudio moved the file's cameras, if it did."""
+    if not os.path.isfile(path.with_name(_MOVED)):
+        return np.eye(4), 1.0
+    before = as_number(str(path), "applied_scale", shared.get("applied_scale", 1.0))
+    move, scale = _read_move(path.with_name(_MOVED), before)
+    # The file's cameras may be in a third world.
+    applied = np.eye(4)
+    is_old = os.path.isdir(path.parent / "colmap" / "sparse" / "0")
+    default = _OLD_APPLIED if is_old else applied[:3].tolist()
+    applied[:3] = as_pose(str(path), "applied_transform", shared.get("applied_transform", default))
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return move @ np.linalg.inv(applied), scale
+    except np.linalg.LinAlgError as error:
+        raise InvalidInput(f"{path}: applied_transform is singular, expected a rotation") from error
 
 
 def _intrinsics(where: str, path: Path, fields: Mapping[str, Any], name: str) -> dict[str, Any]:

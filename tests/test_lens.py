@@ -195,6 +195,20 @@ def test_resizing_keeps_the_lens(tmp_path):
     assert small.lens == camera.lens
 
 
+@both_forms
+def test_edges_that_cannot_be_inverted_are_left_out(suffix, tmp_path):
+    """An action camera: with k1 alone, no point of the world is at the left and right edges."""
+    f, k1 = 1330.9, -0.2947
+    turn = 1 / math.sqrt(-3 * k1)
+    assert f * turn * (1 + k1 * turn**2) < 959.5
+    intrinsics = Intrinsics(1, "SIMPLE_RADIAL", 1920, 1080, (f, 960.0, 540.0, k1))
+    (camera,) = read_cameras(write_model(tmp_path, suffix, cameras=[intrinsics]))
+    x, y = (camera.width - 1) / 2 / f, (camera.height - 1) / 2 / f
+    assert x < turn
+    assert 0.88 * 960 < f * brown(x, 0, [k1])[0] < 0.91 * 960
+    assert 535 < f * brown(0, y, [k1])[1] < 540
+
+
 BAD_LENSES = {
     "k1 = 1e300": ((500.0, 400.0, 300.0, 1e300), "lens: its distortion"),
     "k1 = -1e300": ((500.0, 400.0, 300.0, -1e300), "lens: its distortion"),

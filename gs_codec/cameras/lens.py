@@ -25,6 +25,10 @@ _VIEW = ("width", "height", "fx", "fy", "cx", "cy")
 #: Maximum number of edge pixels that are undistorted to find the valid image area.
 _EDGE = 4096
 
+#: Where the distortion cannot be inverted at an image's edges, a margin of this share of the side
+#: is left out. Action cameras calibrated with one coefficient need 1 %.
+_MARGIN = 0.05
+
 #: Maximum growth of an image's sides, as in COLMAP; wide fisheye images would grow without limit.
 _MAX_GROWTH = 2.0
 
@@ -119,12 +123,13 @@ class Lens:
 
         This is the camera of COLMAP's image undistorter: the focal lengths do not change, and the
         image has the largest size at which all pixels are inside the photograph, at most twice the
-        original.
+        original. If the distortion cannot be inverted at two opposite edges, 5 % of the side are
+        left out at each; COLMAP doubles the side.
 
         Raises
         ------
         InvalidInput
-            If the distortion cannot be undone at the photograph's edges.
+            If the distortion cannot be inverted there either.
         """
         x, y = _growth(self)
         width, height = max(1, int(x * self.width)), max(1, int(y * self.height))
@@ -251,10 +256,14 @@ def _growth(lens: Lens) -> tuple[float, float]:
     ):
         if not 0.5 < centre < side - 0.5:
             raise InvalidInput(f"lens: principal point {centre:g}, expected within the image")
-        first, last = (
-            centre + focal * lens.undistort(_edge(lens, axis, at))[axis] for at in (0.5, side - 0.5)
-        )
-        if np.isnan(first).all() and np.isnan(last).all():
+        for margin in (0.5, _MARGIN * side):
+            first, last = (
+                centre + focal * lens.undistort(_edge(lens, axis, at))[axis]
+                for at in (margin, side - margin)
+            )
+            if not (np.isnan(first).all() and np.isnan(last).all()):
+                break
+        else:
             raise InvalidInput("lens: its distortion cannot be inverted at the image's edges")
         # Points behind the camera impose no limit.
         before, after = (

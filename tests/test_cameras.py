@@ -194,7 +194,8 @@ BAD_ENTRIES: dict[str, tuple[Any, str]] = {
     "list": ([1] * 1000, "expected a camera"),
     "nested": ([[[[[[[[1] * 9] * 9] * 9] * 9]]]], "expected a camera"),
     "no id is needed, but a name": ({"id": 0}, "no 'img_name'"),
-    "name of a number": ({"img_name": 7}, "img_name 7"),
+    "name of a fraction": ({"img_name": 7.5}, "img_name 7.5"),
+    "boolean name": ({"img_name": True}, "img_name True"),
     "empty name": ({"img_name": ""}, "0 characters"),
     "long name": ({"img_name": "n" * 1025}, "1,025 characters"),
     "line end in name": ({"img_name": "a\nb"}, "control characters"),
@@ -289,6 +290,12 @@ def test_json_too_large_for_memory_is_refused(tmp_path):
     with open(path, "wb") as file:
         file.truncate((1 << 25) + 1)
     assert_refused(path, "33,554,433 bytes, expected at most 33,554,432")
+
+
+def test_names_may_be_numbers(tmp_path):
+    entries = [inria_entry(img_name=index) for index in (0, 11)]
+    cameras = read_cameras(write_json(tmp_path / "cameras.json", *entries))
+    assert [camera.name for camera in cameras] == ["0", "11"]
 
 
 def test_several_cameras_may_have_one_name(tmp_path):

@@ -74,7 +74,9 @@ def as_entry(index: int, camera: Camera) -> dict[str, Any]:
 def _fields(where: str, entry: Any) -> dict[str, Any]:
     """Convert an entry of ``cameras.json`` to the fields of a `Camera`; ranges are not checked."""
     entry = as_object(where, entry, "a camera")
-    name, split = as_text(where, "img_name", get(where, entry, "img_name")), entry.get("split")
+    name, split = get(where, entry, "img_name"), entry.get("split")
+    # Trainers that generate scenes number their cameras; True is an int in Python.
+    name = str(name) if type(name) is int else as_text(where, "img_name", name)
     if split not in ("train", "test", None):
         raise InvalidInput(f"{where}: split {short(split)}, expected 'train' or 'test'")
     width, height = (as_pixels(where, key, get(where, entry, key)) for key in ("width", "height"))

@@ -360,6 +360,10 @@ def test_windows_line_ends_comments_and_a_missing_last_line_are_read(tmp_path):
         data = (tmp_path / name).read_bytes().rstrip(b"\n")
         (tmp_path / name).write_bytes(b"\n  # more\n" + data.replace(b"\n", b"\r\n"))
     assert [camera.name for camera in read_cameras(tmp_path)] == ["a b.jpg", "c.jpg", "d.jpg"]
+    for name in ("cameras.txt", "images.txt"):
+        data = (tmp_path / name).read_bytes().lstrip()
+        (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + data)
+    assert [camera.name for camera in read_cameras(tmp_path)] == ["a b.jpg", "c.jpg", "d.jpg"]
 
 
 @pytest.mark.parametrize("second", ["b.jpg", "17"])

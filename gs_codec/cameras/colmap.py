@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import reprlib
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -293,7 +294,8 @@ class _Lines:
             self._number += 1
             if len(line) == _MAX_LINE:
                 raise InvalidInput(f"{self.where}: expected less than {_MAX_LINE} bytes")
-            line = line.strip()
+            # Editors of Windows begin files with this mark.
+            line = line.removeprefix(BOM_UTF8 if self._number == 1 else b"").strip()
             if line and not line.startswith(b"#"):
                 return line
         return b""

@@ -745,6 +745,11 @@ def test_models_in_other_folders_are_named(tmp_path):
     assert_refused(tmp_path, "nor transforms.json; COLMAP models are in 'a/sparse/0', 'b c/model'$")
 
 
+def test_cameras_of_llff_are_named(tmp_path):
+    (tmp_path / "poses_bounds.npy").write_bytes(b"\x93NUMPY")
+    assert_refused(tmp_path, "nor transforms.json; poses_bounds.npy of LLFF is not read$")
+
+
 def test_incomplete_model_is_ignored(tmp_path):
     write_kind(tmp_path, ".bin", 2.0)
     write_kind(tmp_path, ".txt", 3.0)

@@ -173,6 +173,8 @@ def _entries(path: Path) -> Entries:
         return move_as_trained(path, read_colmap(model))
     below = models_below(path)
     others = f"; COLMAP models are in {', '.join(map(short, below[:5]))}" if below else ""
+    if os.path.isfile(path / "poses_bounds.npy"):
+        others += "; poses_bounds.npy of LLFF is not read"
     raise InvalidInput(
         f"{path}: neither a COLMAP model (cameras and images, both .bin or .txt) nor cameras.json "
         f"nor transforms.json{others}"

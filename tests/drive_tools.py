@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from drive_edit import answer
 from drive_viewer import Driver, tell
 
 from gs_codec.formats.ply.writer import write_ply
@@ -150,7 +151,7 @@ def measure(driver: Driver, found: dict) -> None:
     measuring.set_length(2 * measuring.distance)
     driver.key("r")
     found["drawn"] = int((np.abs(driver.scenes(driver.rest()) - before).max(axis=2) > 60).sum())
-    found["measured"] = [measuring._label.text, viewer.panel.pick.measure._said.text]
+    found["measured"] = [stage.tag.label.text, viewer.panel.pick.measure._said.text]
     centres, tab = viewer.stage.scenes[0].positions, viewer.panel.pick.measure
     viewer.editor.do(lambda edits: edits.select(np.arange(len(centres)) == 0))
     driver.click(tab.scale)
@@ -166,6 +167,53 @@ def measure(driver: Driver, found: dict) -> None:
     driver.wait(lambda: not measuring.on)
     found["left"] = int(np.abs(driver.scenes(driver.rest()) - before).max())
     found["picked"] = viewer.picking.hit is not None
+
+
+def annotate(driver: Driver, found: dict) -> None:
+    """Annotate two clicked points, choose the first again, and save them."""
+    viewer, notes, stage = driver.viewer, driver.viewer.annotating, driver.viewer.stage
+    viewer.measure()
+    before = driver.scenes(driver.rest())
+    driver.key("ctrl+n")
+    driver.wait(lambda: notes.on)
+    found["annotates alone"] = not viewer.measuring.on
+    pane, tab, places = stage.panes[0], viewer.panel.pick.notes, ((80, 100), (100, 110), (81, 101))
+    for place, count, chosen in zip(places, (1, 2, 2), (0, 1, 0), strict=True):
+        driver.move(pane.widget.frame.x + place[0], pane.widget.frame.y + place[1])
+        driver.xdotool("mousedown", 1)
+        driver.xdotool("mouseup", 1)
+        driver.wait(
+            lambda count=count, chosen=chosen: (len(notes.notes), notes.chosen) == (count, chosen)
+        )
+        driver.rest()
+    points = np.array([note.position for note in notes.notes])
+    pixels = stage.pose.project(points, *stage.picture_size)[0]
+    found["annotated"] = float(np.abs(pixels - np.array(places[:2]) - 0.5).max())
+    driver.click(tab.title)
+    driver.xdotool("type", "Ear")
+    driver.wait(lambda: notes.notes[0].title == "Ear")
+    found["titled"] = notes.titles
+    found["rings"] = int((np.abs(driver.scenes(driver.rest()) - before).max(axis=2) > 60).sum())
+    found["tag"] = stage.tag.label.text
+    viewer.window.close()
+    answer(driver, "Cancel")
+    driver.rest()
+    driver.click(tab.buttons["Save"])
+    driver.type_path("notes")
+    driver.key("Return")
+    driver.wait(Path("notes.json").exists)
+    driver.rest()
+    driver.click(tab.buttons["Remove"])
+    driver.wait(lambda: len(notes.notes) == 1)
+    notes.remove()
+    notes.open("notes.json")
+    found["asks again"] = notes.ask_unsaved(print)
+    driver.rest()
+    driver.key("Escape")
+    driver.wait(lambda: not notes.on)
+    wide = pane.widget.frame.width
+    after = driver.scenes(driver.rest())
+    found["without rings"] = int(np.abs(after - before)[:, :wide].max())
 
 
 def write(path: Path, seed: int) -> None:
@@ -230,6 +278,7 @@ def run(folder: Path) -> dict:
     keyframes(driver, found)
     flights(driver, found)
     measure(driver, found)
+    annotate(driver, found)
     watch(driver, found)
     return found
 

@@ -11,6 +11,7 @@ import pytest
 from windows import drive, make_folder, needs_display
 
 import gs_codec
+from gs_codec.files.annotations import read_annotations
 from viewer.window.file_dialog import Files
 from viewer.window.watching import newest
 
@@ -85,6 +86,18 @@ def test_distances_are_measured_on_what_is_seen_and_set_the_scale(found):
     assert found["after scaling"] == [1.0, "scaled by 2"]
     assert found["left"] <= 4
     assert not found["picked"]
+
+
+def test_annotations_are_clicked_titled_and_saved_for_pages(found, folder):
+    assert found["annotates alone"]
+    assert found["annotated"] < 1e-3
+    assert found["titled"] == ["Ear", "Annotation 2"]
+    assert found["tag"] == " 1 Ear "
+    assert found["rings"] > 40
+    first, second = read_annotations(folder / "notes.json")
+    assert (first.title, second.title, first.text) == ("Ear", "Annotation 2", "")
+    assert not found["asks again"]
+    assert found["without rings"] <= 4
 
 
 def test_changed_files_are_reported_or_reloaded_from_the_same_pose(found):

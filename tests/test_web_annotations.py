@@ -9,7 +9,7 @@ import pytest
 from web_pages import LENS, POSITIONS, SIZE, Job, in_browser, open_pages, small_page
 
 from gs_codec.errors import InvalidInput
-from gs_codec.files.annotations import Annotation, read_annotations
+from gs_codec.files.annotations import Annotation, read_annotations, write_annotations
 
 MARKUP = "<img src=x onerror=alert(1)> &amp; <b>"
 
@@ -72,6 +72,18 @@ def test_annotations_are_at_their_points_and_open_as_plain_text(tmp_path):
 def test_texts_and_views_are_optional(tmp_path):
     path = written(tmp_path, [{"position": [1, 2, 3], "title": " a\t\u05d0 "}])
     assert read_annotations(path) == [Annotation([1.0, 2.0, 3.0], "a\t\u05d0", "", None)]
+
+
+def test_written_annotations_are_read_again(tmp_path):
+    notes = [
+        Annotation([1.0, 2.0, 3.0], "\u05d0 <b>", "two\nlines"),
+        Annotation([0, 0, 0], "b", "", 2),
+    ]
+    write_annotations(tmp_path / "notes.json", notes)
+    assert read_annotations(tmp_path / "notes.json") == notes
+    with pytest.raises(InvalidInput, match="annotation 1: empty title"):
+        write_annotations(tmp_path / "empty.json", [Annotation([0, 0, 0], " ")])
+    assert not (tmp_path / "empty.json").exists()
 
 
 GOOD = {"position": [1, 2, 3], "title": "a"}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from gs_codec.cameras.json_fields import (
     short,
 )
 from gs_codec.errors import InvalidInput
+from gs_codec.runtime.atomic import atomic_writer
 
 #: Maximum number of annotations of a page, and characters of a title and of a text.
 _MOST, _TITLE, _TEXT = 200, 200, 5000
@@ -52,10 +55,24 @@ def read_annotations(path: str | Path) -> list[Annotation]:
     Raises InvalidInput if the file cannot be read, or has too many or invalid annotations.
     """
     path = Path(path)
-    entries = as_list(str(path), "annotations", load_json(path))
+    return _annotations(str(path), as_list(str(path), "annotations", load_json(path)))
+
+
+def write_annotations(path: str | Path, notes: Sequence[Annotation]) -> None:
+    """Write annotations atomically, as `read_annotations` reads them.
+
+    Raises InvalidInput if there are too many or invalid ones, or OSError.
+    """
+    entries = [{k: v for k, v in asdict(note).items() if v is not None} for note in notes]
+    _annotations(str(path), entries)
+    with atomic_writer(Path(path)) as file:
+        file.write((json.dumps(entries, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def _annotations(where: str, entries: Sequence[Any]) -> list[Annotation]:
     if len(entries) > _MOST:
-        raise InvalidInput(f"{path}: {len(entries):,} annotations, expected at most {_MOST}")
-    return [_annotation(f"{path}: annotation {k}", entry) for k, entry in enumerate(entries, 1)]
+        raise InvalidInput(f"{where}: {len(entries):,} annotations, expected at most {_MOST}")
+    return [_annotation(f"{where}: annotation {k}", entry) for k, entry in enumerate(entries, 1)]
 
 
 def _annotation(where: str, entry: Any) -> Annotation:

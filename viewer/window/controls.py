@@ -11,6 +11,7 @@ from viewer.pictures.screenshot import compose, save_picture
 from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Appearance, OctreeChoice
 from viewer.scenes.typed_paths import PICTURES
 from viewer.scenes.worker import Stale
+from viewer.window.annotating import Annotating
 from viewer.window.background_encoding import Encoding
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
@@ -36,6 +37,7 @@ class Controls(Host, Protocol):
     visits: Visits
     timeline: Timeline
     measuring: Measuring
+    annotating: Annotating
     watching: Watching
     loading: Loading
     picking: Picking
@@ -58,6 +60,17 @@ class Controls(Host, Protocol):
     def forget(self) -> None:
         """Forget lengths measured in the scene shown before."""
         self.measuring.take_unit()
+
+    def measure(self) -> None:
+        """Let clicks measure, or pick Gaussians again."""
+        self.annotating.stop()
+        self.measuring.toggle()
+
+    def annotate(self) -> None:
+        """Let clicks annotate, or pick Gaussians again."""
+        if self.measuring.on:
+            self.measuring.toggle()
+        self.annotating.toggle()
 
     # Display settings
 

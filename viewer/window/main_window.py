@@ -15,6 +15,7 @@ from viewer.scenes.choice import Choice
 from viewer.scenes.view_request import Request
 from viewer.scenes.worker import Result, Stale, Worker
 from viewer.window import dialogs
+from viewer.window.annotating import Annotating
 from viewer.window.background_encoding import Encoding
 from viewer.window.controls import Controls
 from viewer.window.dock import Dock
@@ -63,6 +64,7 @@ class Viewer(Controls):
     start : Start
     timeline : Timeline
     measuring : Measuring
+    annotating : Annotating
     picking : Picking
     encoding : Encoding
     panel : Panel
@@ -113,6 +115,7 @@ class Viewer(Controls):
         self.files = Files(self.modal, self.stage)
         self.visits, self.picking = Visits(self), Picking(self)
         self.timeline, self.measuring = Timeline(self), Measuring(self)
+        self.annotating = Annotating(self)
         self.dock = Dock(self, self.visits, self.timeline, self._select_range)
         self.editor = Editor(self, self.visits, self.dock)
         self.placing = Placing(self, self.editor)
@@ -197,7 +200,8 @@ class Viewer(Controls):
         self.panel.rate.refresh()
 
     def _clicked(self, pane: Pane, at: Place) -> None:
-        (self.measuring if self.measuring.on else self.picking).click(pane, at)
+        tools = (self.measuring, self.annotating)
+        next((tool for tool in tools if tool.on), self.picking).click(pane, at)
 
     def _focused(self, pane: Pane, at: Place) -> None:
         self.stage.focus(pane, at)
@@ -210,7 +214,9 @@ class Viewer(Controls):
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
         flown = self.timeline.tick()
         self.player.tick()
-        worked = self.modal.tick() | self.notice.tick() | self.measuring.tick()
+        worked = self.modal.tick() | self.notice.tick()
+        tool = self.annotating if self.annotating.on else self.measuring
+        worked |= self.stage.show_tag(*tool.tag)
         drawn = self.stage.tick()
         self.panel.show_speed(self.stage.painter.seconds)
         self.visits.tick()
@@ -276,6 +282,8 @@ class Viewer(Controls):
             self._close_later()
             return False
         if self.editor.ask_unsaved((0, 1), self.window.close):
+            return False
+        if self.annotating.ask_unsaved(self.window.close):
             return False
         self._closes = False
         if self.timeline.ask_unfinished(self._close_later, self.window.close):

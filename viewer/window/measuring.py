@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
-from open3d.visualization import gui
 
 from viewer.pictures.drawer import depth_at
 from viewer.pictures.marker import measure_lines
@@ -12,9 +13,6 @@ from viewer.scenes.worker import Stale
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
-
-#: Offset of the label from the middle of the line, in font sizes.
-_BESIDE = 0.5
 
 
 class Measuring:
@@ -33,11 +31,6 @@ class Measuring:
         self._viewer = viewer
         self.on, self.unit = False, 1.0
         self.points: list[NDArray[np.float64]] = []
-        self._placed: tuple[object, ...] = ()
-        self._label = gui.Label("")
-        self._label.background_color = gui.Color(0.0, 0.0, 0.0, 0.75)
-        self._label.visible = False
-        viewer.window.add_child(self._label)
         viewer.stage.overlays["measure"] = lambda *view: measure_lines(self.points, *view)
         viewer.modal.cancels.append(self._cancel)
 
@@ -49,28 +42,17 @@ class Measuring:
 
     def click(self, pane: Pane, at: Place) -> None:
         """Choose the point seen at a pixel of a pane's picture."""
-        stage = self._viewer.stage
-        pose, size, scene, views = stage.pose, stage.picture_size, pane.scene, stage.views
-        look = stage.shown.look(scene)
-        if pose is None:
-            return
 
-        def find(stale: Stale) -> float:
-            return depth_at(views, scene, pose, at, size, look)
-
-        def done(depth: float) -> None:
+        def done(point: NDArray[np.float64] | None) -> None:
             if not self.on:
                 return
-            if depth > 0:
-                fx, fy, cx, cy = pose.lens(*size)
-                ray = np.array([(at[0] - cx) / fx, (at[1] - cy) / fy, 1.0])
-                point = pose.position + depth * ray @ pose.rotation
-                self._put([*(self.points if len(self.points) < 2 else []), point])
-            else:
+            if point is None:
                 self._viewer.panel.say("nothing to measure there")
+            else:
+                self._put([*(self.points if len(self.points) < 2 else []), point])
 
         # Two clicks may be made before the first point is found.
-        self._viewer.worker.submit(f"measure point {at}", find, done, self._viewer.fail)
+        find_point(self._viewer, f"measure point {at}", pane, at, done)
 
     def _put(self, points: list[NDArray[np.float64]]) -> None:
         self.points = points
@@ -115,23 +97,35 @@ class Measuring:
             return f"{text}\n"
         return f"{text} = {self.unit * self.distance:.5g}\ngs-codec convert --scale {self.unit:.6g}"
 
-    def tick(self) -> bool:
-        """Keep the label at the line; return whether to draw the window."""
+    @property
+    def tag(self) -> tuple[str, NDArray[np.float64] | None]:
+        """The distance, and the pixel of the picture that it belongs to, if it is seen."""
         stage, distance = self._viewer.stage, self.distance
-        placed = stage.seen, stage.size, distance, self.unit, *stage.columns
-        if placed == self._placed:
-            return False
-        self._placed = placed
-        self._label.visible = False
         if distance is None or stage.seen is None:
-            return True
+            return "", None
         lines = measure_lines(self.points, stage.seen, *stage.picture_size)
-        if len(lines) == 3:
-            self._label.visible = True
-            self._label.text = f" {self.unit * distance:.4g} "
-            em, frame = self._viewer.window.theme.font_size, stage.visible[0].widget.frame
-            x, y = lines[0].mean(axis=0) + _BESIDE * em - (stage.columns[0][3], 0)
-            wide = int(len(self._label.text) * 0.55 * em)
-            x, y = min(max(x, 0), frame.width - wide), min(max(y, 0), frame.height - 1.5 * em)
-            self._label.frame = gui.Rect(frame.x + int(x), frame.y + int(y), wide, int(1.5 * em))
-        return True
+        middle = lines[0].mean(axis=0) if len(lines) == 3 else None
+        return f"{self.unit * distance:.4g}", middle
+
+
+def find_point(
+    viewer: Host,
+    kind: str,
+    pane: Pane,
+    at: Place,
+    done: Callable[[NDArray[np.float64] | None], None],
+) -> None:
+    """Find the point ``(3,)`` seen at a pixel of a pane's picture, in the background; or None."""
+    stage = viewer.stage
+    pose, size, scene, views = stage.pose, stage.picture_size, pane.scene, stage.views
+    look = stage.shown.look(scene)
+    if pose is None:
+        return
+
+    def find(stale: Stale) -> NDArray[np.float64] | None:
+        depth = depth_at(views, scene, pose, at, size, look)
+        fx, fy, cx, cy = pose.lens(*size)
+        ray = np.array([(at[0] - cx) / fx, (at[1] - cy) / fy, 1.0])
+        return pose.position + depth * ray @ pose.rotation if depth > 0 else None
+
+    viewer.worker.submit(kind, find, done, viewer.fail)

@@ -1,4 +1,4 @@
-"""The tab for the picked Gaussian, and for measuring."""
+"""The tab for the picked Gaussian, for measuring and annotating."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from open3d.visualization import gui
 
 from viewer.scenes.picked_text import picked_sections
 from viewer.window.controls import Controls
-from viewer.window.widgets import Widgets
+from viewer.window.widgets import Widgets, choose
 
 #: Width of a row, characters.
 _COLUMNS = 41
@@ -22,6 +22,7 @@ class PickTab:
     widget : gui.Widget
     text : gui.Label
     measure : MeasureControls
+    notes : NoteControls
     """
 
     def __init__(self, viewer: Controls, widgets: Widgets, font: int) -> None:
@@ -34,6 +35,7 @@ class PickTab:
         self._clear = widgets.button("Clear", clear, "clear the pick (Esc)")
         widgets.row(self.widget, self._clear)
         self.measure = MeasureControls(viewer, widgets, self.widget)
+        self.notes = NoteControls(viewer, widgets, self.widget)
         self.text = gui.Label(_NOTHING)
         self.text.font_id = font
         self.widget.add_child(self.text)
@@ -43,9 +45,11 @@ class PickTab:
         picking = self._viewer.picking
         picking.follow()
         self.measure.refresh()
+        self.notes.refresh()
         self._clear.enabled = picking.hit is not None
         if picking.hit is None:
-            self.text.text = "" if self._viewer.measuring.on else _NOTHING
+            uses = self._viewer.measuring.on or self._viewer.annotating.on
+            self.text.text = "" if uses else _NOTHING
         elif picking.picked is None:
             self.text.text = "..."
         else:
@@ -61,7 +65,7 @@ class MeasureControls:
     def __init__(self, viewer: Controls, widgets: Widgets, parent: gui.Widget) -> None:
         self._viewer = viewer
         self._measuring = measuring = viewer.measuring
-        self.on = widgets.checkbox("measure distances (Y)", lambda _: measuring.toggle())
+        self.on = widgets.checkbox("measure distances (Y)", lambda _: viewer.measure())
         parent.add_child(self.on)
         self._said = gui.Label("")
         parent.add_child(self._said)
@@ -86,6 +90,48 @@ class MeasureControls:
         if measuring.distance is not None:
             self.length.double_value = measuring.unit * measuring.distance
             self.scale.enabled = self._viewer.editor.edits is not None
+
+
+class NoteControls:
+    """A switch for annotating, the list of annotations, and the texts of the chosen one."""
+
+    def __init__(self, viewer: Controls, widgets: Widgets, parent: gui.Widget) -> None:
+        self._annotating = annotating = viewer.annotating
+        self.on = widgets.checkbox("annotate (ctrl + N)", lambda _: viewer.annotate())
+        parent.add_child(self.on)
+        self._rows = gui.Vert(0.3 * widgets.em)
+        parent.add_child(self._rows)
+        self._rows.add_child(gui.Label("Click a point, or a ring to choose it."))
+        self.list = widgets.choice(self._rows, "annotation", (), annotating.choose)
+        self.title, self.text = gui.TextEdit(), gui.TextEdit()
+        self.text.placeholder_text = "text"
+        self.title.set_on_text_changed(annotating.set_title)
+        self.text.set_on_text_changed(annotating.set_text)
+        for field in (self.title, self.text):
+            self._rows.add_child(field)
+        made = (
+            ("Remove", annotating.remove, "Remove this annotation."),
+            ("Save", annotating.ask_save, "Save all, for gs-codec share --annotations."),
+            ("Open", annotating.ask_open, "Add the annotations of a file."),
+        )
+        self.buttons = {name: widgets.button(name, action, tip) for name, action, tip in made}
+        widgets.row(self._rows, *self.buttons.values())
+
+    def refresh(self) -> None:
+        """Update the controls."""
+        annotating, chosen = self._annotating, self._annotating.chosen
+        self.on.checked = self._rows.visible = annotating.on
+        titles = annotating.titles
+        names = [f"{k}: {title}" for k, title in enumerate(titles, 1)]
+        choose(self.list, names, chosen or 0)
+        for widget in (self.list, self.title, self.text, self.buttons["Remove"]):
+            widget.enabled = chosen is not None
+        self.buttons["Save"].enabled = bool(names)
+        self.title.placeholder_text = "title" if chosen is None else titles[chosen]
+        note = None if chosen is None else annotating.notes[chosen]
+        for field, text in ((self.title, note and note.title), (self.text, note and note.text)):
+            if field.text_value != (text or ""):
+                field.text_value = text or ""
 
 
 def _row(name: str, value: str) -> list[str]:

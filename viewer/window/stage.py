@@ -25,6 +25,7 @@ from viewer.window.navigation import Navigator, focused
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.painter import Columns, Painter
 from viewer.window.pane import HIDDEN, Pane, draws_splats
+from viewer.window.tag import Tag
 
 #: Maximum number of centres in a pane, by device.
 _MOST = {"gpu": 5_000_000, "cpu": 250_000}
@@ -82,6 +83,8 @@ class Stage:
         RGB of those that are not white.
     captions : list of gui.Label
         The captions above the panes.
+    tag : Tag
+        The text beside a place in the first pane.
     divider : Canvas
         The wipe line.
     mouse : Mouse
@@ -112,6 +115,7 @@ class Stage:
         self.captions = [gui.Label("") for _ in range(2)]
         for label in self.captions:
             window.add_child(label)
+        self.tag = Tag(window)
         self.divider = make_divider(window, self._slide)
         self.mouse = Mouse(self, clicked, focused)
         # Created together: Open3D cannot remove them, and adding one later would select the first
@@ -321,6 +325,12 @@ class Stage:
             self._changed()
 
         self.worker.submit("centres", colour, done, self._failed)
+
+    def show_tag(self, text: str, at: NDArray[np.float64] | None) -> bool:
+        """Show a text beside a pixel of the picture, or none; return whether to draw the window."""
+        if at is None:
+            return self.tag.hide()
+        return self.tag.show(text, at - (self.columns[0][3], 0), self.visible[0].widget.frame)
 
     # Layout and cameras
 

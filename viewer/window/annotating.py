@@ -1,0 +1,204 @@
+"""Annotating: points chosen by clicks, each with a title and a text, for `gs-codec share`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gs_codec
+from gs_codec.files.annotations import Annotation, read_annotations, write_annotations
+from gs_codec.runtime.wording import counted
+from viewer.pictures.marker import measure_lines
+from viewer.scenes.pose import Pose
+from viewer.scenes.typed_paths import NOTES
+from viewer.window import dialogs
+from viewer.window.measuring import find_point
+from viewer.window.mouse import Place
+from viewer.window.pane import Pane
+from viewer.window.shared import Host
+
+#: A click this near to an annotation chooses it, pixels.
+_NEAR = 8.0
+
+#: Maximum length of the title beside a point, characters.
+_TITLE = 40
+
+
+class Annotating:
+    """Annotations of the scenes shown; clicks add and choose them.
+
+    Attributes
+    ----------
+    on : bool
+        Whether clicks do so, and annotations are shown.
+    notes : list of Annotation
+        Those without a title are named by their numbers; see `titles`.
+    chosen : int or None
+        Index of one of them.
+    """
+
+    def __init__(self, viewer: Host) -> None:
+        self._viewer = viewer
+        self.on = False
+        self.notes: list[Annotation] = []
+        self._saved: list[Annotation] = []
+        self.chosen: int | None = None
+        viewer.stage.overlays["notes"] = self._rings
+        viewer.modal.cancels.append(self.stop)
+
+    @property
+    def titles(self) -> list[str]:
+        """The title of each."""
+        return [note.title.strip() or f"Annotation {k}" for k, note in enumerate(self.notes, 1)]
+
+    def toggle(self) -> None:
+        """Let clicks annotate, or pick Gaussians again; annotations are kept."""
+        self.on = not self.on
+        self._viewer.panel.show("Pick")
+        self._put(self.notes, self.chosen)
+
+    def stop(self) -> bool:
+        """Let clicks pick Gaussians again; return whether they annotated."""
+        was = self.on
+        if was:
+            self.toggle()
+        return was
+
+    def click(self, pane: Pane, at: Place) -> None:
+        """Choose the annotation at a pixel of a pane's picture, or add one there."""
+        stage = self._viewer.stage
+        if stage.pose is None:
+            return
+        away = [_distance(note, at, stage.pose, *stage.picture_size) for note in self.notes]
+        if away and min(away) < _NEAR:
+            self.choose(int(np.argmin(away)))
+            return
+
+        def done(point: NDArray[np.float64] | None) -> None:
+            if point is None:
+                self._viewer.panel.say("nothing to annotate there")
+            else:
+                position = [float(f"{value:.7g}") for value in point]
+                notes = [*self.notes, Annotation(position, "")]
+                self._put(notes, len(notes) - 1)
+
+        find_point(self._viewer, f"annotate point {at}", pane, at, done)
+
+    def choose(self, index: int) -> None:
+        """Choose an annotation."""
+        self.chosen = index
+        self._viewer.panel.refresh()
+
+    def set_title(self, title: str) -> None:
+        """Change the title of the chosen annotation."""
+        self._change(lambda note: replace(note, title=title))
+
+    def set_text(self, text: str) -> None:
+        """Change the text of the chosen annotation."""
+        self._change(lambda note: replace(note, text=text))
+
+    def _change(self, change: Callable[[Annotation], Annotation]) -> None:
+        chosen = self.chosen
+        if chosen is not None:
+            changed = change(self.notes[chosen])
+            self.notes = [*self.notes[:chosen], changed, *self.notes[chosen + 1 :]]
+            self._viewer.panel.refresh()
+
+    def remove(self) -> None:
+        """Remove the chosen annotation."""
+        if self.chosen is not None:
+            notes = [*self.notes[: self.chosen], *self.notes[self.chosen + 1 :]]
+            self._put(notes, min(self.chosen, len(notes) - 1) if notes else None)
+
+    def _put(self, notes: list[Annotation], chosen: int | None) -> None:
+        self.notes, self.chosen = notes, chosen
+        self._viewer.stage.arrange()
+        self._viewer.panel.refresh()
+
+    @property
+    def tag(self) -> tuple[str, NDArray[np.float64] | None]:
+        """Number and title of the chosen one, and its pixel in the picture, if it is seen."""
+        stage = self._viewer.stage
+        if not self.on or self.chosen is None or stage.seen is None:
+            return "", None
+        place = np.array(self.notes[self.chosen].position)
+        rings = measure_lines([place], stage.seen, *stage.picture_size)
+        title = f"{self.chosen + 1} {self.titles[self.chosen]:.{_TITLE}}"
+        return title, rings[0].mean(axis=0) if rings else None
+
+    def _rings(self, pose: Pose, width: int, height: int) -> list[NDArray[np.float64]]:
+        """A ring at each annotation."""
+        notes = self.notes if self.on else []
+        points = [[np.array(note.position)] for note in notes]
+        return [ring for one in points for ring in measure_lines(one, pose, width, height)]
+
+    # Files
+
+    def ask_save(self, then: Callable[[], None] = lambda: None) -> None:
+        """Ask where to save the annotations, save them, and then call `then`."""
+
+        def save(path: str) -> None:
+            self.save(path, then)
+
+        self._viewer.files.ask_save("Save the annotations", NOTES, save, "-notes")
+
+    def save(self, path: str, then: Callable[[], None] = lambda: None) -> None:
+        """Save the annotations, and then call `then`."""
+        try:
+            named = zip(self.notes, self.titles, strict=True)
+            write_annotations(path, [replace(note, title=title) for note, title in named])
+        except (OSError, gs_codec.GsCodecError) as error:
+            self._viewer.fail(error)
+            return
+        self._saved = self.notes
+        self._viewer.panel.say(f"{Path(path).name} saved: {counted(len(self.notes), 'annotation')}")
+        then()
+
+    def ask_open(self) -> None:
+        """Ask for a file of annotations, and add them to those shown."""
+        self._viewer.files.ask_open("Open annotations", NOTES, self.open)
+
+    def open(self, path: str) -> None:
+        """Add the annotations of a file to those shown."""
+        try:
+            found = read_annotations(path)
+        except gs_codec.GsCodecError as error:
+            self._viewer.fail(error)
+            return
+        notes = [*self.notes, *found]
+        self._saved = self._saved if self._unsaved else notes
+        self._put(notes, len(notes) - 1 if notes else None)
+
+    @property
+    def _unsaved(self) -> bool:
+        return bool(self.notes) and self.notes != self._saved
+
+    def ask_unsaved(self, then: Callable[[], None]) -> bool:
+        """Ask what to do with unsaved annotations, if any, before calling `then`.
+
+        Returns
+        -------
+        bool
+            Whether it asked; if not, `then` is not called.
+        """
+        if not self._unsaved:
+            return False
+
+        def discard() -> None:
+            self._saved = self.notes
+            then()
+
+        text = f"{counted(len(self.notes), 'annotation')}, not saved."
+        choices = [("Save as ...", lambda: self.ask_save(then)), ("Discard them", discard)]
+        dialogs.ask_among(self._viewer.modal, "Unsaved annotations", text, choices)
+        return True
+
+
+def _distance(note: Annotation, at: Place, pose: Pose, width: int, height: int) -> float:
+    """Distance of an annotation from a pixel, pixels; infinite behind the camera."""
+    rings = measure_lines([np.array(note.position)], pose, width, height)
+    return float(np.linalg.norm(rings[0].mean(axis=0) - at)) if rings else np.inf

@@ -367,6 +367,19 @@ def test_undistorted_photographs_are_unchanged(tmp_path):
         assert fitted.fx == pytest.approx(camera.fx * size[0] / camera.width)
 
 
+@pytest.mark.parametrize("up", [0, 1])
+def test_smaller_photographs_may_be_rounded_down_or_up(up, tmp_path):
+    image = Image(quaternion=(1, 0, 0, 0), translation=(0, 0, 0))
+    intrinsics = Intrinsics(1, "PINHOLE", 1071, 1898, (900.0, 900.0, 535.5, 949.0))
+    (camera,) = read_cameras(write_model(tmp_path, ".txt", [image], [intrinsics]))
+    write_png(tmp_path / "a.png", np.zeros((237, 133 + up, 3)))
+    fitted, _ = read_photograph(camera, tmp_path / "a.png")
+    assert (fitted.width, fitted.height) == (133 + up, 237)
+    write_png(tmp_path / "a.png", np.zeros((237, 132, 3)))
+    with pytest.raises(InvalidInput, match="132x237 pixels, expected the shape of 1071x1898"):
+        read_photograph(camera, tmp_path / "a.png")
+
+
 def test_photograph_of_another_shape_is_refused(tmp_path):
     camera = camera_of("OPENCV", tmp_path)
     write_png(tmp_path / "a.png", np.zeros((600, 600, 3)))

@@ -60,7 +60,7 @@ def read_photograph(
 
 
 def _divides(size: tuple[int, int], whole: tuple[int, int]) -> bool:
-    """Whether `size` is `whole`, or `whole` divided by an integer and rounded."""
+    """Whether `size` is `whole`, or `whole` divided by an integer and rounded up or down."""
     by = max(1, round(whole[0] / size[0]))
     return all(abs(full / by - side) < 1 for full, side in zip(whole, size, strict=True))
 
@@ -69,7 +69,8 @@ def _check_shape(
     path: Path, size: tuple[int, int], expected: tuple[int, int], others: str = ""
 ) -> None:
     width, height = expected
-    if abs(size[0] * height / width - size[1]) > 1:
+    # Sides rounded down, as in nerfstudio's images_8, may differ by more than a pixel.
+    if abs(size[0] * height / width - size[1]) > 1 and not _divides(size, expected):
         raise InvalidInput(
             f"{path}: {size[0]}x{size[1]} pixels, expected the shape of {width}x{height}{others}"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,3 +165,12 @@ def test_nonfinite_values_are_null(folder):
     write_ply("bad.ply", scene)
     for typed in (["inspect"], ["inspect", "--histogram"], ["verify"]):
         assert document(folder, typed[0], "bad.ply", *typed[1:])["gaussians"] == 40
+
+
+def test_reason_is_stated_if_views_are_not_measured(folder):
+    faint = random_scene(300, 0, seed=1)
+    write_ply("faint.ply", replace(faint, opacity=np.full_like(faint.opacity, -9.0)))
+    line = folder.run("encode", "faint.ply", "o.egs").out.splitlines()[-1]
+    assert line.startswith("rendered views: not measured, because nearly all crops are empty, ")
+    assert document(folder, "encode", "faint.ply", "p.egs")["warnings"] == [line]
+    assert document(folder, "encode", "faint.ply", "q.egs", "-p", "lossless")["warnings"] == []

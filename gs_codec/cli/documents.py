@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, TextIO
 
 from gs_codec.cli.streams import is_stdout
+from gs_codec.config import LOSSLESS
 from gs_codec.errors import printable
 from gs_codec.report import SCHEMA, finite
 from gs_codec.runtime.wording import as_typed
@@ -20,6 +21,12 @@ KEYS = (
     "input_bytes", "output_bytes", "ratio", "bits_per_gaussian", "seconds", "stages", "warnings",
     "error",
 )  # fmt: skip
+
+#: Why there is no loss in rendered views; see `encoding.loss`.
+NOT_MEASURED = (
+    "rendered views: not measured, because nearly all crops are empty, almost transparent, "
+    "or show too many Gaussians"
+)
 
 #: Fields of Python reports with a different key in documents.
 _NAMES = {"count": "gaussians", "file_bytes": "output_bytes"}
@@ -69,7 +76,10 @@ def print_document(**shown: Any) -> None:
     values = _renamed(shown)
     if "lost" in values:
         values["lost"] = list(map(as_typed, values["lost"]))
-    whole = {"schema": SCHEMA, "command": _run.command, "warnings": _run.warnings} | values
+    warned, kept = _run.warnings, values.get("profile") in (None, LOSSLESS)
+    if not kept and values.get("rendered", {}) is None:
+        warned = [*warned, NOT_MEASURED]
+    whole = {"schema": SCHEMA, "command": _run.command, "warnings": warned} | values
     if whole.get("seconds") is None:
         stages = whole.get("stages")
         whole["seconds"] = sum(stages.values()) if stages else time.perf_counter() - _run.start

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
+from gs_codec.cli.documents import NOT_MEASURED
 from gs_codec.errors import printable
 from gs_codec.format_table import read_names
 from gs_codec.report import Progress, RenderedLoss
@@ -130,7 +131,7 @@ def print_prepared(prepared: dict[str, Any]) -> None:
 def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> None:
     """Print the loss in rendered views on stdout; `views` describes the views."""
     if loss is None:
-        print_text("rendered views: not measured")
+        print_text(NOT_MEASURED)
         return
     text = (
         f"{views}: {loss.psnr:.1f} dB against the original, "

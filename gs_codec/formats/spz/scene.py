@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -171,9 +172,21 @@ def pack_spz(
         packed = _bytes_of(part, steps.between(some), bits, own)
         for stream, rows in zip(streams, packed, strict=True):
             stream[some] = rows.T
-    said = () if clipped is not None else own.sentences()
+    said = () if clipped is not None else (*own.sentences(), *_fitting(scene, own))
     lost = (SPZ.rounding, *moved, *said, *left_out_of(scene, SPZ))
     return pack_streams(header, streams, effort), lost
+
+
+def _fitting(scene: Scene, clipped: Clipped) -> Iterator[str]:
+    """A sentence on the power of ten that scales a scene into the range, if one does."""
+    before = clipped.counts.get("log-scales")
+    if not before:
+        return
+    low, high = -10, 255 / 16 - 10
+    power = round(((low + high) / 2 - float(np.median(scene.log_scale))) / math.log(10))
+    scaled = scene.log_scale + np.float32(power * math.log(10))
+    if np.count_nonzero(((scaled < low) | (scaled > high)).any(axis=0)) <= before / 2:
+        yield f'Action("scale", "{10.0**power:g}") brings the scene into the format\'s range'
 
 
 def _fraction_bits(farthest: float) -> int:

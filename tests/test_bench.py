@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
+import select
+import signal
 import subprocess
+import sys
+import threading
 
 import numpy as np
 import pytest
@@ -170,6 +175,26 @@ def test_a_separate_process_is_measured(tmp_path):
     assert 5e6 < used.peak_bytes < 2e8
     with pytest.raises(GsCodecError, match=r"^.*no directory"):
         run_in_process(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
+def test_interrupt_ends_the_measured_process(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    opened = []
+
+    def interrupt() -> None:
+        opened.append(os.open(tmp_path / "pipe", os.O_WRONLY))  # the process has opened it
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        run_in_process(["encode", str(tmp_path / "pipe"), str(tmp_path / "o.egs")])
+    thread.join()
+    poll = select.poll()
+    poll.register(opened[0], 0)
+    assert [event for _, event in poll.poll(60_000)] == [select.POLLERR]
+    os.close(opened[0])
 
 
 @pytest.mark.thorough

@@ -225,6 +225,17 @@ def test_failures_of_own_codecs_are_one_error(ply, commands, message):
         peer.scene(peer.decode(peer.encode(ply)))
 
 
+def test_own_codecs_leave_nothing_in_the_background(ply, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    encode = f"exec 3>{tmp_path / 'pipe'} && {{ sleep 600 & }} && cp {{in}} {{out}}"
+    [peer] = own_peers([f"mine: {encode}; cp {{in}} {{out}}"])
+    peer.encode(ply)
+    assert select.select([reader], [], [], 60)[0]
+    assert os.read(reader, 1) == b""
+    os.close(reader)
+
+
 @pytest.mark.parametrize(
     ("texts", "message"),
     [

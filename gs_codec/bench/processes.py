@@ -18,6 +18,7 @@ from typing import Any
 from gs_codec.bench.measured_scenes import tile_scene
 from gs_codec.errors import GsCodecError
 from gs_codec.formats.ply.writer import write_ply
+from gs_codec.runtime.programs import end_group
 from gs_codec.scene import Scene
 
 _RUN_AND_TELL = """
@@ -50,11 +51,18 @@ def run_in_process(arguments: list[str]) -> Usage:
     """
     between = [sys.executable, "-I", "-S", "-c", _RUN_AND_TELL]
     command = [*between, sys.executable, "-m", "gs_codec", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or [f"status {done.returncode}"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    ) as process:
+        try:
+            out, err = process.communicate()
+        finally:
+            end_group(process)
+    if process.returncode:
+        lines = err.strip().splitlines() or [f"status {process.returncode}"]
         raise GsCodecError(lines[-1].removeprefix("gs-codec: error: "))
-    return Usage(*json.loads(done.stdout))
+    return Usage(*json.loads(out))
 
 
 def measure_scaling(

@@ -13,8 +13,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gs_codec.errors import MissingTool, ToolFailed, one_line
 from gs_codec.runtime.wording import counted
@@ -152,13 +154,18 @@ def _run(
         except subprocess.TimeoutExpired:
             raise ToolFailed(f"did not end in {limits.seconds:g} s") from None
         finally:
-            if process.returncode is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
+            end_group(process)
         log.seek(0)
         first = log.read(_LOG_BYTES)
         log.seek(max(log.seek(0, os.SEEK_END) - _LOG_BYTES, 0))
         return first, log.read(_LOG_BYTES), status
+
+
+def end_group(process: subprocess.Popen[Any]) -> None:
+    """Kill a process that began a session, and what it left in the background."""
+    with suppress(OSError, AttributeError):  # nothing is left; Windows has no groups
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def _least(limit: int | None, own: int, unit: int) -> str:

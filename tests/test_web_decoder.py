@@ -470,6 +470,8 @@ def test_extra_properties_are_checked_like_in_python():
     [few] = run({"bytes": files[0], "maxBytes": most + 4})
     [enough] = run({"bytes": files[0], "maxBytes": most + 5})
     assert (few.get("error"), enough.get("error")) == ("TooLargeError", None)
+    for skipped in run(*({"bytes": each, "maxBytes": most, "extra": False} for each in files)):
+        assert skipped["hash"] == enough["hash"]
 
 
 def test_flipped_bits_of_extra_properties_are_detected_like_in_python():

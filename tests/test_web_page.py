@@ -456,6 +456,21 @@ def test_on_a_phone_sh_that_do_not_fit_are_left_out(files, pages):
 
 
 @in_browser
+def test_on_a_phone_extra_properties_take_no_memory(tmp_path):
+    scene = replace(generate(2000, 3, 12), extra={"mark": np.zeros(2000, "<f8")})
+    (tmp_path / "a.egs").write_bytes(encode_scene(scene, Config("l", extra="keep"))[0])
+    share([tmp_path / "a.egs"], tmp_path / "page.html")
+    told = ("value", "document.querySelector('#scenes small').textContent")
+    job = Job((tmp_path / "page.html").as_uri(), [("drawn",), told], mobile=True)
+    memory = 4 * scene.count * 60 / 2**26  # a Gaussian has 59 floats
+    job.before = f"Object.defineProperty(navigator, 'deviceMemory', {{ value: {memory} }})"
+    [opened] = open_pages(job)
+    assert (opened.state, opened.errors) == ("ready", [])
+    assert "SH degree 3, " in opened.values[1]
+    assert "left out" not in opened.values[1]
+
+
+@in_browser
 def test_the_end_of_a_picture_is_noticed_at_rest(pages):
     """Otherwise, idle time would count as time of drawing."""
     job = Job(pages["one"].as_uri(), [("drawn",), ("until", "window.ended === window.begun")])

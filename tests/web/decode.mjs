@@ -202,6 +202,7 @@ async function run(job) {
     shDegree: job.shDegree,
     box: job.box,
     maxBytes: job.maxBytes,
+    extra: job.extra,
     workers: job.workers ?? 0,
     createWorker: CREATE[job.createWorker ?? 'node'],
     onBlock: (scene, part) => told.blocks.push([part.block, part.degree, part.first, part.count]),

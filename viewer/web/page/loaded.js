@@ -282,6 +282,7 @@ export class Loaded {
       signal,
       shDegree,
       maxBytes: this.maxBytes,
+      extra: false, // not shown
       createWorker: () => worker(workerText),
       onDamage: (_, error) => this.failures.push(error),
       onProgress: (bytes, of) => {

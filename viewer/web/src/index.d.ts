@@ -27,6 +27,7 @@ export interface DecodeOptions extends Workers {
   onDamage?: (block: number, error: CorruptError) => void;
   onProgress?: (bytes: number, of: number) => void;
   maxBytes?: number;
+  extra?: boolean;
 }
 
 export function decode(source: Source, options?: DecodeOptions): Promise<Scene>;

@@ -41,6 +41,7 @@ export { Scene };
  *   next to this module
  * @param {number} [options.maxBytes] maximum bytes of the decoded floats and, of a whole scene, of
  *   extra properties; by default 1 GiB or, if its size is known, 1000 times the file
+ * @param {boolean} [options.extra] whether extra properties are fetched and checked, true by default
  * @param {AbortSignal} [options.signal]
  * @returns {Promise<Scene>}
  * @throws {EgsError} or a subclass; the signal's reason; RangeError for invalid options
@@ -171,7 +172,7 @@ class Decoding {
   }
 
   #wants({ name, block }) {
-    if (name === 'extra') return this.#isWhole;
+    if (name === 'extra') return this.#isWhole && this.options.extra !== false;
     return name === 'comments' || (this.#isOfBlocks(name) && this.blocks.has(block));
   }
 

@@ -55,6 +55,11 @@ def test_profile_m_loses_the_same_at_any_contrast(still_life, views, contrast):
     assert LEAST < own_psnr(scene, views, Config("m")) < MOST
 
 
+def test_profile_m_loses_the_same_without_sh(views):
+    """Without SH-AC, nothing tells where cameras were."""
+    assert LEAST < own_psnr(generate(12_000, 0, 1), views, Config("m")) < MOST
+
+
 def test_thin_objects_lose_the_same_where_they_are(still_life, views):
     """Wires cover little of any crop."""
     rng, count = np.random.default_rng(0), still_life.count

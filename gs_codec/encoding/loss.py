@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
 from gs_codec.codecs.adaptive.watched import Watched
-from gs_codec.guidance.calibrate import ABOVE_MEAN, QUANTILE
+from gs_codec.guidance.calibrate import mean_error
 from gs_codec.guidance.windows import (
     MOST_SHOWN,
     SIDES,
@@ -194,7 +194,7 @@ class Check:
             return None
         away = None
         if self.likely is not None:
-            of_likely = float(np.quantile(errors[0], QUANTILE)) / ABOVE_MEAN
+            of_likely = mean_error(errors[0], self.scene)
             if self.given is not None:
                 away = psnr_loss(of_likely)
         error = of_likely if self.given is None else float(errors[-1].mean())

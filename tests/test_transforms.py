@@ -28,7 +28,7 @@ from camera_files import (
 from PIL import Image
 
 from gs_codec.cameras.camera_files import read_cameras
-from gs_codec.cameras.image_files import find_image
+from gs_codec.cameras.image_files import find_image, seek_image
 from gs_codec.errors import InvalidInput
 
 
@@ -227,6 +227,19 @@ def test_names_written_on_windows_are_found_everywhere(name, tmp_path):
         find_image(tmp_path, "\\images\\a.jpg")
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["/home/me/images/a.jpg", "../../images/a.jpg", "C:\\my data\\images\\a.jpg", "b/images/a"],
+)
+def test_images_are_found_in_a_folder_that_their_names_lead_through(name, tmp_path):
+    image = write_image(tmp_path / "images" / "a.jpg")
+    small = write_image(tmp_path / "images_4" / "a.jpg")
+    assert find_image(image.parent, name) == image
+    assert find_image(small.parent, name) == small
+    # A camera without a photograph is no error for those who seek.
+    assert seek_image(image.parent, f"{name}/z") is None
+
+
 def test_images_outside_the_folder_are_not_found(tmp_path):
     folder = tmp_path / "images"
     write_image(folder / "a.jpg")
@@ -236,6 +249,8 @@ def test_images_outside_the_folder_are_not_found(tmp_path):
             find_image(folder, name)
     with pytest.raises(InvalidInput, match="expected a name inside the folder"):
         find_image(folder, "images/../secret.png")
+    with pytest.raises(InvalidInput, match="expected a name inside the folder"):
+        find_image(folder, f"/images/../{secret.name}")
 
 
 # Which files

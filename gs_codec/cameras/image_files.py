@@ -143,9 +143,12 @@ def find_image(folder: str | Path, name: str) -> Path:
 def seek_image(folder: str | Path, name: str) -> Path | None:
     """Like `find_image`, but return None if the folder exists and has no such image."""
     path = PurePath(name.replace("\\", "/"))
-    if path.anchor or ".." in path.parts:
+    names = list(_names_after(folder, path))
+    if not path.anchor and ".." not in path.parts:
+        names = [name, str(path), *names]
+    if not names:
         raise InvalidInput(f"{folder}: image '{name}', expected a name inside the folder")
-    for inside in (name, *_names_inside(folder, path)):
+    for inside in names:
         stem = _stem(inside)
         others = [f"{stem}{suffix}" for suffix in (*_SUFFIXES, *map(str.upper, _SUFFIXES))]
         for image in [Path(folder) / other for other in (inside, *others)]:
@@ -156,17 +159,18 @@ def seek_image(folder: str | Path, name: str) -> Path | None:
     return None
 
 
-def _names_inside(folder: str | Path, path: PurePath) -> Iterator[str]:
-    """Yield a path, and its path within `folder` if it begins with that folder's name.
+def _names_after(folder: str | Path, path: PurePath) -> Iterator[str]:
+    """Yield the rest of a path after each part that is the name of `folder`.
 
-    Names in transforms.json begin with ``images``, which may be `folder`, or have smaller copies in
-    ``images_2``.
+    Names in transforms.json lead through ``images``, which may be `folder`, or have smaller copies
+    in ``images_2``; some begin outside the dataset or, on another computer, at its root.
     """
-    yield str(path)
-    first, *others = path.parts or ("",)
-    rest, own = PurePath(*others), os.path.basename(os.path.abspath(folder))
-    if others and not rest.anchor and re.fullmatch(rf"{re.escape(first)}(_\d+)?", own):
-        yield str(rest)
+    own = os.path.basename(os.path.abspath(folder))
+    for index, part in enumerate(path.parts[:-1], 1):
+        rest = PurePath(*path.parts[index:])
+        inside = not rest.anchor and ".." not in rest.parts
+        if inside and re.fullmatch(rf"{re.escape(part)}(_\d+)?", own):
+            yield str(rest)
 
 
 def _stem(name: str) -> str:

@@ -195,6 +195,15 @@ def test_folder_has_scenes_of_every_format(folder):
     assert records()[0]["error"]["text"].endswith("SOG of several files, expected a bundle (.sog)")
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("tileset.json", "3D Tiles of several files"), ("LOD-meta.json", "a bundle (.ssog)")],
+)
+def test_scenes_of_several_files_are_refused_by_their_format(folder, name, text):
+    Path(f"in/{name}").write_bytes(b"{")
+    assert text in folder.run("batch", f"in/{name}", "out").err
+
+
 def test_summary_as_json(folder):
     Path("in/broken.ply").write_text("no scene")
     status, out, _ = folder.run("batch", "in", "out", "--json", "--report", "lines")

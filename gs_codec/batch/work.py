@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from gs_codec import __version__
@@ -21,6 +21,7 @@ from gs_codec.batch.needed_memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scene_tasks import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
+from gs_codec.format_table import SSOG, STREAMED, TILESET
 from gs_codec.formats.registry import scene_files
 from gs_codec.report import Progress, StageTimes, bits_per_gaussian
 from gs_codec.runtime.atomic import make_folder
@@ -56,6 +57,13 @@ def record_scene(options: Options, task: Task, place: Place) -> Record:
     return replace(record, warnings=warnings)
 
 
+#: Scenes of several files that are refused, besides SOG: format and what is expected, by name.
+_SEVERAL = {
+    STREAMED: ("streamed SOG", f"a bundle ({SSOG})"),
+    TILESET: ("3D Tiles", "a scene in one file, converted from them"),
+}
+
+
 def _encode(
     task: Task,
     options: Options,
@@ -67,7 +75,9 @@ def _encode(
     sources, targets = storage_of(task.source.base), storage_of(task.target.base)
     if task.name.lower().endswith(".json"):
         # The other files of the scene would neither be copied nor checked for changes.
-        raise InvalidInput(f"{task.shown[0]}: SOG of several files, expected a bundle (.sog)")
+        name = PurePath(task.name.lower()).name
+        kind, expected = _SEVERAL.get(name, ("SOG", "a bundle (.sog)"))
+        raise InvalidInput(f"{task.shown[0]}: {kind} of several files, expected {expected}")
     times = StageTimes()
     with times.stage("fetch"):
         before = sources.stamp(task.source)

@@ -96,6 +96,7 @@ table.TOY = table.SceneFormat(
     sh_degrees={".toy": 0},
 )
 table.FORMATS += (table.TOY,)
+table.BATCHED += table.TOY.batched
 """
 
 #: Also imported by processes of a batch.

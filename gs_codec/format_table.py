@@ -33,6 +33,7 @@ ZIP = b"PK\x03\x04"
 PROPERTIES = "extra properties"
 COMMENTS = "comments"
 FLAG = "antialias flag"
+FLAT_FLAG = "2DGS flag"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +84,7 @@ class SceneFormat:
     is_rounded : bool
         Whether nearly all values are rounded.
     keeps : tuple of str
-        Which of `PROPERTIES`, `COMMENTS` and `FLAG` it can represent.
+        Which of `PROPERTIES`, `COMMENTS`, `FLAG` and `FLAT_FLAG` it can represent.
     sh_degrees : mapping of str to int
         The only SH degree that is written, by suffix, if there is only one.
     system : str
@@ -170,7 +171,7 @@ PLY = SceneFormat(
     written={".ply": {}},
     writes="floats",
     writer=_ours("ply.writer", "write_ply"),
-    keeps=(PROPERTIES, COMMENTS, FLAG),
+    keeps=(PROPERTIES, COMMENTS, FLAG, FLAT_FLAG),
     in_parts=True,
 )
 
@@ -221,7 +222,7 @@ SOG = SceneFormat(
     coded_as="sog",
     rounding="centres rounded to 16 bits, other values to 8, SH to rows of a palette",
     is_rounded=True,
-    keeps=(FLAG,),
+    keeps=(FLAG, FLAT_FLAG),
     sorts=True,
     in_folders=(".sog",),
     floats_per_byte=20,

@@ -235,8 +235,8 @@ class EncodeReport:
         Factor on the step sizes of profile ``l``, ``m`` or ``s``: the configured one, times the
         calibrated one if camera-free; or the one that met a target.
     lost : tuple of str
-        Sentences on what a format other than `.egs` cannot represent; with profiles ``paper-*``, on
-        Gaussians moved nearer.
+        Sentences on what the format cannot represent; with profiles ``paper-*``, on Gaussians moved
+        nearer.
     rate : RateReport, optional
         How the target was met, if one was given.
     rendered : RenderedLoss, optional

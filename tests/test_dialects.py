@@ -213,6 +213,7 @@ def test_2d_gaussians_stay_so_in_sog_and_ply(tmp_path, caplog):
     names = [name for name in LAYOUT if name != "scale_2"]
     (tmp_path / "a.ply").write_text(text_ply(names, ["1 2 3 4 5 6 7 -3 -4 1 0 0 0"] * 2))
     convert_file(tmp_path / "a.ply", tmp_path / "a.sog")
+    assert "gs_codec-" not in caplog.text  # the temporary file that is decoded to measure the loss
     convert_file(tmp_path / "a.sog", tmp_path / "b.ply")
     convert_file(tmp_path / "b.ply", tmp_path / "meta.json")
     for path in (tmp_path / "meta.json", tmp_path / "a.sog"):
@@ -222,6 +223,17 @@ def test_2d_gaussians_stay_so_in_sog_and_ply(tmp_path, caplog):
         np.testing.assert_allclose(scene.log_scale[:, 0], [-3, -4, -14], atol=1e-3)
     assert scene.comments == read_ply(tmp_path / "b.ply").comments == ("SplatRenderMode: 2dgs",)
     assert json.loads((tmp_path / "meta.json").read_text())["model"] == "2dgs"
+
+
+@pytest.mark.parametrize("suffix", ["egs", "spz", "splat", "glb", "csv"])
+def test_formats_without_2d_gaussians_say_so(tmp_path, suffix):
+    scene = replace(random_scene(20, 0), comments=("SplatRenderMode: 2dgs",))
+    write_ply(tmp_path / "a.ply", scene)
+    lost = convert_file(tmp_path / "a.ply", tmp_path / f"b.{suffix}").lost
+    assert "left out: 2DGS flag" in lost
+    if suffix == "egs":
+        lossless = encode_file(tmp_path / "a.ply", tmp_path / "c.egs", "lossless")
+        assert lossless.lost == ("left out: 2DGS flag",)
 
 
 def test_the_first_frame_of_an_animation_of_brush_is_read(tmp_path, caplog):

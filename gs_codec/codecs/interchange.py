@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import tempfile
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather, inverse_of
+
+_of_dialects = logging.getLogger("gs_codec.formats.ply.dialects")
 
 
 def pack_by_steps(
@@ -52,8 +55,13 @@ def decode_interchange(data: bytes | memoryview, config: Config, system: str = C
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         path = Path(folder, f"scene.{config.format}")
         path.write_bytes(data)
-        with open_scene(path) as file:
-            return turn_axes(finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0], system)
+        _of_dialects.disabled = True  # it would name the temporary file
+        try:
+            with open_scene(path) as file:
+                scene = finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0]
+        finally:
+            _of_dialects.disabled = False
+        return turn_axes(scene, system)
 
 
 def _packed(

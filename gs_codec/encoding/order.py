@@ -32,6 +32,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.levels.adding import add_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
@@ -94,6 +95,8 @@ def encode(
         else:
             parts, report = _encode_edited(scene, request, progress, ply_bytes)
         parts, report = add_levels(parts, report, config, progress)
+        if config.format == EGS:
+            report = replace(report, lost=(*report.lost, *left_out_of(scene, config.scene_format)))
     return parts, replace(
         report,
         seconds=times.seconds | report.seconds,

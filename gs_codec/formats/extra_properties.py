@@ -9,8 +9,8 @@ from pathlib import Path
 
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import COMMENTS, FLAG, PROPERTIES, SceneFormat
-from gs_codec.scene import NORMALS, Scene, other_comments
+from gs_codec.format_table import COMMENTS, FLAG, FLAT_FLAG, PROPERTIES, SceneFormat
+from gs_codec.scene import NORMALS, Scene, other_comments, render_mode
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +57,8 @@ def left_out_of(scene: Scene, known: SceneFormat) -> list[str]:
         others.append(f"SH of degrees 1 to {scene.sh_degree}")
     if scene.antialiased and FLAG not in known.keeps:
         others.append(FLAG)
+    if render_mode(scene.comments) == "2dgs" and FLAT_FLAG not in known.keeps:
+        others.append(FLAT_FLAG)
     lines = {} if COMMENTS in known.keeps else {COMMENTS: len(other_comments(scene.comments))}
     return left_out([] if PROPERTIES in known.keeps else [*scene.extra], (), lines, others)
 

@@ -6,13 +6,16 @@ Only cameras and images are read; their poses are complete, so the rigs and fram
 
 from __future__ import annotations
 
+import locale
 import logging
 import math
 import os
 import reprlib
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
@@ -86,7 +89,7 @@ class _Image(NamedTuple):
     where: str
     pose: tuple[float, ...]
     camera_id: int
-    name: str
+    name: bytes
 
 
 def find_model(folder: Path, places: Sequence[str]) -> Path | None:
@@ -157,7 +160,14 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         cameras_path = folder / "cameras.txt"
         cameras = _read_text(cameras_path, _text_camera)
     views = _views(cameras_path, cameras)
-    for index, image in enumerate(sorted(_images(folder), key=lambda image: image.name)):
+    images = sorted(((_name(image.name), image) for image in _images(folder)), key=itemgetter(0))
+    odd = sum(name.isascii() and name.encode() != image.name for name, image in images)
+    if odd:
+        many = counted(odd, "image")
+        log.warning(
+            "%s: names of %s are not UTF-8 text; photographs cannot be found by them", folder, many
+        )
+    for index, (name, image) in enumerate(images):
         if image.camera_id not in views:
             raise InvalidInput(
                 f"{image.where}: camera {image.camera_id}, which is not in {cameras_path.name}"
@@ -166,7 +176,7 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         yield (
             image.where,
             {
-                "name": image.name,
+                "name": name,
                 **views[image.camera_id],
                 "rotation": rotation,
                 "position": position,
@@ -225,11 +235,12 @@ def _pose(image: _Image) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return rotation, -rotation.T @ translation
 
 
-def _name(where: str, raw: bytes) -> str:
-    try:
-        return raw.decode()
-    except UnicodeDecodeError as error:
-        raise InvalidInput(f"{where}: name {reprlib.repr(raw)}, expected UTF-8 text") from error
+def _name(raw: bytes) -> str:
+    """Decode a name: UTF-8 or, as on Windows, the system's code page; other bytes are escaped."""
+    for encoding in ("utf-8", locale.getpreferredencoding(False)):
+        with suppress(UnicodeDecodeError, LookupError):
+            return raw.decode(encoding)
+    return raw.decode("ascii", "backslashreplace")
 
 
 def _read_binary(
@@ -273,7 +284,7 @@ def _binary_image(path: Path, data: FileBytes, reader: ByteReader) -> _Image:
     reader.take(len(name) + 1)
     (points,) = reader.unpack("Q")
     reader.skip(24 * points)
-    return _Image(where, tuple(pose), camera_id, _name(where, name))
+    return _Image(where, tuple(pose), camera_id, name)
 
 
 class _Lines:
@@ -347,7 +358,7 @@ def _text_image(lines: _Lines, line: bytes) -> _Image:
     _parse(where, int, fields[0])
     pose = tuple(_parse(where, float, field) for field in fields[1:8])
     lines.skip_points()
-    return _Image(where, pose, _parse(where, int, fields[8]), _name(where, fields[9]))
+    return _Image(where, pose, _parse(where, int, fields[8]), fields[9])
 
 
 def _parse(where: str, kind: Callable[[bytes], T], field: bytes) -> T:

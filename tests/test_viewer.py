@@ -56,7 +56,7 @@ from viewer.pictures.picture import (
 )
 from viewer.pictures.screenshot import draw_request
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
-from viewer.scenes.numbers import quality_text
+from viewer.scenes.numbers import facts, quality_text
 from viewer.scenes.opened import Opened, keep, open_scene, read_pruned, thinned, turned
 from viewer.scenes.pose import Pose, look_at, of_camera, overview
 from viewer.scenes.view_request import Request, find_views, first_view, parse_layers
@@ -112,6 +112,20 @@ def test_a_scene_has_facts_about_itself(files):
     assert not len(scene.blocks)
     assert not len(coded.blocks)
     assert ((scene.opacities > 0) & (scene.opacities < 1)).all()
+
+
+def test_gaussians_that_cannot_be_drawn_are_counted(tmp_path):
+    scene = random_scene(50, 1, seed=9)
+    scene.positions[0, :7] = np.nan
+    scene.opacity[:, 5:10] = np.inf  # opacity 1
+    scene.f_rest[2, 20] = -np.inf
+    write_ply(tmp_path / "a.ply", scene)
+    assert ("  NaN, not drawn", "8") in facts(open_scene(tmp_path / "a.ply"))
+    write_ply(tmp_path / "b.ply", scene.take(np.arange(7, 20)))
+    assert [name for name, _ in facts(open_scene(tmp_path / "b.ply"))][:2] == [
+        "Gaussians",
+        "SH degree",
+    ]
 
 
 def test_the_size_is_that_of_all_files_of_a_scene(files, tmp_path):

@@ -14,6 +14,8 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
     rows = [("Gaussians", f"{scene.count:,}")]
     if scene.whole is not None:
         rows.append(("  of the file", f"{scene.file_count:,}"))
+    if scene.moment is None and scene.damaged:  # frames may come too fast to count
+        rows.append(("  NaN, not drawn", f"{scene.damaged:,}"))
     rows.append(("SH degree", str(scene.sh_degree)))
     if scene.moment is not None:
         clip = scene.moment.clip

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.codecs.matching import without_order
+from gs_codec.coding.clean import sound_gaussians
 from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.edit.clusters import linked_neighbours
 from gs_codec.edit.join import merge_scenes
@@ -201,6 +202,11 @@ class Opened:
         """Sum of squares of the SH-AC of each Gaussian ``(N,)``."""
         f_rest = self._array("f_rest")
         return np.einsum("nkc,nkc->n", f_rest, f_rest, dtype=np.float64)
+
+    @cached_property
+    def damaged(self) -> int:
+        """Number of Gaussians with NaN or infinity, which are not drawn."""
+        return int(np.count_nonzero(~sound_gaussians(self.gaussians)))
 
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:

@@ -173,6 +173,17 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     assert len(views.renders.cameras) == 1
 
 
+def test_a_photograph_may_be_of_no_camera_that_refinement_draws(scene, tmp_path, caplog):
+    cameras = [camera(f"{i}", 0.1 * i, "train") for i in range(9)]
+    for name in ("1", "b"):
+        write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))
+    chosen = Plan(Steps(refine=1), [*cameras, CAMERAS[1]], gt_images=tmp_path, views=1)
+    targets = choose_views(scene, chosen).targets
+    assert [c.name for c in targets.cameras] == [*"10", "3", "5", "8"]
+    assert {c.width for c in targets.cameras} == {24}
+    assert caplog.messages == [f"{tmp_path}: photographs of 1 of 9 cameras"]
+
+
 @pytest.mark.parametrize(("photographs", "between"), [(9, 3), (5, 1), (2, 0)])
 def test_a_third_as_many_views_between_cameras_as_photographs(
     scene, tmp_path, photographs, between

@@ -20,6 +20,7 @@ from gs_codec.preparation.reference_views import (
     read_photographs,
 )
 from gs_codec.report import Progress
+from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 from gs_codec.views.estimate import guiding_cameras
 from gs_codec.views.find import find_cameras
@@ -61,8 +62,11 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     renders = draw_reference_views(scene, cameras, plan.background, progress)
     renders = replace(renders, origin=known.origin)
     if plan.gt_images is not None:
-        found = evenly(photographed(rest, plan.gt_images), most)
-        photographs = read_photographs(found, plan.background)
+        found = photographed(rest, plan.gt_images)
+        if len(found) < len(rest):
+            total = counted(len(rest), "camera")
+            log.warning("%s: photographs of %d of %s", plan.gt_images, len(found), total)
+        photographs = read_photographs(evenly(found, most), plan.background)
     if plan.steps.refine:
         targets = _targets(scene, known, most, photographs, plan, progress)
     if test == rest:
@@ -92,7 +96,9 @@ def _targets(
     if photographs is None:
         return draw_targets(scene, cameras, plan.background, plan.device, progress)
     taken = {camera.name: camera for camera in photographs.cameras}
-    scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
+    # Few photographs may be of none of these cameras.
+    shown = [c for c in cameras if c.name in taken] or [c for c in known.rest if c.name in taken]
+    scale = max(taken[c.name].width / c.width for c in shown)
     others = [
         c.resized(max(1, round(scale * c.width)), max(1, round(scale * c.height)))
         for c in cameras

@@ -455,6 +455,15 @@ def test_on_a_phone_sh_that_do_not_fit_are_left_out(files, pages):
     assert "bytes of floats, at most 208000" in refused.status
 
 
+def test_gaussians_with_nan_are_left_out_of_pages_and_counted(tmp_path, caplog):
+    scene = generate(500, 1, 12)
+    scene.positions[0, :7] = np.nan
+    write_ply(tmp_path / "a.ply", scene)
+    [shared] = share([tmp_path / "a.ply"], tmp_path / "page.html")
+    assert decode_scene(shared.data).count == 493
+    assert "a.ply: left out: 7 Gaussians with NaN or infinity" in caplog.text
+
+
 @in_browser
 def test_on_a_phone_extra_properties_take_no_memory(tmp_path):
     scene = replace(generate(2000, 3, 12), extra={"mark": np.zeros(2000, "<f8")})

@@ -366,8 +366,12 @@ def _encoded(
     name: str, scene: Scene, progress: Progress | None, streamed: bool
 ) -> tuple[SharedScene, Scene]:
     """A scene encoded for a page; with levels of detail if it is large and `streamed`."""
-    config = Config(_PROFILE, extra="drop", lod=streamed and scene.count > _LEVELLED)
+    lod = streamed and scene.count > _LEVELLED
+    config = Config(_PROFILE, extra="drop", nonfinite="drop", lod=lod)
     parts, report = encode(scene, Request(config), progress)
+    if report.dropped:
+        found = counted(report.dropped, "Gaussian")
+        log.warning("%s: left out: %s with NaN or infinity", name, found)
     data = b"".join(parts)
     levels = len(inspect_bytes(data).levels)
     return SharedScene(name, data, True, levels, rendered=report.rendered), scene

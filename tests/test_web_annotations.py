@@ -69,6 +69,15 @@ def test_annotations_are_at_their_points_and_open_as_plain_text(tmp_path):
     assert at_once.values[-1][0][2:] == pytest.approx([SIZE[0] / 2, SIZE[1] / 2], abs=0.1)
 
 
+@in_browser
+def test_the_open_annotation_is_in_front_of_others(tmp_path):
+    notes = [{"position": [0, 0, z], "title": f"{z}"} for z in (0, 0.01)]
+    url = small_page(tmp_path, annotations=written(tmp_path, notes))
+    front = f"document.elementFromPoint({SIZE[0] / 2}, {SIZE[1] / 2}).textContent"
+    [told] = open_pages(Job(url + "#note=1", [("drawn",), ("value", front)]))
+    assert told.values[1] == "1"
+
+
 def test_texts_and_views_are_optional(tmp_path):
     path = written(tmp_path, [{"position": [1, 2, 3], "title": " a\t\u05d0 "}])
     assert read_annotations(path) == [Annotation([1.0, 2.0, 3.0], "a\t\u05d0", "", None)]

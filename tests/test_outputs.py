@@ -249,6 +249,18 @@ def test_errors_name_a_piped_source(folder, given):
     assert done.stderr.startswith(b"gs-codec: error: -: ")
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_full_stdout_is_named(folder):
+    command = [sys.executable, "-m", "gs_codec", "convert", "scene.ply", "-", "--quiet"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            command, env=environment, stdout=full, stderr=subprocess.PIPE, check=False, text=True
+        )
+    line = "gs-codec: error: standard output: No space left on device\n"
+    assert (done.returncode, done.stderr) == (2, line)
+
+
 @pytest.mark.parametrize(
     ("typed", "place"), [("encode scene.ply - --none", "err"), ("encode - o.egs --none", "out")]
 )

@@ -77,7 +77,10 @@ def piped(
             with redirect_stdout(sys.stderr):
                 yield files, out
             with open(out, "rb") as written:
-                shutil.copyfileobj(written, stdout)
+                try:
+                    shutil.copyfileobj(written, stdout)
+                except OSError as error:
+                    raise OSError(error.errno, error.strerror, "standard output") from error
 
 
 def check_no_pipes(option: str, source: Path, target: Path) -> None:

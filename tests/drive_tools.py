@@ -195,6 +195,13 @@ def annotate(driver: Driver, found: dict) -> None:
     found["titled"] = notes.titles
     found["rings"] = int((np.abs(driver.scenes(driver.rest()) - before).max(axis=2) > 60).sum())
     found["tag"] = stage.tag.label.text
+    viewer.flip()
+    driver.rest()
+    viewer.flip()
+    image, frame = driver.rest(), stage.tag.label.frame
+    found["over B"] = int(image[frame.y : frame.y + 20, frame.x : frame.get_right()].max())
+    viewer.set_mode("side")
+    driver.rest()
     viewer.window.close()
     answer(driver, "Cancel")
     driver.rest()

@@ -92,7 +92,8 @@ def test_annotations_are_clicked_titled_and_saved_for_pages(found, folder):
     assert found["annotates alone"]
     assert found["annotated"] < 1e-3
     assert found["titled"] == ["Ear", "Annotation 2"]
-    assert found["tag"] == " 1 Ear "
+    assert found["tag"] == " 1: Ear "
+    assert found["over B"] > 200
     assert found["rings"] > 40
     first, second = read_annotations(folder / "notes.json")
     assert (first.title, second.title, first.text) == ("Ear", "Annotation 2", "")

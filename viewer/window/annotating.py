@@ -24,8 +24,8 @@ from viewer.window.shared import Host
 #: A click this near to an annotation chooses it, pixels.
 _NEAR = 8.0
 
-#: Maximum length of the title beside a point, characters.
-_TITLE = 40
+#: Maximum length of a name, characters.
+_LONGEST = 22
 
 
 class Annotating:
@@ -54,6 +54,13 @@ class Annotating:
     def titles(self) -> list[str]:
         """The title of each."""
         return [note.title.strip() or f"Annotation {k}" for k, note in enumerate(self.notes, 1)]
+
+    @property
+    def names(self) -> list[str]:
+        """The number of each, and at least the beginning of its title."""
+        names = [f"{k}: {title}" for k, title in enumerate(self.titles, 1)]
+        most = _LONGEST
+        return [name if len(name) <= most else f"{name[: most - 3]}..." for name in names]
 
     def toggle(self) -> None:
         """Let clicks annotate, or pick Gaussians again; annotations are kept."""
@@ -127,8 +134,7 @@ class Annotating:
             return "", None
         place = np.array(self.notes[self.chosen].position)
         rings = measure_lines([place], stage.seen, *stage.picture_size)
-        title = f"{self.chosen + 1} {self.titles[self.chosen]:.{_TITLE}}"
-        return title, rings[0].mean(axis=0) if rings else None
+        return self.names[self.chosen], rings[0].mean(axis=0) if rings else None
 
     def _rings(self, pose: Pose, width: int, height: int) -> list[NDArray[np.float64]]:
         """A ring at each annotation."""

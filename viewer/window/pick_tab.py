@@ -121,13 +121,11 @@ class NoteControls:
         """Update the controls."""
         annotating, chosen = self._annotating, self._annotating.chosen
         self.on.checked = self._rows.visible = annotating.on
-        titles = annotating.titles
-        names = [f"{k}: {title}" for k, title in enumerate(titles, 1)]
-        choose(self.list, names, chosen or 0)
+        choose(self.list, annotating.names, chosen or 0)
         for widget in (self.list, self.title, self.text, self.buttons["Remove"]):
             widget.enabled = chosen is not None
-        self.buttons["Save"].enabled = bool(names)
-        self.title.placeholder_text = "title" if chosen is None else titles[chosen]
+        self.buttons["Save"].enabled = bool(annotating.notes)
+        self.title.placeholder_text = "title" if chosen is None else annotating.titles[chosen]
         note = None if chosen is None else annotating.notes[chosen]
         for field, text in ((self.title, note and note.title), (self.text, note and note.text)):
             if field.text_value != (text or ""):

@@ -330,7 +330,7 @@ class Stage:
         """Show a text beside a pixel of the picture, or none; return whether to draw the window."""
         if at is None:
             return self.tag.hide()
-        return self.tag.show(text, at - (self.columns[0][3], 0), self.visible[0].widget.frame)
+        return self.tag.show(text, at - (self.columns[0][3], 0), self.visible[0].widget)
 
     # Layout and cameras
 

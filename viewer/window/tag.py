@@ -20,13 +20,20 @@ class Tag:
     def __init__(self, window: gui.Window) -> None:
         self._em = window.theme.font_size
         self._shown: tuple[object, ...] = ()
+        self._pane: gui.Widget | None = None
         self.label = gui.Label("")
         self.label.background_color = gui.Color(0.0, 0.0, 0.0, 0.75)
         self.label.visible = False
         window.add_child(self.label)
 
-    def show(self, text: str, at: NDArray, frame: gui.Rect) -> bool:
-        """Show a text beside a pixel of a pane's frame; return whether to draw the window."""
+    def show(self, text: str, at: NDArray, pane: gui.Widget) -> bool:
+        """Show a text beside a pixel of a pane; return whether to draw the window."""
+        if pane is not self._pane:
+            # Over another pane, Open3D shows it only if it was hidden in a frame.
+            self._pane = pane
+            self.hide()
+            return True
+        frame = pane.frame
         shown = text, *at.tolist(), frame.x, frame.y, frame.width, frame.height
         if shown == self._shown:
             return False

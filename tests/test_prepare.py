@@ -173,6 +173,19 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     assert len(views.renders.cameras) == 1
 
 
+def test_views_of_large_cameras_are_drawn_smaller(scene, monkeypatch):
+    monkeypatch.setattr(view_selection, "_MOST_PIXELS", 1000)
+    small = [camera(f"{i}", 0.1 * i).resized(36, 24) for i in range(3)]
+    large = [*small, camera("large", 0.3).resized(480, 320)]
+    views = choose_views(scene, Plan(Steps(prune=10), large))
+    assert [(c.width, c.height) for c in views.renders.cameras[:4]] == 3 * [(36, 24)] + [(38, 25)]
+    assert views.renders.cameras[3].fx == pytest.approx(45 * 38 / 48)
+    guiding = view_selection.guiding_views(scene, Plan(Steps(), large))
+    assert max(c.width for c in guiding.cameras) == 38
+    guiding = view_selection.guiding_views(scene, Plan(Steps(), large, width=96))
+    assert {c.width for c in guiding.cameras} == {96}
+
+
 def test_a_photograph_may_be_of_no_camera_that_refinement_draws(scene, tmp_path, caplog):
     cameras = [camera(f"{i}", 0.1 * i, "train") for i in range(9)]
     for name in ("1", "b"):

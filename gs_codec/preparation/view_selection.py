@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -35,6 +36,10 @@ _TARGETS = 4
 #: Approximate maximum bytes of the images of these extra views.
 _TARGET_BYTES = 1 << 30
 
+#: Maximum number of pixels of a view whose width is not set, about 2400 x 1800: the images of all
+#: views are in memory, and 64 photographs of a phone would take 9 GB. Trainers draw less.
+_MOST_PIXELS = 1 << 22
+
 #: Maximum number of views between cameras for each missing camera.
 _BETWEEN = 4
 
@@ -59,7 +64,8 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     prunes = plan.steps.refine or plan.steps.by_leave_one_out
     cameras = _enough(known, many if prunes and len(rest) < plan.views else plan.views)
     photographs = targets = None
-    renders = draw_reference_views(scene, cameras, plan.background, progress)
+    drawable = _drawable(cameras, plan)
+    renders = draw_reference_views(scene, drawable, plan.background, progress)
     renders = replace(renders, origin=known.origin)
     if plan.gt_images is not None:
         found = photographed(rest, plan.gt_images)
@@ -161,6 +167,17 @@ def _enough(known: _Split, most: int, between: int | None = None) -> list[Camera
     return [*cameras, *evenly(cameras_between(cameras), added)]
 
 
+def _drawable(cameras: list[Camera], plan: Plan) -> list[Camera]:
+    """The cameras, with images of at most `_MOST_PIXELS` unless the plan sets their width."""
+    if plan.width is not None:
+        return cameras
+    shares = [math.sqrt(min(1.0, _MOST_PIXELS / (c.width * c.height))) for c in cameras]
+    return [
+        c.resized(max(1, int(share * c.width)), max(1, int(share * c.height))) if share < 1 else c
+        for c, share in zip(cameras, shares, strict=True)
+    ]
+
+
 class _Split(NamedTuple):
     """Cameras that guide the steps, held-out cameras, and their origin."""
 
@@ -181,6 +198,8 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
         cameras, origin = found.cameras, "estimated" if found.telling else "anywhere"
     else:
         cameras = find_cameras(plan.cameras, scene, "all", plan.width)
+        if plan.gt_images is None:
+            cameras = _drawable(cameras, plan)
     known = cameras
     if plan.gt_images is not None:
         known = [camera for camera, _ in photographed(cameras, plan.gt_images)]

@@ -194,7 +194,8 @@ class Plan:
         and at most a third as many renders between cameras. By default renders of the input are
         used. Images with lens distortion are undistorted (see `Lens`).
     width : int, optional
-        Width of the views, pixels; not allowed with `gt_images`, whose size is used.
+        Width of the views, pixels; not allowed with `gt_images`, whose size is used. By default
+        that of the cameras, or less where a view would have more than 4 megapixels.
     views : int
         Maximum number of guiding views, 1 or more. `refine` fits up to four times as many.
     background : tuple of three float
@@ -233,7 +234,7 @@ class Plan:
         kind=int,
         low=1,
         high=1 << 20,
-        shown="the cameras' width",
+        shown="the cameras' width, at most 4 megapixels",
     )
     views: int = option(
         64,

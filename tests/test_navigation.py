@@ -209,7 +209,7 @@ def test_framing_shows_all_but_far_and_faint_centres(frame):
     centres[:5], centres[5] = 1e6, np.nan
     opacities = np.full(2000, 0.5)
     centres[6:200], opacities[6:200] = -500, 0.01
-    framed, distance = framing(replace(POSE, frame=frame), centres, opacities)
+    framed, distance = framing(replace(POSE, frame=frame), centres, opacities, np.full(2000, 0.01))
     left, top, right, bottom = framed.framed(*SIZE)
     pixels, depth = framed.project(centres[200:], *SIZE)
     assert (depth > 0).all()
@@ -220,7 +220,16 @@ def test_framing_shows_all_but_far_and_faint_centres(frame):
 
 
 def test_a_scene_without_centres_is_framed_by_the_same_pose():
-    assert framing(POSE, np.zeros((0, 3)), np.zeros(0)) == (POSE, 1.0)
+    assert framing(POSE, np.zeros((0, 3)), np.zeros(0), np.zeros(0)) == (POSE, 1.0)
+
+
+@pytest.mark.parametrize("length", [1e-4, 0.03, 1e5])
+def test_a_single_gaussian_fills_the_frame(length):
+    middle = np.array([[1.0, 2.0, 3.0]])
+    framed, distance = framing(POSE, middle, np.ones(1), np.array([length]))
+    _, top, _, bottom = framed.framed(*SIZE)
+    radius = 3 * length * framed.lens(*SIZE)[1] / distance
+    assert 0.3 * (bottom - top) < radius < 0.5 * (bottom - top)
 
 
 def test_the_field_of_view_is_set_and_read():

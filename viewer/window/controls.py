@@ -170,7 +170,8 @@ class Controls(Host, Protocol):
         """Move back or nearer until the whole scene is visible."""
         if self.stage.pose is not None:
             scene = self.stage.scenes[0]
-            self.stage.look_from(*framing(self.stage.pose, scene.positions, scene.opacities))
+            placed = scene.positions, scene.opacities, scene.lengths
+            self.stage.look_from(*framing(self.stage.pose, *placed))
 
     # Files
 

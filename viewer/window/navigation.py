@@ -32,6 +32,8 @@ _SEEN = 0.1
 #: Quantiles of their coordinates that framing shows.
 _MOST_OF = (0.02, 0.98)
 
+#: Extent of a Gaussian from its centre, standard deviations.
+_SIGMAS = 3.0
 
 #: Kinds of drag: orbit the point ahead, look around from the camera's position, or shift it.
 DragKind = Literal["turn", "look", "shift"]
@@ -141,18 +143,22 @@ def focused(pose: Pose, pixel: tuple[float, float], depth: float, size: tuple[in
     return replace(pose, position=pose.position + shift)
 
 
-def framing(pose: Pose, positions: NDArray, opacities: NDArray) -> tuple[Pose, float]:
+def framing(
+    pose: Pose, positions: NDArray, opacities: NDArray, lengths: NDArray
+) -> tuple[Pose, float]:
     """The pose moved until its frame shows the scene, and the distance of the scene's middle.
 
-    Far and nearly transparent centres may be outside.
+    Far and nearly transparent centres may be outside. `lengths` are those of the longest axes.
     """
-    some = np.isfinite(positions).all(axis=1) & (opacities >= _SEEN)
-    centres = positions[some if some.any() else slice(None)].astype(np.float64)
-    centres = centres[np.isfinite(centres).all(axis=1)]
+    finite = np.isfinite(positions).all(axis=1) & np.isfinite(lengths)
+    some = finite & (opacities >= _SEEN)
+    some = some if some.any() else finite
+    centres = positions[some].astype(np.float64)
     if not len(centres):
         return pose, 1.0
     low, high = np.quantile(centres, _MOST_OF, axis=0)
-    reach = float(np.linalg.norm(high - low)) / 2 or 1.0
+    large = _SIGMAS * float(np.median(lengths[some]))  # more than the centres' box in tiny scenes
+    reach = max(float(np.linalg.norm(high - low)) / 2, large) or 1.0
     sides = 2 * pose.focal[0] * pose.frame[1] / pose.frame[0], 2 * pose.focal[1]
     distance = reach * float(np.hypot(1.0, max(sides)))
     middle = (low + high) / 2

@@ -234,7 +234,7 @@ class Plan:
         kind=int,
         low=1,
         high=1 << 20,
-        shown="the cameras' width, at most 4 megapixels",
+        shown="the cameras' width; if they guide, at most 4 megapixels",
     )
     views: int = option(
         64,

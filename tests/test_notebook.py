@@ -70,9 +70,12 @@ def test_clouds_without_gaussians_show_themselves_as_before():
 def test_clouds_that_cannot_be_encoded_say_why(caplog):
     cloud = to_cloud(random_scene(50, 0))
     cloud.point.positions[3] = np.nan
+    assert notebook._shown(cloud) is not None
+    assert "left out: 1 Gaussian with NaN or infinity" in caplog.text
+    cloud.point.positions[:] = np.nan
     assert notebook._shown(cloud) is None
     assert "the cloud is not shown: " in caplog.text
-    assert "not finite" in caplog.text
+    assert "all contain NaN or infinity" in caplog.text
 
 
 def test_wrong_arguments_are_refused(tmp_path, monkeypatch):

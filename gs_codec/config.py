@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, get_args
@@ -238,7 +239,7 @@ class RateTarget:
     bits : float, optional
         Maximum bits per Gaussian of the input.
     psnr_drop : float, optional
-        Maximum PSNR loss in dB, averaged over the views.
+        Maximum PSNR loss in dB, averaged over the views; at most 100.
     allow_prune : bool
         Whether Gaussians may be pruned, which leaves more bits for the others. Default False.
     bit_rate : int, optional
@@ -296,6 +297,8 @@ class RateTarget:
         for name, value in given.items():
             if not 0 < value < math.inf:
                 raise InvalidInput(f"target {name} {value}: expected a number above 0")
+        if self.psnr_drop is not None and self.psnr_drop > 100:
+            raise InvalidInput(f"target psnr_drop {self.psnr_drop}: expected at most 100 dB")
 
     def limit(self, count: int, ply_bytes: int, seconds: float | None = None) -> int | None:
         """Maximum file size in bytes of a scene, or of a sequence that takes some seconds.
@@ -312,9 +315,9 @@ class RateTarget:
         if self.size is not None:
             return int(self.size)
         if self.ratio is not None:
-            return int(ply_bytes / self.ratio)
+            return int(min(ply_bytes / self.ratio, sys.maxsize))
         if self.bits is not None:
-            return int(self.bits * count / 8)
+            return int(min(self.bits * count / 8, sys.maxsize))
         if self.bit_rate is not None and seconds is None:
             raise InvalidInput("target bit_rate: one scene, expected a sequence")
         return None if self.bit_rate is None else int(self.bit_rate * (seconds or 0) / 8)

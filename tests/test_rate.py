@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -69,11 +70,18 @@ def test_a_target_is_one_number_above_zero(wishes):
         RateTarget(**wishes)
 
 
+def test_a_loss_that_no_float_holds_is_refused():
+    with pytest.raises(InvalidInput, match="expected at most 100 dB"):
+        RateTarget(psnr_drop=1e9)
+
+
 def test_limits_of_targets():
     assert RateTarget(size=1234).limit(100, 24_800) == 1234
     assert RateTarget(ratio=31).limit(100, 24_800) == 800
     assert RateTarget(bits=12.5).limit(100, 24_800) == 156
     assert RateTarget(psnr_drop=0.1).limit(100, 24_800) is None
+    for most in ({"bits": 1e308}, {"ratio": 1e-308}):  # beyond the largest float
+        assert RateTarget(**most).limit(100, 24_800) == sys.maxsize
 
 
 @pytest.mark.parametrize(

@@ -192,7 +192,8 @@ class Plan:
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
         measured against them. `refine` fits them, renders of the input for cameras without one,
         and at most a third as many renders between cameras. By default renders of the input are
-        used. Images with lens distortion are undistorted (see `Lens`).
+        used. Images with lens distortion are undistorted (see `Lens`); sides of those with more
+        than 4 megapixels are divided by 2, 3, ...
     width : int, optional
         Width of the views, pixels; not allowed with `gt_images`, whose size is used. By default
         that of the cameras, or less where a view would have more than 4 megapixels.

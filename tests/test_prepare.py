@@ -28,7 +28,7 @@ from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
 from gs_codec.plan import Steps
-from gs_codec.preparation import optimise, pipeline, view_selection
+from gs_codec.preparation import optimise, pipeline, reference_views, view_selection
 from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prepare_report import LABELS, centres_checksum
@@ -174,7 +174,7 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
 
 
 def test_views_of_large_cameras_are_drawn_smaller(scene, monkeypatch):
-    monkeypatch.setattr(view_selection, "_MOST_PIXELS", 1000)
+    monkeypatch.setattr(view_selection, "MOST_PIXELS", 1000)
     small = [camera(f"{i}", 0.1 * i).resized(36, 24) for i in range(3)]
     large = [*small, camera("large", 0.3).resized(480, 320)]
     views = choose_views(scene, Plan(Steps(prune=10), large))
@@ -184,6 +184,26 @@ def test_views_of_large_cameras_are_drawn_smaller(scene, monkeypatch):
     assert max(c.width for c in guiding.cameras) == 38
     guiding = view_selection.guiding_views(scene, Plan(Steps(), large, width=96))
     assert {c.width for c in guiding.cameras} == {96}
+
+
+def test_large_photographs_are_reduced(scene, tmp_path, monkeypatch):
+    large = [camera("large", 0.1).resized(145, 97)]
+    image = render(scene, large[0], device="cpu").colour
+    write_png(tmp_path / "large.png", image)
+    plan = Plan(Steps(prune=10), large, gt_images=tmp_path)
+    whole = choose_views(scene, plan).photographs
+    monkeypatch.setattr(reference_views, "MOST_PIXELS", 1600)
+    views = choose_views(scene, plan)
+    for photographs in (views.photographs, views.held_out):
+        (small,) = photographs.cameras
+        assert (small.width, small.height) == (48, 32)
+        assert photographs.images[0].shape == (32, 48, 3)
+    seen, away = (
+        np.abs(photographs.images[0] - render(scene, view, device="cpu").colour).mean()
+        for view in (small, replace(small, cx=small.cx + 0.5))
+    )
+    assert seen < 0.75 * away
+    assert np.allclose(photographs.images[0][5, 7], whole.images[0][15:18, 21:24].mean(axis=(0, 1)))
 
 
 def test_a_photograph_may_be_of_no_camera_that_refinement_draws(scene, tmp_path, caplog):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,6 +29,11 @@ from gs_codec.views.photographs import read_photograph
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+#: Maximum number of pixels of a photograph, and of a view whose width is not set, about 2400 x
+#: 1800: the images of all views are in memory, and 64 of a phone would take 9 GB. Trainers use
+#: fewer.
+MOST_PIXELS = 1 << 22
 
 #: Origin of cameras: given, estimated from the scene, or, if that fails, spread anywhere around it.
 Origin = Literal["given", "estimated", "anywhere"]
@@ -193,14 +199,25 @@ def draw_targets(
 def read_photographs(
     found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
 ) -> ReferenceViews:
-    """Read and undistort photographs, and resize the cameras to them.
+    """Read and undistort photographs, reduced to `MOST_PIXELS`, and resize the cameras to them.
 
     Raises InvalidInput if one is damaged, or its shape differs from its camera's. Raises
     MissingTool if one must be undistorted, and OpenCV is not installed.
     """
-    read = run_all(lambda item: read_photograph(*item, background), found)
+    read = run_all(lambda item: _reduced(*read_photograph(*item, background)), found)
     cameras, images = zip(*read, strict=True)
     return ReferenceViews(cameras, images, True, background)
+
+
+def _reduced(camera: Camera, image: NDArray[np.float32]) -> tuple[Camera, NDArray[np.float32]]:
+    """A photograph with at most `MOST_PIXELS`, each the mean of a square of its pixels."""
+    by = math.ceil(math.sqrt(camera.width * camera.height / MOST_PIXELS))
+    if by < 2:
+        return camera, image
+    width, height = camera.width // by, camera.height // by
+    squares = image[: by * height, : by * width].reshape(height, by, width, by, 3)
+    lens = {name: getattr(camera, name) / by for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, width=width, height=height, **lens), squares.mean(axis=(1, 3))
 
 
 def evenly(items: Sequence[Item], count: int) -> list[Item]:

@@ -11,6 +11,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.reference_views import (
+    MOST_PIXELS,
     Origin,
     ReferenceViews,
     ViewSplit,
@@ -35,10 +36,6 @@ _TARGETS = 4
 
 #: Approximate maximum bytes of the images of these extra views.
 _TARGET_BYTES = 1 << 30
-
-#: Maximum number of pixels of a view whose width is not set, about 2400 x 1800: the images of all
-#: views are in memory, and 64 photographs of a phone would take 9 GB. Trainers draw less.
-_MOST_PIXELS = 1 << 22
 
 #: Maximum number of views between cameras for each missing camera.
 _BETWEEN = 4
@@ -168,10 +165,10 @@ def _enough(known: _Split, most: int, between: int | None = None) -> list[Camera
 
 
 def _drawable(cameras: list[Camera], plan: Plan) -> list[Camera]:
-    """The cameras, with images of at most `_MOST_PIXELS` unless the plan sets their width."""
+    """The cameras, with images of at most `MOST_PIXELS` unless the plan sets their width."""
     if plan.width is not None:
         return cameras
-    shares = [math.sqrt(min(1.0, _MOST_PIXELS / (c.width * c.height))) for c in cameras]
+    shares = [math.sqrt(min(1.0, MOST_PIXELS / (c.width * c.height))) for c in cameras]
     return [
         c.resized(max(1, int(share * c.width)), max(1, int(share * c.height))) if share < 1 else c
         for c, share in zip(cameras, shares, strict=True)

@@ -163,8 +163,11 @@ def _run(
 
 def end_group(process: subprocess.Popen[Any]) -> None:
     """Kill a process that began a session, and what it left in the background."""
-    with suppress(OSError, AttributeError):  # nothing is left; Windows has no groups
-        os.killpg(process.pid, signal.SIGKILL)
+    with suppress(OSError):  # nothing is left
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        else:  # Windows has no groups
+            process.kill()
     process.wait()
 
 

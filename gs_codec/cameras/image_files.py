@@ -23,10 +23,10 @@ from gs_codec.runtime.wording import counted
 log = logging.getLogger(__name__)
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+
 #: Characters that Windows reserves: a colon leads to a drive or an alternate data stream.
 _RESERVED = '<>:"|?*'
-
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 #: Maximum number of pixels of a photograph.
 _MOST = 1 << 27
@@ -81,8 +81,7 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
     """A file name, without suffix, for each camera's image.
 
     Path separators, characters that are not printable, and on Windows those that it reserves,
-    become underscores. Repeated names are
-    numbered from 1, and a log message says so.
+    become underscores. Repeated names are numbered from 1, and a log message says so.
     """
     stems = [_output_stem(camera.name) for camera in cameras]
     counts = Counter(stems)

@@ -60,6 +60,9 @@ NORMALS = ("nx", "ny", "nz")
 #: PLY comment of a scene that was trained with opacity compensation.
 ANTIALIASED = "SplatRenderMode: mip"
 
+#: Start of the PLY comment that states the order of a decoded scene's Gaussians.
+ORDER = "gs_codec order "
+
 #: PLY comment of a scene of flat Gaussians (2DGS), as of splat-transform.
 FLAT = "SplatRenderMode: 2dgs"
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")

@@ -28,7 +28,7 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene, scene_files
-from gs_codec.scene import Scene, coordinates_comment
+from gs_codec.scene import ORDER, Scene, coordinates_comment
 
 
 def run(*arguments: object) -> tuple[str, str]:
@@ -114,7 +114,7 @@ def test_converting_to_ply_is_decoding(ply, tmp_path):
 def test_a_table_has_every_float_exactly(count, tmp_path):
     scene = random_scene(count, int(count < 2))
     kept = {"label,x": np.arange(count, dtype="<i4") - 1, "w": np.linspace(0, 1, count)}
-    scene = replace(scene, extra=kept, has_normals=True, comments=("one",))
+    scene = replace(scene, extra=kept, has_normals=True, comments=("one", f"{ORDER}floats"))
     scene.opacity[:, :2] = [np.nan, -np.inf] if count > 1 else 0.25
     lost, _ = write_scene(tmp_path / "a.csv", scene, Config())
     assert lost == ("left out: comments (1)",)

@@ -24,13 +24,11 @@ from gs_codec.codecs.inspection import Info
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION, turn_axes
-from gs_codec.scene import Scene, inverse_of
+from gs_codec.scene import ORDER, Scene, inverse_of
 
 if TYPE_CHECKING:
     from gs_codec.coding.quantise import Quantiser
 
-#: Start of the comment line.
-_MARK = "gs_codec order "
 _GRID = "grid"
 _FLOATS = "floats"
 
@@ -170,7 +168,7 @@ def order_of(scene: Scene) -> Order | None:
     marks = _marks(scene)
     if not marks:
         return None
-    fields = marks[-1].removeprefix(_MARK).split()
+    fields = marks[-1].removeprefix(ORDER).split()
     if fields == [_FLOATS]:
         return FloatOrder()
     if fields[:1] == [_GRID]:
@@ -182,7 +180,7 @@ def order_of(scene: Scene) -> Order | None:
 
 def _marks(scene: Scene) -> tuple[str, ...]:
     """The comments that state orders; the last one is the current order."""
-    return tuple(line for line in scene.comments if line.startswith(_MARK))
+    return tuple(line for line in scene.comments if line.startswith(ORDER))
 
 
 def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
@@ -202,7 +200,7 @@ def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
 
 def with_order(scene: Scene, order: Order | None) -> Scene:
     """Add a comment that states the scene's order, if given."""
-    return scene if order is None else replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
+    return scene if order is None else replace(scene, comments=(*scene.comments, f"{ORDER}{order}"))
 
 
 def without_order(scene: Scene) -> Scene:

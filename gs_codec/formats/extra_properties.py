@@ -10,7 +10,7 @@ from pathlib import Path
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import COMMENTS, FLAG, FLAT_FLAG, PROPERTIES, SceneFormat
-from gs_codec.scene import NORMALS, Scene, other_comments, render_mode
+from gs_codec.scene import NORMALS, ORDER, Scene, other_comments, render_mode
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,8 @@ def left_out_of(scene: Scene, known: SceneFormat) -> list[str]:
         others.append(FLAG)
     if render_mode(scene.comments) == "2dgs" and FLAT_FLAG not in known.keeps:
         others.append(FLAT_FLAG)
-    lines = {} if COMMENTS in known.keeps else {COMMENTS: len(other_comments(scene.comments))}
+    comments = () if COMMENTS in known.keeps else other_comments(scene.comments)
+    lines = {COMMENTS: sum(not line.startswith(ORDER) for line in comments)}
     return left_out([] if PROPERTIES in known.keeps else [*scene.extra], (), lines, others)
 
 

@@ -6,6 +6,7 @@ import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 
 import foreign
 import numpy as np
@@ -21,6 +22,7 @@ from gs_codec.files.encode_file import encode_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import vertex_rows, write_ply
+from gs_codec.formats.registry import read_written
 from gs_codec.guidance.guide import steps_adding
 from gs_codec.scene import GROUPS, Scene, property_names
 
@@ -223,6 +225,24 @@ def test_2d_gaussians_stay_so_in_sog_and_ply(tmp_path, caplog):
         np.testing.assert_allclose(scene.log_scale[:, 0], [-3, -4, -14], atol=1e-3)
     assert scene.comments == read_ply(tmp_path / "b.ply").comments == ("SplatRenderMode: 2dgs",)
     assert json.loads((tmp_path / "meta.json").read_text())["model"] == "2dgs"
+
+
+def test_warnings_of_other_threads_are_logged_while_a_written_file_is_read(
+    tmp_path, caplog, monkeypatch
+):
+    write_ply(tmp_path / "a.ply", replace(random_scene(20, 0), comments=("SplatRenderMode: 2dgs",)))
+    convert_file(tmp_path / "a.ply", tmp_path / "a.sog")
+    caplog.clear()
+
+    def meanwhile(scene):
+        thread = Thread(target=read_scene, args=[tmp_path / "a.sog"])
+        thread.start()
+        thread.join()
+        return scene, None
+
+    monkeypatch.setattr("gs_codec.formats.registry.finite_ends", meanwhile)
+    read_written(tmp_path / "a.sog")
+    assert caplog.messages == [f"{tmp_path / 'a.sog'}: a 2DGS scene; its Gaussians are flat"]
 
 
 @pytest.mark.parametrize("suffix", ["egs", "spz", "splat", "glb", "csv"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,16 +11,14 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.step_conversion import camera_free_steps, wanted_steps
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
-from gs_codec.coding.clean import clean_scene, finite_ends
+from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import Config
 from gs_codec.formats.attribute_steps import AttributeSteps, ShGrid
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
-from gs_codec.formats.registry import open_scene
+from gs_codec.formats.registry import read_written
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather, inverse_of
-
-_of_dialects = logging.getLogger("gs_codec.formats.ply.dialects")
 
 
 def pack_by_steps(
@@ -55,13 +51,7 @@ def decode_interchange(data: bytes | memoryview, config: Config, system: str = C
     with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
         path = Path(folder, f"scene.{config.format}")
         path.write_bytes(data)
-        _of_dialects.disabled = True  # it would name the temporary file
-        try:
-            with open_scene(path) as file:
-                scene = finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0]
-        finally:
-            _of_dialects.disabled = False
-        return turn_axes(scene, system)
+        return turn_axes(read_written(path), system)
 
 
 def _packed(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import logging
 import os
-import sys
 import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,14 +12,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gs_codec.codecs import matching
-from gs_codec.coding.clean import clean_scene, finite_ends
+from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
 from gs_codec.encoding.order import encode
 from gs_codec.encoding.request import Request
 from gs_codec.files.suffixes import LEVELLED, check_place, config_for, suffix_of
 from gs_codec.format_table import SSOG, STREAMED, TILESET, UNBUNDLED, format_of
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.registry import open_scene
+from gs_codec.formats.registry import open_scene, read_written
 from gs_codec.formats.tiles.earth import Place
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.levels.streaming import stream_levels
@@ -31,9 +30,6 @@ from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
-
-#: Of the reader of 3D Tiles, which says that their place on the earth is left out.
-_of_tiles = logging.getLogger("gs_codec.formats.tiles.tileset")
 
 
 class Written(NamedTuple):
@@ -124,13 +120,7 @@ def measured(path: str | Path, scene: Scene, config: Config, finest: bool) -> Re
     from gs_codec.guidance.calibrate import wanted_error
 
     clean = turn_axes(matching.without_order(clean_scene(scene, config)[0]))
-    with open_scene(path) as file:
-        _of_tiles.disabled = True
-        try:
-            decoded, _ = finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))
-        finally:
-            _of_tiles.disabled = False
-        loss = Check.by_plan(clean, None).measure(turn_axes(decoded))
+    loss = Check.by_plan(clean, None).measure(turn_axes(read_written(Path(path))))
     if loss is None or finest:
         return loss
     loss = replace(loss, aimed=psnr_loss(wanted_error(config)))

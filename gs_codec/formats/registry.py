@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+import sys
+import threading
 from codecs import BOM_UTF8
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gs_codec.coding.clean import with_finite_ends
+from gs_codec.coding.clean import finite_ends, with_finite_ends
 from gs_codec.coding.extent import centre_bounds
 from gs_codec.config import Extra
 from gs_codec.egs.index import Box
@@ -40,6 +43,10 @@ SUFFIXES = read()
 
 #: First character of JSON, maybe after a byte order mark and blank lines.
 _JSON = b"{"
+
+#: Loggers of readers that warn of what files written here may have, too: flat Gaussians, or a place
+#: on the earth.
+_WARNING = ("gs_codec.formats.ply.dialects", "gs_codec.formats.tiles.tileset")
 
 #: Formats with a `recognises` function are tried first.
 _BY_CONTENT = sorted(FORMATS, key=lambda known: known.recognises is None)
@@ -194,6 +201,23 @@ def open_scene(path: str | Path, shift: Shift | None = None, level: int = 0) -> 
     refuse_several(path)
     with opened(path) as data:
         yield SceneFile(Path(path), data, shift, level)
+
+
+def read_written(path: Path) -> Scene:
+    """Read a file that was just written, of any size; this thread logs no warnings of its content.
+
+    Valid infinities become finite, also without a warning.
+    """
+    thread = threading.get_ident()
+
+    def is_of_others(record: logging.LogRecord) -> bool:
+        return record.thread != thread
+
+    with ExitStack() as stack, open_scene(path) as file:
+        for log in map(logging.getLogger, _WARNING):
+            log.addFilter(is_of_others)
+            stack.callback(log.removeFilter, is_of_others)
+        return finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0]
 
 
 def scene_files(path: str | Path) -> list[Path]:

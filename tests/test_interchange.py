@@ -142,6 +142,9 @@ def test_scenes_in_other_units_are_told_the_scale_that_fits_spz(unit, typed):
     lost = pack_spz(replace(scene, log_scale=fitted))[1]
     assert "log-scales of 20 Gaussians clipped to the format's range" in lost
     assert not any("Action" in line for line in lost)
+    for beyond in (-3e38, -1e30, -800.0, 800.0, 3e38):  # whose powers of ten no float holds
+        lost = pack_spz(replace(scene, log_scale=np.full_like(fitted, beyond)))[1]
+        assert not any("Action" in line for line in lost)
 
 
 def test_values_out_of_range_of_spz_are_clipped_and_counted(tmp_path):

@@ -183,7 +183,8 @@ def _fitting(scene: Scene, clipped: Clipped) -> Iterator[str]:
     if not before:
         return
     low, high = -10, 255 / 16 - 10
-    power = round(((low + high) / 2 - float(np.median(scene.log_scale))) / math.log(10))
+    middle = float(np.median(np.clip(scene.log_scale, -99, 99)))  # no float holds e^1000
+    power = round(((low + high) / 2 - middle) / math.log(10))
     scaled = scene.log_scale + np.float32(power * math.log(10))
     if np.count_nonzero(((scaled < low) | (scaled > high)).any(axis=0)) <= before / 2:
         yield f'Action("scale", "{10.0**power:g}") brings the scene into the format\'s range'

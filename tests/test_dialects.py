@@ -245,7 +245,7 @@ def test_warnings_of_other_threads_are_logged_while_a_written_file_is_read(
     assert caplog.messages == [f"{tmp_path / 'a.sog'}: a 2DGS scene; its Gaussians are flat"]
 
 
-@pytest.mark.parametrize("suffix", ["egs", "spz", "splat", "glb", "csv"])
+@pytest.mark.parametrize("suffix", ["egs", "spz", "splat", "glb", "csv", "rad"])
 def test_formats_without_2d_gaussians_say_so(tmp_path, suffix):
     scene = replace(random_scene(20, 0), comments=("SplatRenderMode: 2dgs",))
     write_ply(tmp_path / "a.ply", scene)

@@ -19,7 +19,7 @@ from gs_codec.formats.rad.file import RadFile
 from gs_codec.formats.registry import open_scene, overview_of, scene_files
 from gs_codec.levels.tree import leaf_order, pack_rad
 from gs_codec.runtime.mapped import opened
-from gs_codec.scene import SH_C0
+from gs_codec.scene import ANTIALIASED, SH_C0
 
 
 def written(folder, files, name="a.rad"):
@@ -265,6 +265,9 @@ def test_values_that_cannot_be_stored_are_told_or_refused():
     _, lost = pack_rad(replace(scene, f_dc=f_dc, f_rest=f_rest, log_scale=log_scale))
     for each in ("colours", "SH", "log-scales"):
         assert sum(line.startswith(each) and line.endswith("format's range") for line in lost) == 1
+    comments, label = (ANTIALIASED, "one"), np.zeros(40, "u1")
+    _, lost = pack_rad(replace(scene, comments=comments, extra={"label": label}))
+    assert lost[-1] == "left out: antialias flag; comments (1); properties label"
     with pytest.raises(InvalidInput, match="values that are not finite"):
         pack_rad(replace(scene, f_dc=f_dc * np.nan))
     with pytest.raises(InvalidInput, match=r"no Gaussians, \.rad needs at least one"):

@@ -14,7 +14,9 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.config import Effort
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
+from gs_codec.format_table import RAD
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.packed_values import check_finite
 from gs_codec.formats.rad.writer import pack_tree
 from gs_codec.levels.adding import COARSER
@@ -60,7 +62,8 @@ def pack_rad(
             own = own.take(firsts).times(1 if number else COARSER)
             children.insert(0, np.bincount(level.parents)[orders[number + 1]])
     joined = AttributeSteps.joined(wanted)
-    return pack_tree(join_scenes(scenes), joined, np.concatenate(children), effort)
+    data, lost = pack_tree(join_scenes(scenes), joined, np.concatenate(children), effort)
+    return data, (*lost, *left_out_of(scene, RAD))
 
 
 def leaf_order(scene: Scene) -> NDArray[np.int64]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from gs_codec.config import Effort
 from gs_codec.format_table import RAD
 from gs_codec.formats.attribute_steps import AttributeSteps
-from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.formats.packed_values import Clipped, multiples, sigmoid, unit_quaternions
 from gs_codec.formats.rad.file import CHUNK_MAGIC, MAGIC, UNIT, VERSION
 from gs_codec.formats.rad.scene import STEPS
@@ -47,7 +46,7 @@ _LEAST_SINE = 1e-6
 def pack_tree(
     scene: Scene, steps: AttributeSteps, children: NDArray[np.integer], effort: Effort
 ) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of a `.rad` file of a tree, and sentences on what it cannot represent.
+    """The bytes of a `.rad` file of a tree, and sentences on values that it cannot represent.
 
     Of the Gaussians after the first, each takes the next ``children (N,)`` in order.
     """
@@ -73,7 +72,7 @@ def pack_tree(
     about |= {"chunkSize": CHUNK, "allChunkBytes": sum(sizes)}
     about["chunks"] = [{"offset": a, "bytes": n} for a, n in zip(offsets, sizes, strict=False)]
     about["splatEncoding"] = _encoding(bounds, "lodTree" in common)
-    lost = (RAD.rounding, *Clipped.sum(clipped).sentences(), *left_out_of(scene, RAD))
+    lost = RAD.rounding, *Clipped.sum(clipped).sentences()
     return b"".join([_described(MAGIC, about), *chunks]), lost
 
 

@@ -32,6 +32,7 @@ from gs_codec.cli import batch, encode
 from gs_codec.config import Config, RateTarget
 from gs_codec.edit.actions import Action
 from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.files.conversion import convert_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.writing import write_scene
 from gs_codec.formats.ply.file import read_ply
@@ -202,6 +203,32 @@ def test_folder_has_scenes_of_every_format(folder):
 def test_scenes_of_several_files_are_refused_by_their_format(folder, name, text):
     Path(f"in/{name}").write_bytes(b"{")
     assert text in folder.run("batch", f"in/{name}", "out").err
+
+
+def test_parts_of_other_scenes_in_a_folder_are_no_scenes(folder, caplog):
+    scene = read_ply("in/a.ply")
+    for name in ("tileset.json", "lod-meta.json", "meta.json"):
+        Path("in", name[:1]).mkdir()
+        convert_file("in/a.ply", f"in/{name[:1]}/{name}")
+    write_scene("in/t/tiles/own.glb", scene, Config())
+    parts = ["lcc/0.sog", "lcc/1.sog", "lcc/coarse.sog", "lcc/environment.spz"]
+    files = foreign.lcc2_files(parts)
+    write_scene("in/own.spz", scene, Config())
+    for name, data in files.items():
+        Path("in", name).write_bytes(data)
+    Path("in/lcc").mkdir()
+    for name in (*parts[:2], parts[3]):
+        write_scene(f"in/{name}", scene, Config())
+    Path("in/meta.json").write_text("{}")
+    Path("in/broken").mkdir()
+    Path("in/broken/tileset.json").write_text("{}")
+    write_scene("in/broken/0.glb", scene, Config())
+    caplog.clear()
+    found = [name for name, _ in storage_of("in").find()]
+    assert found == ["a.lcc2", "a.ply", "own.spz", *NAMES[1:], "t/tiles/own.glb"]
+    (warning,) = (record.getMessage() for record in caplog.records)
+    assert "skipped 4 scenes of several files, such as " in warning
+    assert warning.endswith("convert each to one file")
 
 
 def test_summary_as_json(folder):
@@ -884,6 +911,9 @@ def test_object_store_without_folders_works(folder):
     assert run_batch(batch).skipped == 3
     store.pipe_file("/coded/a.egs", b"other")
     assert run_batch(batch).done == 1
+    for name in ("tileset.json", "tiles/0/0.glb", "tiles/1/tileset.json", "tiles/a.spz"):
+        store.pipe_file(f"/parted/{name}", b"")
+    assert [name for name, _ in storage_of("memory://parted").find()] == ["tiles/a.spz"]
 
 
 def test_errors_of_a_storage_have_no_secrets(monkeypatch):

@@ -8,19 +8,26 @@ import logging
 import os
 import re
 import stat
-from collections import deque
-from collections.abc import Iterable
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from urllib.parse import unquote, urlsplit
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.format_table import BATCHED
+from gs_codec.format_table import BATCHED, GLTF, LCC, SOG, STREAMED, TILESET, UNBUNDLED
 from gs_codec.formats.registry import scene_files
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
+from gs_codec.runtime.wording import counted
 
 log = logging.getLogger(__name__)
+
+#: Ends of the names of files that describe a scene of several files.
+_DESCRIPTIONS = (TILESET, STREAMED, UNBUNDLED, *LCC.read)
+
+#: Ends of the names of tiles and chunks.
+_PARTS = (TILESET, STREAMED, UNBUNDLED, *GLTF.batched, *SOG.batched)
 
 
 @dataclass(frozen=True)
@@ -76,12 +83,13 @@ class LocalStorage:
     def find(self, suffixes: tuple[str, ...] = BATCHED) -> list[tuple[str, Location]]:
         """The matching scenes, named relative to the part of the path without wildcards.
 
-        In a folder, files with the suffixes match. Hidden files and folders match only if the
-        pattern includes the dot. A file or folder with several links is counted once.
+        In a folder, files with the suffixes match, except for parts of other scenes; see
+        `scenes_among`. Hidden files and folders match only if the pattern includes the dot. A file
+        or folder with several links is counted once.
         """
         if os.path.isdir(self.path):
             root, found = self.path, matching_paths(glob.escape(self.path) + "/**/*")
-            paths = [path for path in found if path.lower().endswith(suffixes)]
+            paths = scenes_among(map(_with_slashes, found), suffixes, _others)
         elif self.is_missing():
             return []
         elif os.path.lexists(self.path):
@@ -147,6 +155,49 @@ class LocalStorage:
                 continue
             for entry in leftovers(entries, names):
                 remove_leftover(os.path.join(folder, entry))
+
+
+def scenes_among(
+    paths: Iterable[str],
+    suffixes: tuple[str, ...],
+    others: Callable[[str], Iterable[str]] = lambda path: (),
+) -> list[str]:
+    """The paths with the suffixes, without the tiles and chunks of other scenes.
+
+    `others` finds the other files of a scene. Where it finds none, `.glb` and `.sog` files below
+    the folder of tiles or chunks are skipped. A warning counts what is skipped.
+    """
+    scenes, parts, folders = list[str](), set[str](), dict[PurePath, str]()
+    skipped: Counter[str] = Counter()
+    # Outer folders first, and in each of them descriptions first.
+    for path in sorted(paths, key=lambda path: (path.count("/"), not _is(path, _DESCRIPTIONS))):
+        above = folders and _is(path, _PARTS) and folders.keys() & {*PurePath(path).parents}
+        if path in parts:
+            continue
+        if above:
+            skipped[folders[above.pop()]] += 1
+            continue
+        files = set(others(path)) if _is(path, _DESCRIPTIONS) else set()
+        parts |= files
+        if _is(path, suffixes):
+            scenes.append(path)
+        elif files:
+            skipped[path] += len(files)
+        elif _is(path, (f"/{TILESET}", f"/{STREAMED}")):
+            folders[PurePath(path).parent] = path
+    if skipped:
+        several, number = counted(len(skipped), "scene"), counted(skipped.total(), "file")
+        text = "skipped %s of several files, such as %s, and %s of them; convert each to one file"
+        log.warning(text, several, without_secrets(min(skipped)), number)
+    return scenes
+
+
+def _is(path: str, ends: tuple[str, ...]) -> bool:
+    return path.lower().endswith(ends)
+
+
+def _others(path: str) -> list[str]:
+    return [_with_slashes(str(file)) for file in scene_files(path)[1:]]
 
 
 def _with_slashes(path: str) -> str:

@@ -21,6 +21,7 @@ from gs_codec.batch.local import (
     by_folder,
     file_sha256,
     fixed_part,
+    scenes_among,
 )
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.format_table import BATCHED
@@ -132,7 +133,7 @@ class RemoteStorage:
                 found = self._matching(glob, root)
             elif self._base.endswith("/") if self._read_only else self._fs.isdir(root):
                 found = self._below(root)
-                found = {p: info for p, info in found.items() if p.lower().endswith(suffixes)}
+                found = {path: found[path] for path in scenes_among(found, suffixes)}
             else:
                 found = {root: self._fs.info(root)}
                 root = posixpath.dirname(root)

@@ -15,6 +15,7 @@ from refusals import assert_one_line
 from scenes import assert_same_bits, random_scene
 
 from gs_codec.errors import InvalidInput
+from gs_codec.files.conversion import convert_file
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.splat import pack_splat
@@ -109,6 +110,21 @@ def test_frames_of_other_formats(tmp_path):
     (tmp_path / "2.ply").write_text("")
     with pytest.raises(InvalidInput, match=r"2 \.splat, 1 \.ply; expected frames of one of the"):
         open_frames(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["tileset.json", "lod-meta.json", "meta.json"])
+def test_folders_of_a_scene_of_several_files_name_it(tmp_path, name):
+    write_ply(tmp_path / "a.ply", random_scene(9, 1))
+    path = tmp_path / "scene" / name
+    path.parent.mkdir()
+    convert_file(tmp_path / "a.ply", path)
+    if name == "tileset.json":  # a folder of tiles, as other programs write it
+        (path.parent / "tiles/0/0.glb").rename(path.parent / "0.glb")
+        path.write_text(path.read_text().replace("tiles/0/0.glb", "0.glb"))
+    with pytest.raises(InvalidInput) as caught:
+        open_frames(path.parent)
+    text = f"{path.parent}: files of one scene, no frames; expected {path}"
+    assert str(caught.value) == text
 
 
 def test_frames_are_turned_into_the_usual_system(tmp_path):

@@ -18,10 +18,10 @@ from gs_codec.coding.clean import with_finite_ends
 from gs_codec.config import Extra
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.format_table import EGS, FORMATS, PLY, USD
+from gs_codec.format_table import EGS, FORMATS, PLY, STREAMED, TILESET, UNBUNDLED, USD
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply.animation import frame_names, read_frame
-from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.registry import SceneFile, open_scene, scene_files
 from gs_codec.formats.several_scenes import ZIP_SUFFIX, scenes_in
 from gs_codec.formats.usd.scene import frame_times, read_usd
 from gs_codec.formats.zip_file import opened_zip
@@ -141,6 +141,10 @@ def checked_fps(fps: float | None) -> float | None:
 def _of_files(
     source: Path, found: Sequence[PurePath], extra: Extra, max_bytes: int | None
 ) -> Frames:
+    for name in (TILESET, STREAMED, UNBUNDLED):
+        others = scene_files(source / name)[1:]
+        if others and (not found or {*others} & {*found}):
+            raise InvalidInput(f"{source}: files of one scene, no frames; expected {source / name}")
     ordered, names = _in_order(source, found)
     paths, stored = list(map(Path, ordered)), 0
     for path in paths:

@@ -27,6 +27,7 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.metrics.image_quality import compare_images
+from gs_codec.metrics.views import compare_views
 from gs_codec.plan import Steps
 from gs_codec.preparation import optimise, pipeline, reference_views, view_selection
 from gs_codec.preparation.likely_views import cameras_between
@@ -215,6 +216,19 @@ def test_a_photograph_may_be_of_no_camera_that_refinement_draws(scene, tmp_path,
     assert [c.name for c in targets.cameras] == [*"10", "3", "5", "8"]
     assert {c.width for c in targets.cameras} == {24}
     assert caplog.messages == [f"{tmp_path}: photographs of 1 of 9 cameras"]
+
+
+def test_masks_beside_photographs_are_named(scene, tmp_path, caplog):
+    for folder in ("images", "masks"):
+        (tmp_path / folder).mkdir()
+        write_png(tmp_path / folder / "b.png", np.full((16, 24, 3), 0.6))
+    images, masks = tmp_path / "images", tmp_path / "masks"
+    choose_views(scene, Plan(Steps(), [CAMERAS[1]], gt_images=images))
+    compare_views(scene, scene, [CAMERAS[1]], truth=images)
+    text = f"{masks}: left out: masks; all pixels of the photographs count"
+    assert caplog.messages == [text, text]
+    compare_views(scene, scene, [CAMERAS[1]], truth=images, masks=masks)
+    assert caplog.messages == [text, text]
 
 
 @pytest.mark.parametrize(("photographs", "between"), [(9, 3), (5, 1), (2, 0)])

@@ -183,3 +183,10 @@ def find_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path]:
     return [
         path or find_image(folder, camera.name) for path, camera in zip(paths, cameras, strict=True)
     ]
+
+
+def warn_of_masks(folder: str | Path) -> None:
+    """Warn if there are masks beside a folder of photographs, whose pixels all count."""
+    masks = Path(os.path.abspath(folder)).with_name("masks")
+    if masks.is_dir():
+        log.warning("%s: left out: masks; all pixels of the photographs count", masks)

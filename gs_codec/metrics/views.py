@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
-from gs_codec.cameras.image_files import find_images, output_names, read_image, write_png
+from gs_codec.cameras.image_files import (
+    find_images,
+    output_names,
+    read_image,
+    warn_of_masks,
+    write_png,
+)
 from gs_codec.metrics.comparison import Comparison
 from gs_codec.metrics.image_quality import View, compare_images, load_lpips
 from gs_codec.rendering.renderer import render
@@ -69,6 +75,8 @@ def compare_views(
     backbone = None if lpips is None else load_lpips(lpips).backbone
     names = output_names(cameras) if images else []
     paths = find_images(truth, cameras) if truth else []
+    if truth and not masks:
+        warn_of_masks(truth)
     found = find_images(masks, cameras) if masks else []
     folder = make_folder(images) if images else None
     advance = step_counter(progress, "views", len(cameras))

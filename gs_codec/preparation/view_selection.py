@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.cameras.image_files import warn_of_masks
 from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.likely_views import cameras_between
 from gs_codec.preparation.reference_views import (
@@ -66,6 +67,7 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     renders = replace(renders, origin=known.origin)
     if plan.gt_images is not None:
         found = photographed(rest, plan.gt_images)
+        warn_of_masks(plan.gt_images)
         if len(found) < len(rest):
             total = counted(len(rest), "camera")
             log.warning("%s: photographs of %d of %s", plan.gt_images, len(found), total)

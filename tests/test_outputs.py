@@ -20,6 +20,7 @@ from gs_codec.files.decode_file import decode_file
 from gs_codec.files.encode_file import encode_file
 from gs_codec.files.preparing import prepare_file
 from gs_codec.plan import Plan, Steps
+from gs_codec.runtime import atomic
 from gs_codec.runtime.arrays import folder_on_disk
 
 WRONG_SUFFIX = {
@@ -230,6 +231,19 @@ def test_a_full_temporary_folder_is_named(folder):
     folder.monkeypatch.delenv("TMPDIR")
     disk = folder_on_disk()
     assert f" copying it to {disk}: No space" in folder.refuse("encode", "-", "out.egs")
+
+
+def test_a_full_disk_leaves_no_new_folder(folder):
+    def full(*_) -> None:
+        raise OSError(28, "No space left on device")
+
+    folder.monkeypatch.setattr(atomic.os, "fsync", full)
+    Path("empty").mkdir()
+    for name in ("new", "empty"):
+        line = folder.refuse("convert", "scene.ply", f"{name}/tileset.json")
+        assert line.endswith(": No space left on device\n")
+    assert not Path("new").exists()
+    assert list(Path("empty").iterdir()) == []
 
 
 def test_commands_that_read_no_pipe_say_so(folder, trio):

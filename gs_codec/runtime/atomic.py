@@ -213,8 +213,10 @@ def write_files(folder: str | Path, files: Mapping[str, bytes | memoryview]) -> 
     """Write files by name into a folder; missing folders are created.
 
     They are moved there, in their order, once all are complete. A process killed until then leaves
-    a hidden folder. Raises InvalidInput if a folder cannot be made, or a file cannot be written.
+    a hidden folder. Raises InvalidInput if a folder cannot be made, or a file cannot be written; a
+    new folder is then removed.
     """
+    existed = os.path.isdir(folder)
     target = make_folder(folder)
     hidden = target / temporary_name(target.name)
     for name in files:
@@ -235,3 +237,6 @@ def write_files(folder: str | Path, files: Mapping[str, bytes | memoryview]) -> 
         raise InvalidInput(str(error).replace(str(hidden), str(target))) from error
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
+        if not existed:
+            with suppress(OSError):  # not empty, unless nothing was written
+                os.rmdir(target)

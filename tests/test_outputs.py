@@ -231,6 +231,9 @@ def test_a_full_temporary_folder_is_named(folder):
     folder.monkeypatch.delenv("TMPDIR")
     disk = folder_on_disk()
     assert f" copying it to {disk}: No space" in folder.refuse("encode", "-", "out.egs")
+    folder.monkeypatch.setattr(atomic.os, "fsync", full)
+    line = folder.refuse("encode", "scene.ply", "-")
+    assert line.endswith(f": -: temporary file in {disk}: No space left on device\n")
 
 
 def test_a_full_disk_leaves_no_new_folder(folder):

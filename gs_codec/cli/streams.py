@@ -120,8 +120,8 @@ def _stand_in(path: Path, name: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="gs-codec-", dir=folder_on_disk()) as folder:
         file = Path(folder, name)
 
-        def renamed(text: str) -> str:
-            return text.replace(str(file), str(path))
+        def renamed(text: str, shown: str = str(path)) -> str:
+            return text.replace(str(file), shown)
 
         def rename(record: logging.LogRecord) -> bool:
             record.msg, record.args = renamed(record.getMessage()), ()
@@ -133,7 +133,10 @@ def _stand_in(path: Path, name: str) -> Iterator[Path]:
         try:
             yield file
         except GsCodecError as error:
-            raise type(error)(renamed(str(error))) from error
+            shown = str(path)
+            if isinstance(error.__cause__, OSError):
+                shown += f": temporary file in {file.parents[1]}"
+            raise type(error)(renamed(str(error), shown)) from error
         finally:
             for handler in handlers:
                 handler.removeFilter(rename)

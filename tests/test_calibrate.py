@@ -56,7 +56,7 @@ def test_profile_m_loses_the_same_at_any_contrast(still_life, views, contrast):
 
 
 def test_profile_m_loses_the_same_without_sh(views):
-    """Without SH-AC, nothing tells where cameras were."""
+    """Without SH-AC, cameras cannot be estimated."""
     assert LEAST < own_psnr(generate(12_000, 0, 1), views, Config("m")) < MOST
 
 

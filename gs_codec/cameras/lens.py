@@ -123,7 +123,7 @@ class Lens:
 
         This is the camera of COLMAP's image undistorter: the focal lengths do not change, and the
         image has the largest size at which all pixels are inside the photograph, at most twice the
-        original. If the distortion cannot be inverted at two opposite edges, 5 % of the side are
+        original. If the distortion cannot be inverted at two opposite edges, 5 % of the side is
         left out at each; COLMAP doubles the side.
 
         Raises

@@ -58,7 +58,7 @@ _TO_STDOUT = ("convert", "decode", "encode", "prepare")
 def begin_run(typed: list[str], command: str | None) -> None:
     """Begin the document of a command; `typed` are all its arguments."""
     _run.begin(typed, command)
-    # Until the arguments are parsed, a later one than the first is taken for the output.
+    # Until the arguments are parsed, any `-` after the first one counts as the output.
     keep_off_stdout(command in _TO_STDOUT and any(map(is_stdout, typed[2:])))
     logging.getLogger().addHandler(_run)
 
@@ -76,8 +76,8 @@ def print_document(**shown: Any) -> None:
     values = _renamed(shown)
     if "lost" in values:
         values["lost"] = list(map(as_typed, values["lost"]))
-    warned, kept = _run.warnings, values.get("profile") in (None, LOSSLESS)
-    if not kept and values.get("rendered", {}) is None:
+    warned, is_lossy = _run.warnings, values.get("profile") not in (None, LOSSLESS)
+    if is_lossy and values.get("rendered", {}) is None:
         warned = [*warned, NOT_MEASURED]
     whole = {"schema": SCHEMA, "command": _run.command, "warnings": warned} | values
     if whole.get("seconds") is None:

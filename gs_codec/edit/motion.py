@@ -152,8 +152,8 @@ def transform(scene: Scene, matrix: ArrayLike) -> Scene:
 def apply_project(scene: Scene, project: Project, is_input: bool = False) -> Scene:
     """The joined scenes of a project, with its Gaussians moved and removed.
 
-    Raises InvalidInput if it has another number of Gaussians or, where it `is_input` and not moved
-    before, other centres.
+    `is_input` means that no action came before. Raises InvalidInput if the scene's number of
+    Gaussians differs from the project's or, with `is_input`, its centres do.
     """
     if scene.count != len(project.removed):
         raise InvalidInput(

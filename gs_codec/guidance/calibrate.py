@@ -53,8 +53,8 @@ WANTED = 1.16e-5
 #: generated, and trained on generated pictures) come out at 47.6 to 52.3 dB.
 _ABOVE_MEAN = 1.4 / 1.16
 
-#: The same for scenes without SH-AC, in which nothing tells where cameras were. From positions
-#: spread around them, errors are smaller than from cameras: 1.1 to 1.75 times in 14 scenes.
+#: The same for scenes without SH-AC, whose cameras cannot be estimated. From positions spread
+#: around the scene, errors are 1/1.75 to 1/1.1 of those from cameras (14 scenes).
 _ABOVE_MEAN_SPREAD = _ABOVE_MEAN / 1.45
 
 #: Exponent of the error as a function of the step size.

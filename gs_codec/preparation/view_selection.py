@@ -101,7 +101,7 @@ def _targets(
     if photographs is None:
         return draw_targets(scene, cameras, plan.background, plan.device, progress)
     taken = {camera.name: camera for camera in photographs.cameras}
-    # Few photographs may be of none of these cameras.
+    # If there are few photographs, none of these cameras may have one.
     shown = [c for c in cameras if c.name in taken] or [c for c in known.rest if c.name in taken]
     scale = max(taken[c.name].width / c.width for c in shown)
     others = [

@@ -126,7 +126,7 @@ export function say(text, ...values) {
 export const number = (value, digits = 0) =>
   value.toLocaleString(LANGUAGE, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 
-/** A number of bytes with its unit, as the commands print it. */
+/** A number of bytes, in kB or MB. */
 export const sizeText = (bytes) =>
   bytes < 999995 ? `${number(bytes / 1e3, 2)} kB` : `${number(bytes / 1e6, 2)} MB`;
 

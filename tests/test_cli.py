@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import struct
@@ -21,6 +22,7 @@ from scenes import random_scene, thorough
 
 from gs_codec import __version__
 from gs_codec.cli import output
+from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import progress_lines
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
 from gs_codec.egs.egs_file import Section, SectionId, read_file, write_file
@@ -741,6 +743,10 @@ def test_removed_working_directory_is_named(folder, tmp_path):
     gone.rmdir()
     status, _, err = folder.run("batch", "in", "out")
     assert (status, err) == (2, "gs-codec: error: the working directory was removed\n")
+    folder.monkeypatch.chdir(tmp_path)
+    # As raised by semaphores where there is no /dev/shm.
+    error = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    assert describe_error(error) == "No such file or directory"
 
 
 @pytest.mark.thorough

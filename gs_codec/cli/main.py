@@ -171,12 +171,22 @@ def _flush_output() -> None:
         raise OSError(error.errno, error.strerror, "standard output") from error
 
 
+def _is_folder_removed() -> bool:
+    """Whether the working directory was removed."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
 def describe_error(error: BaseException) -> str:
     """The error in one line."""
     if isinstance(error, MemoryError):
         return one_line(error) or "not enough memory"
-    if isinstance(error, FileNotFoundError) and error.errno and error.filename is None:
-        return "the working directory was removed"  # only os.getcwd names no file
+    missing = isinstance(error, FileNotFoundError) and error.filename is None
+    if missing and _is_folder_removed():
+        return "the working directory was removed"  # os.getcwd names no file
     named = isinstance(error, OSError) and error.strerror and error.filename
     text = as_typed(one_line(error))
     return f"{error.filename}: {text}" if named else text  # type: ignore[attr-defined]

@@ -40,7 +40,6 @@ from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.view_selection import choose_views
 from gs_codec.runtime.optional import is_available
-from gs_codec.runtime.wording import as_typed
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 
@@ -134,17 +133,17 @@ def test_spz_has_fewer_fraction_bits_for_far_centres(tmp_path):
 def test_scenes_in_other_units_are_told_the_scale_that_fits_spz(unit, typed):
     sizes = np.linspace(unit - 6, unit - 2, 150, dtype=np.float32)
     scene = replace(usual(50, 1), log_scale=sizes.reshape(3, 50))
-    hint = f"--scale {typed} brings the scene into the format's range"
-    assert hint in map(as_typed, pack_spz(scene)[1])
+    hint = f"scaled by {typed}, the scene would fit the format's range better"
+    assert hint in pack_spz(scene)[1]
     fitted = np.array(scene.log_scale)
     fitted[:] = -4
     fitted[0, :20] = -30  # outliers, which no scale brings into the range
     lost = pack_spz(replace(scene, log_scale=fitted))[1]
     assert "log-scales of 20 Gaussians clipped to the format's range" in lost
-    assert not any("Action" in line for line in lost)
+    assert not any("scaled by" in line for line in lost)
     for beyond in (-3e38, -1e30, -800.0, 800.0, 3e38):  # whose powers of ten no float holds
         lost = pack_spz(replace(scene, log_scale=np.full_like(fitted, beyond)))[1]
-        assert not any("Action" in line for line in lost)
+        assert not any("scaled by" in line for line in lost)
 
 
 def test_values_out_of_range_of_spz_are_clipped_and_counted(tmp_path):

@@ -187,7 +187,7 @@ def _fitting(scene: Scene, clipped: Clipped) -> Iterator[str]:
     power = round(((low + high) / 2 - middle) / math.log(10))
     scaled = scene.log_scale + np.float32(power * math.log(10))
     if np.count_nonzero(((scaled < low) | (scaled > high)).any(axis=0)) <= before / 2:
-        yield f'Action("scale", "{10.0**power:g}") brings the scene into the format\'s range'
+        yield f"scaled by {10.0**power:g}, the scene would fit the format's range better"
 
 
 def _fraction_bits(farthest: float) -> int:

@@ -60,6 +60,8 @@ class SceneFormat:
         ``(path, data)`` -> number of Gaussians and SH degree from the header.
     files_beside : callable, optional
         ``(path, FileBytes)`` -> paths of the other files of a scene, if it may have several.
+    coarser_files : callable, optional
+        ``(path, FileBytes)`` -> paths of the files of coarser levels that are never read.
     checker : callable, optional
         ``(path, data, max_bytes)``: reads what `reader` skips.
     opens_file : bool
@@ -118,6 +120,7 @@ class SceneFormat:
     reader: Callable[..., Any] | None = None
     stated_size: Callable[..., tuple[int, int]] | None = None
     files_beside: Callable[..., list[Path]] | None = None
+    coarser_files: Callable[..., list[Path]] | None = None
     checker: Callable[..., None] | None = None
     opens_file: bool = False
     written: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -311,6 +314,7 @@ LCC = SceneFormat(
     reader=_ours("lcc.scene", "read_lcc"),
     stated_size=_ours("lcc.scene", "stated_size"),
     files_beside=_ours("lcc.scene", "files_beside"),
+    coarser_files=_ours("lcc.scene", "coarser_files"),
     is_rounded=True,
     system="RFU",
     floats_per_byte=20,

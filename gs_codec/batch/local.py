@@ -10,13 +10,14 @@ import re
 import stat
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from urllib.parse import unquote, urlsplit
 
-from gs_codec.errors import InvalidInput, one_line
+from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.format_table import BATCHED, GLTF, LCC, SOG, STREAMED, TILESET, UNBUNDLED
-from gs_codec.formats.registry import scene_files
+from gs_codec.formats.registry import open_scene, scene_files
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
 from gs_codec.runtime.wording import counted
@@ -197,7 +198,9 @@ def _is(path: str, ends: tuple[str, ...]) -> bool:
 
 
 def _others(path: str) -> list[str]:
-    return [_with_slashes(str(file)) for file in scene_files(path)[1:]]
+    with suppress(GsCodecError), open_scene(path) as file:
+        return [_with_slashes(str(part)) for part in file.parts]
+    return []
 
 
 def _with_slashes(path: str) -> str:

@@ -153,6 +153,12 @@ class SceneFile:
         beside = self._recognised.files_beside
         return [] if beside is None else beside(self.path, self.data)
 
+    @property
+    def parts(self) -> list[Path]:
+        """`files_beside`, and the files of coarser levels that are never read."""
+        coarser = self._recognised.coarser_files
+        return self.files_beside + ([] if coarser is None else coarser(self.path, self.data))
+
     def ratio_bytes(self, raw_bytes: int) -> int:
         """Reference size for ratios: of a PLY, or of the floats (`raw_bytes`) if compressed."""
         return raw_bytes if self.is_compressed else self.stored_bytes

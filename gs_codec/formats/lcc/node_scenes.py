@@ -6,6 +6,7 @@ The level of a node is the number of levels minus its depth; several nodes may s
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,15 @@ class Octree:
             raise InvalidInput(f"a file beyond the {len(names)} of splatFiles")
         found = (relative_name(names[index], path.name) for index in sorted(used))
         self.files = [path.parent / name for name in found]
+        self._path, self._unread = path, [names[index] for index in {*range(len(names))} - used]
+
+    def coarser_files(self) -> list[Path]:
+        """Files of coarser levels, which are not read; names that lead elsewhere are skipped."""
+        found = []
+        for name in self._unread:
+            with suppress(InvalidInput):
+                found.append(self._path.parent / relative_name(name, self._path.name))
+        return found
 
     def _opened(self) -> Iterator[SceneFile]:
         """The scenes of all files, each open until the next."""

@@ -51,6 +51,13 @@ def files_beside(path: Path, data: FileBytes) -> list[Path]:
     return files + [beside for file in texts for beside in scene_files(file)[1:]]
 
 
+def coarser_files(path: Path, data: FileBytes) -> list[Path]:
+    """The files of coarser levels of a `.lcc2`, which are not read."""
+    with located(path):
+        described = _described(path, data)
+    return described.coarser_files() if isinstance(described, Octree) else []
+
+
 def read_lcc(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the files that a `.lcc` or `.lcc2` describes; see `SceneFile.scene`."""
     with located(path):

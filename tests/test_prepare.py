@@ -207,6 +207,16 @@ def test_large_photographs_are_reduced(scene, tmp_path, monkeypatch):
     assert np.allclose(photographs.images[0][5, 7], whole.images[0][15:18, 21:24].mean(axis=(0, 1)))
 
 
+def test_renders_beside_photographs_are_drawn_smaller(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(view_selection, "MOST_PIXELS", 1000)
+    cameras = [camera("small", 0.0).resized(36, 24), camera("large", 0.2).resized(480, 320)]
+    cameras.append(camera("test", 0.1, "test").resized(36, 24))
+    for name in ("small", "test"):
+        write_png(tmp_path / f"{name}.png", np.full((24, 36, 3), 0.4))
+    targets = choose_views(scene, Plan(Steps(refine=1), cameras, gt_images=tmp_path)).targets
+    assert [(c.name, c.width) for c in targets.cameras] == [("small", 36), ("large", 38)]
+
+
 def test_a_photograph_may_be_of_no_camera_that_refinement_draws(scene, tmp_path, caplog):
     cameras = [camera(f"{i}", 0.1 * i, "train") for i in range(9)]
     for name in ("1", "b"):

@@ -109,6 +109,7 @@ def _targets(
         for c in cameras
         if c.name not in taken
     ]
+    others = _drawable(others, plan)
     renders = draw_targets(scene, others, plan.background, plan.device, progress)
     return replace(
         photographs,

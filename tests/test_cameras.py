@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import locale
 import math
 import os
 import struct
@@ -359,13 +360,15 @@ def test_names_in_a_code_page_are_read(suffix, tmp_path, monkeypatch, caplog):
     """COLMAP on Windows writes names in the system's code page, here that of Chinese systems."""
     images = [Image("\u5fae\u4fe1_1.png".encode("gbk"), translation=(0, 0, 1)), Image("z.jpg")]
     write_model(tmp_path, suffix, images)
-    monkeypatch.setattr("locale.getpreferredencoding", lambda _: "utf-8")
+    # From Python 3.11 on, whatever Python's UTF-8 mode is, the default from 3.15 on.
+    asked = "getencoding" if hasattr(locale, "getencoding") else "getpreferredencoding"
+    monkeypatch.setattr(f"locale.{asked}", lambda *_: "utf-8")
     escaped, other = read_cameras(tmp_path)
     assert (escaped.name, other.name) == (r"\xce\xa2\xd0\xc5_1.png", "z.jpg")
     assert caplog.messages == [
         f"{tmp_path}: names of 1 image are not UTF-8 text; photographs cannot be found by them"
     ]
-    monkeypatch.setattr("locale.getpreferredencoding", lambda _: "gbk")
+    monkeypatch.setattr(f"locale.{asked}", lambda *_: "gbk")
     other, decoded = read_cameras(tmp_path)
     assert (other.name, decoded.name) == ("z.jpg", "\u5fae\u4fe1_1.png")
     np.testing.assert_array_equal(decoded.position, escaped.position)

@@ -11,6 +11,7 @@ import logging
 import math
 import os
 import reprlib
+import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -235,9 +236,15 @@ def _pose(image: _Image) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return rotation, -rotation.T @ translation
 
 
+def _system_encoding() -> str:
+    if sys.version_info >= (3, 11):
+        return locale.getencoding()
+    return locale.getpreferredencoding(False)  # UTF-8 in Python's UTF-8 mode
+
+
 def _name(raw: bytes) -> str:
     """Decode a name: UTF-8 or, as on Windows, the system's code page; other bytes are escaped."""
-    for encoding in ("utf-8", locale.getpreferredencoding(False)):
+    for encoding in ("utf-8", _system_encoding()):
         with suppress(UnicodeDecodeError, LookupError):
             return raw.decode(encoding)
     return raw.decode("ascii", "backslashreplace")

@@ -36,7 +36,7 @@ from gs_codec.formats.registry import check_file, open_scene, overview_of
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.plan import Plan, Steps
 from gs_codec.runtime.atomic import write_files
-from gs_codec.scene import ANTIALIASED, Scene
+from gs_codec.scene import ANTIALIASED, FLAT, Scene
 from gs_codec.views.estimate import auto_cameras
 from samples.generate import generate
 
@@ -217,6 +217,14 @@ def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_p
     plain, _ = stream_levels(given, CONFIG, FILE)
     assert plain == files
     assert [line for line in lost if "comments" in line]
+
+
+def test_flat_gaussians_are_told_once(tmp_path, scene, caplog):
+    streamed(tmp_path, replace(scene, comments=(FLAT,)))
+    read_scene(tmp_path / STREAMED)
+    check_file(tmp_path / STREAMED)
+    told = [line for line in caplog.messages if "2DGS" in line]
+    assert told == [f"{tmp_path / STREAMED}: a 2DGS scene; its Gaussians are flat"]
 
 
 @pytest.mark.thorough

@@ -55,7 +55,10 @@ def _opened(path: Path, data: memoryview | FileBytes) -> Iterator[tuple[Unit, in
 def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.sog` file, or the scene of a `meta.json`; see `SceneFile.scene`."""
     with _opened(path, data) as (unit, file_bytes):
-        return scene_of_unit(path, unit, file_bytes, max_bytes)
+        scene = scene_of_unit(path, unit, file_bytes, max_bytes)
+    if FLAT in scene.comments:
+        say_flat(path)
+    return scene
 
 
 def scene_of_unit(
@@ -67,9 +70,7 @@ def scene_of_unit(
     """
     meta = unit.meta
     is_flat = meta.model == "2dgs"
-    if is_flat:
-        say_flat(where)
-    elif meta.model not in ("default", "antialiased"):
+    if meta.model not in ("default", "antialiased", "2dgs"):
         say_left_out(where, others=[f"unknown model '{ascii(meta.model)[1:40]}'"])
 
     def load(name: str, rows: int, width: int = 1) -> NDArray[np.uint8]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +81,8 @@ class Annotating:
         stage = self._viewer.stage
         if stage.pose is None:
             return
-        away = [_distance(note, at, stage.pose, *stage.picture_size) for note in self.notes]
+        places = [_place(note, stage.pose, stage.picture_size) for note in self.notes]
+        away = [np.inf if place is None else math.dist(place, at) for place in places]
         if away and min(away) < _NEAR:
             self.choose(int(np.argmin(away)))
             return
@@ -132,9 +134,8 @@ class Annotating:
         stage = self._viewer.stage
         if not self.on or self.chosen is None or stage.seen is None:
             return "", None
-        place = np.array(self.notes[self.chosen].position)
-        rings = measure_lines([place], stage.seen, *stage.picture_size)
-        return self.names[self.chosen], rings[0].mean(axis=0) if rings else None
+        place = _place(self.notes[self.chosen], stage.seen, stage.picture_size)
+        return self.names[self.chosen], place
 
     def _rings(self, pose: Pose, width: int, height: int) -> list[NDArray[np.float64]]:
         """A ring at each annotation."""
@@ -204,7 +205,7 @@ class Annotating:
         return True
 
 
-def _distance(note: Annotation, at: Place, pose: Pose, width: int, height: int) -> float:
-    """Distance of an annotation from a pixel, pixels; infinite behind the camera."""
-    rings = measure_lines([np.array(note.position)], pose, width, height)
-    return float(np.linalg.norm(rings[0].mean(axis=0) - at)) if rings else np.inf
+def _place(note: Annotation, pose: Pose, size: tuple[int, int]) -> NDArray[np.float64] | None:
+    """Pixel of an annotation; None behind the camera."""
+    pixels, depth = pose.project(np.array([note.position]), *size)
+    return pixels[0] if depth[0] > 0 else None

@@ -35,6 +35,12 @@ if TYPE_CHECKING:
 #: Packages whose versions may change the output bytes.
 _COMPUTING = ("numpy", "numba", "llvmlite", "pcodec")
 
+#: Scenes of several files that are refused, besides SOG: format and what is expected, by name.
+_SEVERAL = {
+    STREAMED: ("streamed SOG", f"a bundle ({SSOG})"),
+    TILESET: ("3D Tiles", "a scene in one file, converted from them"),
+}
+
 
 def record_scene(options: Options, task: Task, place: Place) -> Record:
     """Encode or convert a scene with its share of the processors; errors become part of the record.
@@ -55,13 +61,6 @@ def record_scene(options: Options, task: Task, place: Place) -> Record:
             text = f"{task.shown[0]}: {text}"
         record = replace(blank, error={"kind": kind, "text": text})
     return replace(record, warnings=warnings)
-
-
-#: Scenes of several files that are refused, besides SOG: format and what is expected, by name.
-_SEVERAL = {
-    STREAMED: ("streamed SOG", f"a bundle ({SSOG})"),
-    TILESET: ("3D Tiles", "a scene in one file, converted from them"),
-}
 
 
 def _encode(

@@ -198,7 +198,7 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
         cameras, origin = found.cameras, "estimated" if found.telling else "anywhere"
     else:
         cameras = find_cameras(plan.cameras, scene, "all", plan.width)
-        if plan.gt_images is None:
+        if plan.gt_images is None:  # photographs must have the shape of whole cameras
             cameras = _drawable(cameras, plan)
     known = cameras
     if plan.gt_images is not None:

@@ -405,9 +405,10 @@ def close(driver: Driver) -> list:
             driver.rest()
     driver.wait((driver.folder / "3.ply").exists)
     driver.rest()
-    for choice in ("Cancel", "Finish it, then close"):
+    for choices in (("Discard it", "Cancel"), ("Finish it, then close",)):
         window.close()
-        answer(driver, choice)
+        for choice in choices:
+            answer(driver, choice)
         found.append(any(not driver.app.run_one_tick() for _ in range(50)))
     film.set()
     found.append(any(not driver.app.run_one_tick() for _ in range(1000)))

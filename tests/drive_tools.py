@@ -113,12 +113,15 @@ def flights(driver: Driver, found: dict) -> None:
     timeline.path = kept
     save(driver, "Save", "path")
     driver.wait(Path("path.json").exists)
+    found["unsaved"] = [timeline.ask_unsaved(print)]
     timeline.drop()
     timeline.open("path.json")
+    answer(driver, "Discard it")
     driver.wait(lambda: len(timeline.path.poses) == 3)
     pairs = zip(kept.poses, timeline.path.poses, strict=True)
     found["apart"] = [float(np.abs(a.position - b.position).max()) for a, b in pairs]
     found["again"] = [timeline.path.times, timeline.path.fps]
+    found["unsaved"].append(timeline.ask_unsaved(print))
     timeline.open("nothing.json")
     driver.wait(lambda: viewer.message is not None)
     found["message"] = viewer.message

@@ -68,6 +68,7 @@ def test_the_path_is_flown_filmed_saved_and_opened(found, folder):
     times, fps = found["again"]
     assert times == pytest.approx([0, 0.5, 1], abs=0.02)
     assert fps == 5
+    assert found["unsaved"] == [False, False]  # once saved, and once opened
     assert len(gs_codec.read_cameras(folder / "path.json")) == 6
     title, text = found["message"]
     assert title == "Not possible"

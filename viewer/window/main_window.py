@@ -283,7 +283,7 @@ class Viewer(Controls):
             return False
         if self.editor.ask_unsaved((0, 1), self.window.close):
             return False
-        if self.annotating.ask_unsaved(self.window.close):
+        if any(each.ask_unsaved(self.window.close) for each in (self.annotating, self.timeline)):
             return False
         self._closes = False
         if self.timeline.ask_unfinished(self._close_later, self.window.close):

@@ -44,7 +44,7 @@ class Timeline:
     def __init__(self, viewer: Host) -> None:
         self._viewer = viewer
         self._films = viewer.worker.another()
-        self.path = CameraPath()
+        self.path = self._saved = CameraPath()
         self.chosen: int | None = None
         self.now = 0.0
         self.redraw: Callable[[], None] = lambda: None
@@ -256,29 +256,59 @@ class Timeline:
         while self._films.busy:
             time.sleep(0.01)
 
-    def write(self, path: str) -> None:
-        """Write the path to a file."""
+    def write(self, path: str, then: Callable[[], None] = lambda: None) -> None:
+        """Write the path to a file, and then call `then`."""
         viewer = self._viewer
         try:
             write_path(Path(path), self.path)
         except Exception as error:
             viewer.fail(error)
         else:
+            self._saved = self.path
             viewer.panel.say(f"{Path(path).name} saved")
+            then()
 
     def open(self, path: str) -> None:
-        """Replace the path by that of a file of a path or cameras."""
+        """Replace the path by that of a file of a path or cameras; ask about an unsaved one."""
+        if self.ask_unsaved(partial(self.open, path)):
+            return
 
         def done(found: CameraPath) -> None:
             self.stop()
+            self._saved = found
             self._put(found, None)
 
         submit = self._viewer.worker.submit
         submit("poses", lambda stale: read_path(Path(path)), done, self._viewer.fail)
 
-    def ask_write(self) -> None:
-        """Ask where to write the path, and write it."""
-        self._viewer.files.ask_save("Save the path", POSES, self.write, "-path")
+    def ask_unsaved(self, then: Callable[[], None]) -> bool:
+        """Ask what to do with an unsaved path, if any, before calling `then`.
+
+        Returns
+        -------
+        bool
+            Whether it asked; if not, `then` is not called.
+        """
+        count = len(self.path.poses)
+        if self.path is self._saved or count < 2:
+            return False
+
+        def discard() -> None:
+            self._saved = self.path
+            then()
+
+        text = f"A camera path of {count} keyframes, not saved."
+        choices = [("Save as ...", lambda: self.ask_write(then)), ("Discard it", discard)]
+        dialogs.ask_among(self._viewer.modal, "Unsaved camera path", text, choices)
+        return True
+
+    def ask_write(self, then: Callable[[], None] = lambda: None) -> None:
+        """Ask where to write the path, write it, and then call `then`."""
+
+        def write(path: str) -> None:
+            self.write(path, then)
+
+        self._viewer.files.ask_save("Save the path", POSES, write, "-path")
 
     def ask_open(self) -> None:
         """Ask for a file of a path or cameras, and open it."""

@@ -16,6 +16,7 @@ import foreign
 import numpy as np
 import pytest
 from other_programs import PROGRAMS, check, stored_numbers
+from PIL import Image
 from scenes import SmallBlocks, assert_same_floats, random_scene
 from typer.testing import CliRunner
 from web_pages import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
@@ -225,6 +226,20 @@ def test_flat_gaussians_are_told_once(tmp_path, scene, caplog):
     check_file(tmp_path / STREAMED)
     told = [line for line in caplog.messages if "2DGS" in line]
     assert told == [f"{tmp_path / STREAMED}: a 2DGS scene; its Gaussians are flat"]
+
+
+def test_unknown_models_and_missing_rotations_are_told_once(copy, caplog):
+    for path in copy.glob("*/meta.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"model": "soft"}))
+        quats = path.with_name("quats.webp")
+        with Image.open(quats) as image:
+            pixels = np.array(image)
+        pixels[0, 0, 3] = 251
+        quats.write_bytes(foreign.webp(pixels))
+    read_scene(copy / STREAMED)
+    said = [line.removeprefix(f"{copy / STREAMED}: ") for line in caplog.messages]
+    three = "3 rotations without a value, set to the identity"  # one a file of the finest level
+    assert said == ["left out: unknown model 'soft'", three]
 
 
 @pytest.mark.thorough

@@ -39,6 +39,9 @@ log = logging.getLogger(__name__)
 #: row per Gaussian.
 SPARE = 1 << 16
 
+#: Model of flat Gaussians.
+_FLAT = "2dgs"
+
 #: Loads the pixels of an image, given its name, the maximum rows without `SPARE`, and pixels per
 #: row.
 _Load = Callable[..., NDArray[np.uint8]]
@@ -55,23 +58,32 @@ def _opened(path: Path, data: memoryview | FileBytes) -> Iterator[tuple[Unit, in
 def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.sog` file, or the scene of a `meta.json`; see `SceneFile.scene`."""
     with _opened(path, data) as (unit, file_bytes):
-        scene = scene_of_unit(path, unit, file_bytes, max_bytes)
-    if FLAT in scene.comments:
-        say_flat(path)
+        scene, untold = scene_of_unit(path, unit, file_bytes, max_bytes)
+    say_unread(path, {unit.meta.model}, untold)
     return scene
+
+
+def say_unread(where: str | Path, models: set[str], untold: int) -> None:
+    """Log what the files of a scene have that is not read as such: models, and rotations."""
+    if _FLAT in models:
+        say_flat(where)
+    unknown = sorted(models - {"default", "antialiased", _FLAT})
+    say_left_out(where, others=[f"unknown model {model!a:.40}" for model in unknown])
+    if untold:
+        many = counted(untold, "rotation")
+        log.warning("%s: %s without a value, set to the identity", where, many)
 
 
 def scene_of_unit(
     where: str | Path, unit: Unit, file_bytes: int, max_bytes: int | None, spare: int = SPARE
-) -> Scene:
-    """Read a scene from files with `file_bytes` in total; warnings begin with `where`.
+) -> tuple[Scene, int]:
+    """Read a scene from files with `file_bytes` in total; messages begin with `where`.
 
-    `spare` replaces `SPARE`, with less for each of many scenes.
+    `spare` replaces `SPARE`, with less for each of many scenes. Also returns the number of
+    rotations without a value; for these and the unknown model, see `say_unread`.
     """
     meta = unit.meta
-    is_flat = meta.model == "2dgs"
-    if meta.model not in ("default", "antialiased", "2dgs"):
-        say_left_out(where, others=[f"unknown model '{ascii(meta.model)[1:40]}'"])
+    is_flat = meta.model == _FLAT
 
     def load(name: str, rows: int, width: int = 1) -> NDArray[np.uint8]:
         most = (rows + spare) * width
@@ -85,15 +97,17 @@ def scene_of_unit(
     else:
         opacity = opacities_of(where, colours[3])
     log_scale = _looked_up(meta.tables["scales"], _values(meta, "scales", load))
-    return Scene(
+    rot, untold = _quaternions(_values(meta, "quats", load))
+    scene = Scene(
         _centres(meta, load),
         _looked_up(meta.tables["sh0"], colours),
         _read_palette(meta, load, file_bytes, max_bytes),
         opacity,
         with_flat(log_scale[:2]) if is_flat else log_scale,
-        _quaternions(where, _values(meta, "quats", load)),
+        rot,
         comments=(FLAT,) if is_flat else (ANTIALIASED,) if meta.antialiased else (),
     )
+    return scene, untold
 
 
 def files_beside(path: Path, data: FileBytes) -> list[Path]:
@@ -149,7 +163,8 @@ def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
         return planes_of(3, meta.count, unfold)
 
 
-def _quaternions(where: str | Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _quaternions(values: NDArray[np.uint8]) -> tuple[NDArray[np.float32], int]:
+    """Quaternions, and the number of those without a value, which are set to the identity."""
     untold = values[3] < FIRST_TAG
 
     def restore(some: slice) -> NDArray[np.float32]:
@@ -158,10 +173,7 @@ def _quaternions(where: str | Path, values: NDArray[np.uint8]) -> NDArray[np.flo
         rot[:, untold[some]] = np.array([[1], [0], [0], [0]], np.float32)
         return rot
 
-    if untold.any():
-        many = counted(int(untold.sum()), "rotation")
-        log.warning("%s: %s without a value, set to the identity", where, many)
-    return planes_of(4, len(untold), restore)
+    return planes_of(4, len(untold), restore), int(untold.sum())
 
 
 def _read_palette(

@@ -21,14 +21,13 @@ from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import STREAMED, ZIP
 from gs_codec.formats.limits import check_count, refusing
-from gs_codec.formats.ply.dialects import say_flat
 from gs_codec.formats.relative_name import relative_name
 from gs_codec.formats.sog.files import Files, Unit, opened_files, opened_unit, unit_of
-from gs_codec.formats.sog.scene import SPARE, scene_of_unit
+from gs_codec.formats.sog.scene import SPARE, say_unread, scene_of_unit
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located
-from gs_codec.scene import FLAT, Scene, join_scenes
+from gs_codec.scene import Scene, join_scenes
 
 log = logging.getLogger(__name__)
 
@@ -140,16 +139,19 @@ def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         check_count(*_whole([stated for stated, _ in sizes]), file_bytes, max_bytes)
         scenes: list[Scene] = []
         seen: set[str] = set()
+        models: set[str] = set()
+        untold = 0
         for name, runs in names.items():
             with located(name), opened_unit(files, name) as unit:
                 _check_unseen(seen, files, unit)
                 where, spare = f"{path}: {name}", _spare(names)
-                scene = scene_of_unit(where, unit, file_bytes, max_bytes, spare)
+                scene, count = scene_of_unit(where, unit, file_bytes, max_bytes, spare)
                 scenes.append(_in_runs(scene, runs))
+                models.add(unit.meta.model)
+                untold += count
     if len({scene.antialiased for scene in scenes}) > 1:
         log.warning("%s: only some parts are antialiased; all are read like the first", path)
-    if any(FLAT in scene.comments for scene in scenes):
-        say_flat(path)
+    say_unread(path, models, untold)
     return join_scenes(scenes)
 
 

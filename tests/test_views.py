@@ -275,6 +275,8 @@ def test_splits():
     assert names("test") == names("held-out") == ["b"]
     assert names("train") == ["a"]
     assert names("held-out", views[::2]) == ["a", "c"]
+    with pytest.raises(InvalidInput, match="cameras: none, expected at least one"):
+        find_cameras([], scene)
     with pytest.raises(InvalidInput, match="none of the 1 is marked 'test'"):
         names("test", views[2:])
     with pytest.raises(InvalidInput, match="split 'best': expected one of held-out"):

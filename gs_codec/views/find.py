@@ -68,6 +68,8 @@ def find_cameras(
     else:
         with other_files():
             cameras = near_enough(read_cameras(source), scene)
+    if not cameras:
+        raise InvalidInput("cameras: none, expected at least one")
     if split == "held-out":
         split = "test" if any(camera.split == "test" for camera in cameras) else "all"
     chosen = [camera for camera in cameras if split in ("all", camera.split)]

@@ -363,7 +363,7 @@ BAD_MOVES: dict[str, tuple[Any, str]] = {
     "list": ([], "the transform that nerfstudio applied"),
     "no transform": ({"scale": 1.0}, "no 'transform'"),
     "no scale": ({"transform": POSE[:3]}, "no 'scale'"),
-    "scale of zero": ({"transform": POSE[:3], "scale": 0}, "scale 0.0 of 1.0"),
+    "scale of zero": ({"transform": POSE[:3], "scale": 0}, "scale 0.0, expected a number"),
     "scale NaN": ({"transform": POSE[:3], "scale": math.nan}, "scale nan"),
     "large scale": ({"transform": POSE[:3], "scale": HUGE}, "scale inf"),
     "flat transform": ({"transform": [1.0] * 12, "scale": 1}, "transform .*3 or 4 rows"),
@@ -390,6 +390,7 @@ BAD_APPLIED = {
     "singular": ({"applied_transform": [[0.0] * 4] * 3}, "applied_transform is singular"),
     "short": ({"applied_transform": POSE[:2]}, "applied_transform .*3 or 4 rows"),
     "scale": ({"applied_scale": "1"}, "applied_scale '1'"),
+    "scale of zero": ({"applied_scale": 0}, "applied_scale 0.0, expected a number above 0"),
 }
 
 

@@ -144,8 +144,8 @@ def _read_move(path: Path, before: float) -> tuple[NDArray[np.float64], float]:
     move = np.eye(4)
     move[:3] = as_pose(where, "transform", get(where, found, "transform"))
     scale = as_number(where, "scale", get(where, found, "scale"))
-    if not (scale > 0 and before > 0 and math.isfinite(scale / before)):
-        raise InvalidInput(f"{where}: scale {scale} of {before}, expected numbers above 0")
+    if not 0 < scale / before < math.inf:
+        raise InvalidInput(f"{where}: scale {scale}, expected a number above 0")
     return move, scale / before
 
 
@@ -154,6 +154,8 @@ def _moved(path: Path, shared: Mapping[str, Any]) -> tuple[NDArray[np.float64], 
     if not os.path.isfile(path.with_name(_MOVED)):
         return np.eye(4), 1.0
     before = as_number(str(path), "applied_scale", shared.get("applied_scale", 1.0))
+    if not 0 < before < math.inf:
+        raise InvalidInput(f"{path}: applied_scale {before}, expected a number above 0")
     move, scale = _read_move(path.with_name(_MOVED), before)
     # The file's cameras may be in a third world.
     applied = np.eye(4)

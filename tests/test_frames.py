@@ -16,6 +16,7 @@ from scenes import assert_same_bits, random_scene
 
 from gs_codec.errors import InvalidInput
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.splat import pack_splat
@@ -125,6 +126,9 @@ def test_folders_of_a_scene_of_several_files_name_it(tmp_path, name):
         open_frames(path.parent)
     text = f"{path.parent}: files of one scene, no frames; expected {path}"
     assert str(caught.value) == text
+    with pytest.raises(InvalidInput) as caught:
+        read_scene(path.parent)
+    assert str(caught.value) == f"{path.parent}: files of one scene; expected {path}"
 
 
 def test_frames_are_turned_into_the_usual_system(tmp_path):

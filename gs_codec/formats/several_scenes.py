@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
 
 from gs_codec.errors import InvalidInput
-from gs_codec.format_table import BATCHED
+from gs_codec.format_table import BATCHED, STREAMED, TILESET, UNBUNDLED
 from gs_codec.formats.zip_file import opened_zip
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
@@ -42,10 +42,14 @@ def _is_scene(name: str) -> bool:
 
 
 def refuse_several(path: str | Path) -> None:
-    """Raise InvalidInput if a path that should be one file holds several scenes."""
+    """Raise InvalidInput if a path that should be one file holds several scenes, or is a folder."""
     kind, found = "", list[PurePath]()
     with suppress(InvalidInput, OSError):  # reported when it is opened
         kind, found = scenes_in(path)
+    # Frames may have any meta.json beside them.
+    names = (TILESET, STREAMED) if found else (TILESET, STREAMED, UNBUNDLED)
+    if beside := [name for name in names if kind == "folder" and (Path(path) / name).is_file()]:
+        raise InvalidInput(f"{path}: files of one scene; expected {Path(path) / beside[0]}")
     if len(found) > 1:
         raise InvalidInput(
             f"{path}: a {kind} of {counted(len(found), 'file')}, expected one file; if they are "

@@ -113,6 +113,13 @@ def test_a_file_that_looks_like_an_option_is_told_how_to_be_named(folder, run_vi
     assert run_viewer("-x.egs")[2] == f"gs-viewer: error: {hint}"
 
 
+@pytest.mark.parametrize("typed", ["-o o.egs", "-oo.egs"])
+def test_who_types_an_option_for_the_output_is_told_the_usage(folder, typed):
+    line = folder.refuse("encode", "scene.ply", *typed.split())
+    usage = "usage: gs-codec encode [OPTIONS] IN OUT (more: gs-codec help encode)"
+    assert line == f"gs-codec: error: No such option: -o; {usage}\n"
+
+
 @pytest.mark.parametrize("command", ["encode scene.ply o.spz -p s", "convert scene.ply o.glb -p s"])
 def test_a_loss_can_be_limited_in_formats_with_step_sizes(folder, command):
     compressed = ["--gltf-compression", "spz"] if "glb" in command else []

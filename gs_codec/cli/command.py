@@ -60,6 +60,8 @@ def usage_text(error: Any) -> str:
     text = message_of(error)
     if "unexpected extra argument" in text:
         return _of_several(error.ctx) or f"{text.replace('(s)', 's')}; {usage_of(error.ctx)}"
+    if text == "No such option: -o":  # the output of many programs
+        return f"{text}; {usage_of(error.ctx)}"
     # Or the argument after a list is missing.
     if text.startswith("Missing argument") and error.param.nargs == -1:
         return f"Missing argument: expected {' '.join(argument_names(error.ctx.command))}"

@@ -916,6 +916,18 @@ def test_object_store_without_folders_works(folder):
     assert [name for name, _ in storage_of("memory://parted").find()] == ["tiles/a.spz"]
 
 
+def test_keys_with_characters_that_windows_reserves_are_stored_with_underscores(folder):
+    pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+    place = storage_of("memory://reserved")
+    place._fs.pipe_file("/reserved/photo:a.ply", b"x")
+    [(name, found)] = place.find()
+    assert name == place.fetch(found, folder.path).name == "photo:a.ply"
+    folder.monkeypatch.setattr(local.os, "sep", "\\")
+    written = storage_of("out").location(name), storage_of("file:///out").location(name)
+    paths = [place.fetch(found, folder.path), *(Path(each.path) for each in written)]
+    assert {path.name for path in paths} == {"photo_a.ply"}
+
+
 def test_errors_of_a_storage_have_no_secrets(monkeypatch):
     pytest.importorskip("aiohttp", reason="no client for the web")
     place = storage_of("https://host/a.ply?signature=secret")

@@ -18,7 +18,7 @@ from urllib.parse import unquote, urlsplit
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.format_table import BATCHED, GLTF, LCC, SOG, STREAMED, TILESET, UNBUNDLED
 from gs_codec.formats.registry import open_scene, scene_files
-from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
+from gs_codec.runtime.atomic import leftovers, make_folder, possible_name, remove_leftover
 from gs_codec.runtime.redaction import without_secrets
 from gs_codec.runtime.wording import counted
 
@@ -108,8 +108,8 @@ class LocalStorage:
         return not (os.path.lexists(self.path) or glob.has_magic(self.path))
 
     def location(self, name: str) -> Location:
-        """The location of a file by name, which may contain folders."""
-        return Location(_with_slashes(os.path.join(self.path, name)))
+        """The location of a file by name, which may contain folders; see `possible_name`."""
+        return Location(_with_slashes(os.path.join(self.path, possible_name(name))))
 
     def shown(self, location: Location) -> str:
         """Name of a file for messages, without secrets."""

@@ -25,7 +25,7 @@ from gs_codec.batch.local import (
 )
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.format_table import BATCHED
-from gs_codec.runtime.atomic import leftovers, temporary_name
+from gs_codec.runtime.atomic import leftovers, possible_name, temporary_name
 from gs_codec.runtime.optional import needed, pip_install
 from gs_codec.runtime.redaction import redacted, without_secrets
 from gs_codec.runtime.wording import counted
@@ -234,7 +234,7 @@ class RemoteStorage:
         if stamp.size > (free := shutil.disk_usage(folder).free):
             raise InvalidInput(f"{shown}: {counted(stamp.size, 'byte')}, {free:,} free in {folder}")
         name = posixpath.basename(without_secrets(location.path)) or "scene"
-        target = folder / name
+        target = folder / possible_name(name)
         most = stamp.size if stamp.size >= 0 else int(_FILLED * free)
 
         def check(_: int | None, value: int, **__: Any) -> None:

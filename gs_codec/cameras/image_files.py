@@ -16,7 +16,7 @@ from gs_codec.cameras.camera import Camera
 from gs_codec.cameras.lens import MAX_SIDE
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.images import read_pixels, read_size
-from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.atomic import atomic_writer, possible_name
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 
@@ -24,9 +24,6 @@ log = logging.getLogger(__name__)
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
-
-#: Characters that Windows reserves: a colon leads to a drive or an alternate data stream.
-_RESERVED = '<>:"|?*'
 
 #: Maximum number of pixels of a photograph.
 _MOST = 1 << 27
@@ -106,8 +103,8 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
 
 
 def _output_stem(name: str) -> str:
-    unsafe = "/\\" + (_RESERVED if os.sep == "\\" else "")
-    letters = (c if c.isprintable() and c not in unsafe else "_" for c in _stem(name))
+    stem = possible_name(_stem(name))
+    letters = (c if c.isprintable() and c not in "/\\" else "_" for c in stem)
     return "".join(letters).lstrip(".") or "_"
 
 

@@ -22,6 +22,15 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 
+#: Characters that Windows reserves: a colon leads to a drive or an alternate data stream.
+_RESERVED = re.compile('[<>:"|?*]')
+
+
+def possible_name(name: str) -> str:
+    """The name of a file, on Windows with underscores for characters that it reserves."""
+    return _RESERVED.sub("_", name) if os.sep == "\\" else name
+
+
 def check_writable(path: str | Path, overwrite: bool = True, makes_folder: bool = False) -> None:
     """Check that a file can be written to a path.
 

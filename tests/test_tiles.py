@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -431,7 +432,7 @@ BAD = {
     "missing": (edited(*TREE, "content", "uri", to="d.glb"), r"d\.glb: No such file"),
     "twice": (edited(*TREE, "content", "uri", to="b.glb"), "belongs to several tiles"),
     "itself": (edited(*TREE, "content", "uri", to="any.json"), "belongs to several tiles"),
-    "implicit": (edited(*TREE, "implicitTiling", to={}), "implicitTiling is not read"),
+    "implicit": (edited(*TREE, "implicitTiling", to={}), r"implicitTiling \{\} is not read"),
     "no matrix": (edited(*TREE, "transform", to=[1]), "tile.transform is not a list of 16"),
     "stretched": (
         edited(*TREE, "transform", to=np.diag([1.0, 2, 3, 1]).ravel().tolist()),
@@ -453,6 +454,190 @@ def test_bad_tilesets_are_refused_in_one_line(name, tmp_path):
         read_scene(path)
     assert "\n" not in str(caught.value)
     assert str(tmp_path) in str(caught.value)
+
+
+# Implicit tiling
+
+#: Tiles by level and place, those with content, and the number of levels of a subtree.
+TREES: dict[str, tuple[list[tuple[int, ...]], list[tuple[int, ...]], int]] = {
+    "QUADTREE": (
+        [(0, 0, 0), (1, 1, 0), (1, 0, 1), (2, 3, 0), (2, 2, 1), (2, 1, 3), (3, 2, 7)],
+        [(1, 1, 0), (1, 0, 1), (2, 3, 0), (3, 2, 7)],
+        2,
+    ),
+    "OCTREE": (
+        [(0, 0, 0, 0), (1, 1, 0, 1), (1, 0, 1, 0), (2, 3, 1, 2), (3, 6, 3, 5), (3, 7, 2, 4)],
+        [(0, 0, 0, 0), (1, 0, 1, 0), (2, 3, 1, 2), (3, 6, 3, 5), (3, 7, 2, 4)],
+        3,
+    ),
+}
+
+
+def filled(template: str, tile: tuple[int, ...]) -> str:
+    """The name of the file of a tile, as 3D Tiles describe it."""
+    return template.format(**dict(zip(("level", "x", "y", "z"), tile, strict=False)))
+
+
+def packed(here: list[tuple[int, ...]], start: tuple[int, ...], levels: range) -> bytes:
+    """The bits of tiles in some levels of the subtree of a tile."""
+    bits: list[int] = []
+    axes = len(start) - 1
+    for level in levels:
+        for index in range(1 << axes * level):
+            place = [
+                sum((index >> axes * bit + axis & 1) << bit for bit in range(level))
+                for axis in range(axes)
+            ]
+            tile = [(at << level) + own for at, own in zip(start[1:], place, strict=True)]
+            bits.append((start[0] + level, *tile) in here)
+    return np.packbits(bits, bitorder="little").tobytes()
+
+
+def implicit(folder: Path, scheme: str, binary: bool) -> Path:
+    """A tileset whose tiles with content have 1, 2, 3... Gaussians, in the order of `TREES`."""
+    tiles, full, levels = TREES[scheme]
+    axes = "{x}/{y}" if scheme == "QUADTREE" else "{x}/{y}/{z}"
+    content, subtrees = f"c/{{level}}/{axes}.glb", f"s/{{level}}/{axes}.subtree"
+    for count, tile in enumerate(full, 1):
+        path = folder / filled(content, tile)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(glb(count, count))
+    for tile in (tile for tile in tiles if tile[0] % levels == 0):
+        inside = range(levels)
+        parts = [packed(tiles, tile, inside), packed(full, tile, inside)]
+        below = packed(tiles, tile, range(levels, levels + 1))
+        described: dict[str, Any] = {
+            "bufferViews": [], "tileAvailability": {"bitstream": 0},
+            "contentAvailability": [{"bitstream": 1}],
+            "childSubtreeAvailability": {"bitstream": 2} if any(below) else {"constant": 0},
+        }  # fmt: skip
+        data = b""
+        for part in [*parts, below] if any(below) else parts:
+            view = {"buffer": 0, "byteOffset": len(data), "byteLength": len(part)}
+            described["bufferViews"].append(view)
+            data += part + bytes(-len(part) % 8)
+        path = folder / filled(subtrees, tile)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        own = {} if binary else {"uri": f"{path.stem}.bin"}
+        text = json.dumps({**described, "buffers": [{"byteLength": len(data), **own}]}).encode()
+        if binary:
+            text += b" " * (-len(text) % 8)
+            path.write_bytes(struct.pack("<4sIQQ", b"subt", 1, len(text), len(data)) + text + data)
+        else:
+            path.write_bytes(text)
+            path.with_suffix(".bin").write_bytes(data)
+    tiling = {
+        "subdivisionScheme": scheme, "subtreeLevels": levels, "availableLevels": 4,
+        "subtrees": {"uri": subtrees},
+    }  # fmt: skip
+    root = {"refine": "REPLACE", "geometricError": 9, **uri(content), "implicitTiling": tiling}
+    path = folder / TILESET
+    path.write_text(json.dumps({"asset": {"version": "1.1"}, "geometricError": 9, "root": root}))
+    return path
+
+
+@pytest.mark.parametrize("binary", [True, False], ids=["binary", "json"])
+@pytest.mark.parametrize(
+    ("scheme", "counts"),
+    [("QUADTREE", [3 + 4, 1 + 4, 1 + 2]), ("OCTREE", [2 + 4 + 5, 2 + 3, 2 + 3, 1])],
+)
+def test_implicit_tiles_are_read_like_explicit_ones(scheme, counts, binary, tmp_path):
+    """Only the tiles that exist. In the quadtree, a tile without content ends a branch."""
+    path = implicit(tmp_path, scheme, binary)
+    for level, count in enumerate(counts):
+        assert read_scene(path, level=level).count == count
+    check_file(path)
+    files = {each for each in tmp_path.rglob("*") if each.is_file()}
+    assert set(scene_files(path)) == files
+    assert overview_of(path).file_bytes == sum(each.stat().st_size for each in files)
+
+
+def test_an_implicit_tile_has_a_place_and_may_be_below_others(tmp_path):
+    path = implicit(tmp_path, "OCTREE", True)
+    document = json.loads(path.read_text())
+    moved = document["root"] | {"transform": [*np.eye(4).ravel()[:12], 8, 0, 0, 1]}
+    document["root"] = {"children": [moved, uri("c.glb")]}
+    (tmp_path / "c.glb").write_bytes(glb(3, 9))
+    before = read_scene(path)
+    path.write_text(json.dumps(document))
+    after = read_scene(path)
+    np.testing.assert_allclose(
+        after.positions[:, :-3], before.positions + np.array([[8], [0], [0]]), atol=1e-5
+    )
+
+
+def test_all_or_none_of_a_subtree_may_exist(tmp_path):
+    path = implicit(tmp_path, "QUADTREE", False)
+    (tmp_path / "s/0/0/0.subtree").write_text(
+        '{"tileAvailability": {"constant": 1}, "contentAvailability": [{"constant": 1}],'
+        ' "childSubtreeAvailability": {"constant": 0}}'
+    )
+    for tile in [(0, 0, 0), *((1, x, y) for x in (0, 1) for y in (0, 1))]:
+        each = tmp_path / filled("c/{level}/{x}/{y}.glb", tile)
+        each.parent.mkdir(parents=True, exist_ok=True)
+        each.write_bytes(glb(4, 1))
+    assert [read_scene(path, level=level).count for level in (0, 1)] == [16, 4]
+    (tmp_path / "s/0/0/0.subtree").write_text(
+        '{"tileAvailability": {"constant": 1}, "childSubtreeAvailability": {"constant": 0}}'
+    )
+    with pytest.raises(InvalidInput, match="no tile with content"):
+        read_scene(path)
+
+
+BAD_SUBTREES: dict[str, tuple[str, str]] = {
+    "a list": ("[]", "subtree: not an object"),
+    "no JSON": ("{", "subtree"),
+    "short": ("subt", "subtree: truncated"),
+    "no tiles": ("{}", "subtree: availability None"),
+    "no bits": (
+        '{"tileAvailability": {"bitstream": 7}, "childSubtreeAvailability": {"constant": 0}}',
+        "bufferViews 7, expected one of 0",
+    ),
+    "few bits": (
+        '{"tileAvailability": {"bitstream": 0}, "childSubtreeAvailability": {"constant": 0},'
+        ' "bufferViews": [{"buffer": 0, "byteLength": 0}],'
+        ' "buffers": [{"byteLength": 0, "uri": "0.bin"}]}',
+        "0 bits, no bit 1",
+    ),
+    "missing": (
+        '{"tileAvailability": {"constant": 1}, "childSubtreeAvailability": {"constant": 1}}',
+        "No such file",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_SUBTREES)
+def test_bad_subtrees_are_refused_in_one_line(name, tmp_path):
+    path = implicit(tmp_path, "QUADTREE", False)
+    text, message = BAD_SUBTREES[name]
+    (tmp_path / "s/0/0/0.subtree").write_text(text)
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_scene(path)
+    assert "\n" not in str(caught.value)
+    assert "subtree" in str(caught.value)
+
+
+def test_every_truncation_of_a_subtree_is_refused(tmp_path):
+    path = implicit(tmp_path, "QUADTREE", True)
+    subtree = tmp_path / "s/0/0/0.subtree"
+    data = subtree.read_bytes()
+    for end in range(len(data)):
+        subtree.write_bytes(data[:end])
+        with pytest.raises(InvalidInput):
+            read_scene(path)
+
+
+@pytest.mark.parametrize("many", [{"subtreeLevels": 60}, {"subtrees": {"uri": "s/0/0/0.subtree"}}])
+def test_small_files_of_many_tiles_are_refused(many, tmp_path):
+    path = implicit(tmp_path, "QUADTREE", False)
+    (tmp_path / "s/0/0/0.subtree").write_text(
+        '{"tileAvailability": {"constant": 1}, "childSubtreeAvailability": {"constant": 1}}'
+    )
+    document = json.loads(path.read_text())
+    document["root"]["implicitTiling"] |= {"availableLevels": 60, **many}
+    path.write_text(json.dumps(document))
+    with pytest.raises(InvalidInput, match=r"more than 262,144 implicit|belongs to several tiles"):
+        read_scene(path)
 
 
 def test_what_is_no_tileset_is_refused(tmp_path):

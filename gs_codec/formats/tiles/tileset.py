@@ -10,6 +10,7 @@ import json
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
@@ -27,6 +28,7 @@ from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.registry import scene_files
 from gs_codec.formats.relative_name import relative_name
 from gs_codec.formats.tiles.earth import Place, frame_at, place_of
+from gs_codec.formats.tiles.implicit import MOST, Subtree, add_children
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located, opened
 from gs_codec.scene import Scene, join_scenes
@@ -128,10 +130,12 @@ class _Tileset:
     """A tileset and the tilesets in it, in files of one folder."""
 
     def __init__(self, path: Path, data: memoryview) -> None:
-        self._folder, self._name, self._root = path.parent, path.name, _root_of(data)
+        self._folder, self._name = path.parent, path.name
         self._seen = {path.name}
-        #: Bytes of the JSON files.
+        #: Bytes of the JSON files and of the subtrees.
         self._described = len(data)
+        self._implicit = 0
+        self._root = self._explicit(path.name, _root_of(data))
 
     def stored_bytes(self, contents: Sequence[_Content]) -> int:
         """Size of the tilesets and of contents."""
@@ -179,7 +183,7 @@ class _Tileset:
                 if children and level is not None and refine != "ADD":
                     continue
             for content in contents:
-                found = self._file(base, content.get("uri", content.get("url")))
+                found = self._file(base, _uri_of(content))
                 if found.lower().endswith(".json"):
                     roots.append(self._root_in(found))  # kept, so that every `id` stays its own
                     heights |= _heights(roots[-1])
@@ -191,7 +195,32 @@ class _Tileset:
         """The root tile in a file."""
         with located(name), opened(self._folder / name) as data:
             self._described += len(data)
-            return _root_of(data[:])
+            return self._explicit(name, _root_of(data[:]))
+
+    def _explicit(self, base: str, root: dict[str, Any]) -> dict[str, Any]:
+        """A root tile whose implicit tiles have been replaced by explicit ones."""
+        tiles = [root]
+        for tile in tiles:
+            if "implicitTiling" in tile:
+                uris = [_uri_of(content) for content in _contents(tile)]
+                read, most = partial(self._subtree, base), MOST - self._implicit
+                self._implicit += add_children(tile, uris, most, read)
+            else:
+                tiles += _objects(tile, "children")
+        return root
+
+    def _subtree(self, base: str, uri: Any) -> Subtree:
+        """The file of a subtree."""
+        name = str(PurePosixPath(base).parent / relative_name(uri, "subtrees", quoted=True))
+        if name in self._seen:
+            raise InvalidInput(f"subtree {name!a:.60} belongs to several tiles, expected one")
+        path = self._folder / name
+        with located(name), opened(path) as data:
+            self._described += len(data)
+            subtree = Subtree(path.parent, name, data[:])
+        files = [path, *subtree.buffers]
+        self._seen |= {file.relative_to(self._folder).as_posix() for file in files}
+        return subtree
 
     def _file(self, base: str, uri: Any) -> str:
         """Name of a content in the folder; rejects other formats, and files used twice."""
@@ -232,13 +261,15 @@ def _objects(tile: dict[str, Any], name: str) -> list[dict[str, Any]]:
 
 
 def _contents(tile: dict[str, Any]) -> list[dict[str, Any]]:
-    if "implicitTiling" in tile:
-        raise InvalidInput("tileset: implicitTiling is not read, expected explicit tiles")
     one = tile.get("content")
     found = _objects(tile, "contents") if one is None else [one]
     if not all(isinstance(each, dict) for each in found):
         raise InvalidInput(f"tileset: content {one!a:.40}, expected an object")
     return found
+
+
+def _uri_of(content: dict[str, Any]) -> Any:
+    return content.get("uri", content.get("url"))
 
 
 def _transform(tile: dict[str, Any]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.gltf.file import GltfFile
 from gs_codec.formats.limits import refusing
 from gs_codec.runtime.json_text import parse_json
+from gs_codec.runtime.wording import counted
 
 #: Maximum number of tiles in the trees of a tileset.
 MOST = 1 << 18
@@ -41,7 +42,8 @@ class _Bits(NamedTuple):
         if self.stored is None:
             return self.constant
         if index >= 8 * len(self.stored):
-            raise InvalidInput(f"{self.where}: {8 * len(self.stored):,} bits, no bit {index:,}")
+            known = counted(8 * len(self.stored), "bit")
+            raise InvalidInput(f"{self.where}: {known}, no bit {index:,}")
         return bool(self.stored[index // 8] >> index % 8 & 1)
 
 

@@ -113,6 +113,14 @@ def test_auto_cameras_are_upright(around):
     assert np.abs(rights[:, 0]).max() < 0.2
 
 
+def test_one_solid_gaussian_does_not_stand_for_a_transparent_scene(table):
+    scene = replace(table, opacity=np.full_like(table.opacity, -2.0))
+    scene.opacity[0, 7] = 3.0
+    found = gather_evidence(scene, quick=True)
+    assert found.telling
+    assert found.thumb.count >= scene.count // 10
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("sign", [1, -1])
 def test_up_follows_the_cameras_if_there_is_no_floor(sign):

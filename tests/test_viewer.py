@@ -374,6 +374,14 @@ def test_empty_scenes_have_an_overview(name, up):
     assert first_view(Request(up=up), views) == 0
 
 
+def test_one_solid_gaussian_is_no_overview_of_a_transparent_scene():
+    positions = random_scene(50, 0, seed=305).positions.T
+    opacities = np.full(50, 0.1)
+    opacities[7] = 0.9
+    found, expected = overview(positions, opacities), overview(positions, np.ones(50))
+    np.testing.assert_array_equal(found.extrinsics, expected.extrinsics)
+
+
 def test_cameras_of_a_file_determine_the_up_axis(files):
     up = np.array([0.36, -0.48, 0.8])
     looks = np.random.default_rng(303).normal(size=(20, 3))

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import Camera
+from gs_codec.coding.clean import solid_gaussians
 from gs_codec.scene import Scene
 
-#: Minimum opacity logit of the centres that count (opacity 0.3).
-_SOLID = -0.85
-
-#: Maximum number of these centres.
+#: Maximum number of centres that count.
 _SAMPLES = 20_000
 
 
@@ -26,8 +24,8 @@ def widest_view(scene: Scene, cameras: Sequence[Camera]) -> int:
     cameras : sequence of Camera
         At least one; ties go to the first.
     """
-    solid = np.isfinite(scene.positions).all(axis=0) & (scene.opacity[0] > _SOLID)
-    some = np.flatnonzero(solid)
+    finite = np.isfinite(scene.positions).all(axis=0)
+    some = solid_gaussians(scene.opacity[0], finite)
     some = some[:: max(1, len(some) // _SAMPLES)]
     points = scene.positions[:, some].astype(np.float64)
     return int(np.argmax([_inside(points, camera) for camera in cameras]))

@@ -7,13 +7,14 @@ readers replace them by finite numbers. Other infinities and NaN are damage.
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import InvalidInput
@@ -153,6 +154,31 @@ def finite_gaussians(scene: Scene) -> NDArray[np.bool_]:
         for row in getattr(scene, group):
             finite &= np.isfinite(row)
     return finite
+
+
+#: Minimum opacity of solid Gaussians, and its logit. Others say little about where surfaces are.
+SOLID = 0.3
+_SOLID_LOGIT = -0.85
+
+#: If fewer Gaussians are solid, the most opaque ones are. In 16 real and generated captures, 25 to
+#: 59 % are solid.
+_LEAST_SOLID = 0.1
+
+
+def solid_gaussians(
+    opacity: NDArray[np.floating], usable: ArrayLike, least: float = _SOLID_LOGIT
+) -> NDArray[np.integer]:
+    """Indices of the solid Gaussians among usable ones; opacity ``(N,)`` are logits by default.
+
+    If fewer than a tenth of the usable ones have at least `least`, as in smoke: the most opaque
+    tenth.
+    """
+    found = np.flatnonzero(usable & ~np.isnan(opacity))
+    values = opacity[found]
+    solid, needed = values > least, math.ceil(_LEAST_SOLID * len(found))
+    if np.count_nonzero(solid) < needed:
+        solid = values >= np.partition(values, -needed)[-needed]
+    return found[solid]
 
 
 def identity_for_zero(scene: Scene) -> tuple[Scene, int]:

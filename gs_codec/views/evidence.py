@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.clean import finite_gaussians
+from gs_codec.coding.clean import finite_gaussians, solid_gaussians
 from gs_codec.coding.exact_math import combine, exact_log
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.project import quaternion_turn
@@ -26,9 +26,6 @@ from gs_codec.scene import Scene
 
 #: Approximate number of Gaussians used for the estimate, enlarged to cover the same surfaces.
 _THUMB_GAUSSIANS = 50_000
-
-#: Gaussians below this opacity logit (opacity 0.3) say little about the position of surfaces.
-_SOLID = -0.85
 
 
 class _Tried(NamedTuple):
@@ -108,7 +105,7 @@ class Evidence:
     Attributes
     ----------
     thumb : Scene
-        Every k-th solid Gaussian (of all, if none is), larger by sqrt(k).
+        Every k-th solid Gaussian, larger by sqrt(k).
     size : float
         Median distance of Gaussians from the scene's centre.
     subject : ndarray, shape (N,), bool
@@ -167,8 +164,7 @@ def gather_evidence(
 def _thinned(scene: Scene) -> Scene:
     """Thin out a scene; see `Evidence.thumb`."""
     usable = finite_gaussians(scene) & scene.rot.any(axis=0)
-    solid = usable & (scene.opacity[0] > _SOLID)
-    index = np.flatnonzero(solid if solid.any() else usable)
+    index = solid_gaussians(scene.opacity[0], usable)
     step = max(1, len(index) // _THUMB_GAUSSIANS)
     thumb = scene.take(index[::step])
     return replace(thumb, log_scale=thumb.log_scale + np.float32(0.5 * np.log(step)))

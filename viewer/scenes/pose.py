@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gs_codec.cameras.camera import NEAR, Camera, facing
 from gs_codec.cameras.up import UPS
+from gs_codec.coding.clean import SOLID, solid_gaussians
 from viewer.scenes.opened import thinned
 
 #: Focal length of the default camera, in frame heights: a vertical field of view of 60 degrees.
@@ -122,9 +123,7 @@ def of_camera(camera: Camera) -> Pose:
 
 def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) -> Pose:
     """A pose that shows most of a scene from above its front; `up` is a unit vector ``(3,)``."""
-    finite = np.isfinite(positions).all(axis=1)
-    solid = finite & (opacities > 0.3)
-    seen = positions[solid if solid.any() else finite]
+    seen = positions[solid_gaussians(opacities, np.isfinite(positions).all(axis=1), SOLID)]
     if not len(seen):
         return Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
     centre = np.median(seen, axis=0).astype(np.float64)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.clean import SOLID, solid_gaussians
 from gs_codec.coding.neighbours import Neighbours
 from viewer.scenes.opened import Opened, thinned
 from viewer.scenes.pose import Pose, distance_ahead, look_at, of_camera
@@ -172,8 +173,8 @@ def _circling(capture: _Capture, first: Pose, middle: NDArray) -> Callable[[floa
 
 def _panning(scene: Opened, capture: _Capture, first: Pose) -> Callable[[float], Pose]:
     """A turn on the spot, at the camera with the most free space around it."""
-    solid = scene.positions[scene.opacities > 0.3]
-    solid = solid[np.isfinite(solid).all(axis=1)]
+    finite = np.isfinite(scene.positions).all(axis=1)
+    solid = scene.positions[solid_gaussians(scene.opacities, finite, SOLID)]
     solid = solid[thinned(len(solid), _SAMPLES)]
     positions = np.array([pose.position for pose in capture.poses])
     place = first.position

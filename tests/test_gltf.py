@@ -414,6 +414,22 @@ def test_extreme_opacities_and_scales_are_finite(tmp_path):
     assert scene.opacity[0, 0] < -17 < 17 < scene.opacity[0, 1]
 
 
+def test_logarithms_of_scales_are_read_like_scales(tmp_path, caplog):
+    """As drafts of the extension stored them, and splat-transform 1.9 to 2.6."""
+    scene = random_scene(30, 1, seed=4)
+    expected = read(tmp_path, *split(pack_gltf(scene)[0]))
+    document, binary = split(pack_gltf(scene)[0])
+    attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{KHR}:SCALE"]
+    start = document["bufferViews"][attribute]["byteOffset"]
+    logarithms = scene.log_scale.T.astype("<f4").tobytes()
+    mutable = bytearray(binary)
+    mutable[start : start + len(logarithms)] = logarithms
+    found = read(tmp_path, document, bytes(mutable))
+    assert_same_floats(replace(found, log_scale=expected.log_scale), expected)
+    np.testing.assert_allclose(found.log_scale, expected.log_scale, atol=1e-6)
+    assert caplog.messages == [f"{tmp_path / 'a.glb'}: negative scales, read as logarithms"]
+
+
 def edited(*path: Any, to: Any) -> Any:
     """A function that sets the value at a path of names and indices in a document."""
 

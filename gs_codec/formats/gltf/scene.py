@@ -7,6 +7,7 @@ be compressed (see `compressed`).
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,6 +44,8 @@ from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.runtime.mapped import FileBytes, located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
+
+log = logging.getLogger(__name__)
 
 _SYSTEM = GLTF.system
 
@@ -81,7 +84,8 @@ def placed_scenes(
         _say_others(path, file)
         above = np.eye(4) if matrix is None else matrix
         return [
-            state_system(_scene_of(file, each, degree, max_bytes, above), system) for each in placed
+            state_system(_scene_of(path, file, each, degree, max_bytes, above), system)
+            for each in placed
         ]
 
 
@@ -255,6 +259,7 @@ def _size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
 
 
 def _scene_of(
+    path: Path,
     file: GltfFile,
     placed: _Placed,
     degree: int,
@@ -264,12 +269,12 @@ def _scene_of(
     if is_compressed(placed.primitive):
         scene = compressed_scene(file, placed.primitive, max_bytes)
     else:
-        scene = _plain_scene(file, placed.primitive, degree)
+        scene = _plain_scene(path, file, placed.primitive, degree)
     with np.errstate(over="ignore", invalid="ignore"):
         return move_scene(scene, above @ placed.matrix)
 
 
-def _plain_scene(file: GltfFile, primitive: dict[str, Any], degree: int) -> Scene:
+def _plain_scene(path: Path, file: GltfFile, primitive: dict[str, Any], degree: int) -> Scene:
     attributes = primitive["attributes"]
     count = file.count(attributes.get("POSITION"))
 
@@ -280,7 +285,11 @@ def _plain_scene(file: GltfFile, primitive: dict[str, Any], degree: int) -> Scen
         return np.ascontiguousarray(values.T)
 
     positions = planes("POSITION", "VEC3")
-    log_scale = log_scales_of(planes(f"{EXTENSION}:SCALE", "VEC3"))
+    scales = planes(f"{EXTENSION}:SCALE", "VEC3")
+    # In drafts of the extension until early 2026, and so in splat-transform 1.9 to 2.6.
+    logarithms = bool(count) and bool(np.median(scales) < 0)
+    if logarithms:
+        log.warning("%s: negative scales, read as logarithms", path)
     opacity = logits_of(planes(f"{EXTENSION}:OPACITY", "SCALAR"))
     rest = [
         planes(sh_name(band, number), "VEC3")
@@ -295,7 +304,7 @@ def _plain_scene(file: GltfFile, primitive: dict[str, Any], degree: int) -> Scen
         planes(sh_name(0, 0), "VEC3"),
         f_rest.reshape(-1, count),
         opacity,
-        log_scale,
+        scales if logarithms else log_scales_of(scales),
         planes(f"{EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
         comments=stated_comments(_SYSTEM, False),
     )

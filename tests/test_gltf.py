@@ -414,20 +414,25 @@ def test_extreme_opacities_and_scales_are_finite(tmp_path):
     assert scene.opacity[0, 0] < -17 < 17 < scene.opacity[0, 1]
 
 
-def test_logarithms_of_scales_are_read_like_scales(tmp_path, caplog):
-    """As drafts of the extension stored them, and splat-transform 1.9 to 2.6."""
+@pytest.mark.parametrize(
+    ("name", "plane", "said"),
+    [
+        ("SCALE", "log_scale", "negative scales, read as logarithms"),
+        ("OPACITY", "opacity", "opacities beyond 0 to 1, read as logits"),
+    ],
+)
+def test_values_before_activation_are_read_as_such(name, plane, said, tmp_path, caplog):
+    """Scales as in splat-transform 1.9 to 2.6; both as in gsbox."""
     scene = random_scene(30, 1, seed=4)
-    expected = read(tmp_path, *split(pack_gltf(scene)[0]))
     document, binary = split(pack_gltf(scene)[0])
-    attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{KHR}:SCALE"]
+    expected = read(tmp_path, document, binary)
+    attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{KHR}:{name}"]
     start = document["bufferViews"][attribute]["byteOffset"]
-    logarithms = scene.log_scale.T.astype("<f4").tobytes()
-    mutable = bytearray(binary)
-    mutable[start : start + len(logarithms)] = logarithms
-    found = read(tmp_path, document, bytes(mutable))
-    assert_same_floats(replace(found, log_scale=expected.log_scale), expected)
-    np.testing.assert_allclose(found.log_scale, expected.log_scale, atol=1e-6)
-    assert caplog.messages == [f"{tmp_path / 'a.glb'}: negative scales, read as logarithms"]
+    stored = getattr(scene, plane).T.astype("<f4").tobytes()
+    found = read(tmp_path, document, binary[:start] + stored + binary[start + len(stored) :])
+    assert_same_floats(replace(found, **{plane: getattr(expected, plane)}), expected)
+    np.testing.assert_allclose(getattr(found, plane), getattr(expected, plane), rtol=1e-5)
+    assert caplog.messages == [f"{tmp_path / 'a.glb'}: {said}"]
 
 
 def edited(*path: Any, to: Any) -> Any:

@@ -52,6 +52,9 @@ _SYSTEM = GLTF.system
 #: Maximum number of primitives shown by nodes, per node and primitive of the file.
 _SHOWN = 16
 
+#: Deviation of an opacity of 0 or 1 by rounding alone.
+_ROUNDED = 1e-3
+
 
 def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.glb` or `.gltf` file; see `SceneFile.scene`."""
@@ -286,11 +289,7 @@ def _plain_scene(path: Path, file: GltfFile, primitive: dict[str, Any], degree: 
 
     positions = planes("POSITION", "VEC3")
     scales = planes(f"{EXTENSION}:SCALE", "VEC3")
-    # In drafts of the extension until early 2026, and so in splat-transform 1.9 to 2.6.
-    logarithms = bool(count) and bool(np.median(scales) < 0)
-    if logarithms:
-        log.warning("%s: negative scales, read as logarithms", path)
-    opacity = logits_of(planes(f"{EXTENSION}:OPACITY", "SCALAR"))
+    opacity = planes(f"{EXTENSION}:OPACITY", "SCALAR")
     rest = [
         planes(sh_name(band, number), "VEC3")
         for band in range(1, degree + 1)
@@ -303,11 +302,30 @@ def _plain_scene(path: Path, file: GltfFile, primitive: dict[str, Any], degree: 
         positions,
         planes(sh_name(0, 0), "VEC3"),
         f_rest.reshape(-1, count),
-        opacity,
-        scales if logarithms else log_scales_of(scales),
+        _logits(path, opacity),
+        _logarithms(path, scales),
         planes(f"{EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
         comments=stated_comments(_SYSTEM, False),
     )
+
+
+def _logarithms(path: Path, scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithms of scales.
+
+    Drafts of the extension until early 2026, splat-transform 1.9 to 2.6 and gsbox store these.
+    """
+    if np.count_nonzero(scales < 0) <= scales.size // 2:
+        return log_scales_of(scales)
+    log.warning("%s: negative scales, read as logarithms", path)
+    return scales
+
+
+def _logits(path: Path, opacity: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logits of opacities. gsbox stores these."""
+    if not np.any(np.abs(opacity - 0.5) > 0.5 + _ROUNDED):
+        return logits_of(opacity)
+    log.warning("%s: opacities beyond 0 to 1, read as logits", path)
+    return opacity
 
 
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:

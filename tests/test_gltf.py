@@ -252,6 +252,17 @@ def test_gltf_of_earlier_drafts_is_read(tmp_path):
     assert_same_floats(read(tmp_path, document, binary), expected)
 
 
+def test_what_other_extensions_add_to_an_spz_is_left_out(tmp_path, caplog):
+    """As in tiles of 3DGS-PLY-3DTiles-Converter with more opacity than an `.spz` has."""
+    document, binary = split(pack_gltf_spz(random_scene(20, 1))[0])
+    expected = read(tmp_path, document, binary)
+    splats = document["meshes"][0]["primitives"][0]["extensions"][KHR]
+    splats["extensions"] = {"EXT_splat_opacity": {"version": 2}, **splats["extensions"]}
+    assert_same_floats(read(tmp_path, document, binary), expected)
+    [said] = caplog.messages
+    assert said == f"{tmp_path / 'a.glb'}: left out: extensions 'EXT_splat_opacity'"
+
+
 def test_nodes_move_an_spz(tmp_path):
     document, binary = split(pack_gltf_spz(random_scene(20, 1))[0])
     plain = read(tmp_path, document, binary)
@@ -473,6 +484,7 @@ BAD = {
         edited("bufferViews", 0, "extensions", to={"EXT_meshopt_compression": {}}),
         "'EXT_meshopt_compression' is not read",
     ),
+    "a name alone": (edited(*SPLATS, "extensions", to=SPZ_2), f"'{SPZ_2}' is not read"),
     "no .spz": (edited(*SPLATS, "extensions", to={SPZ_2: {}}), "bufferViews None, expected one"),
     "an .spz of text": (edited(*SPLATS, "extensions", to={SPZ_2: "0"}), "bufferViews None"),
     "other bytes": (

@@ -70,13 +70,21 @@ def is_compressed(primitive: dict[str, Any]) -> bool:
     return bool(_inner(primitive))
 
 
+def other_extensions(primitive: dict[str, Any]) -> set[str]:
+    """Names of the extensions of a checked primitive that are not its compression."""
+    return {*_inner(primitive)} - {*_NAMES}
+
+
 def check_supported(primitive: dict[str, Any]) -> None:
     """Reject a primitive of Gaussians with another compression, kernel or colour space."""
     splats, inner = primitive["extensions"][EXTENSION], _inner(primitive)
-    for name in sorted(inner) if isinstance(inner, dict) else [inner]:
-        if name not in _NAMES:
-            known = (by for part, by in _PROPOSED.items() if part in str(name).lower())
-            by = "".join(f" ({each})" for each in known)
+    names = sorted(inner) if isinstance(inner, dict) else [inner]
+    # Others may add to an `.spz`, like EXT_splat_opacity of 3DGS-PLY-3DTiles-Converter.
+    spz = isinstance(inner, dict) and any(name in _NAMES for name in names)
+    for name in names:
+        known = (by for part, by in _PROPOSED.items() if part in str(name).lower())
+        by = "".join(f" ({each})" for each in known)
+        if by or not spz:
             raise InvalidInput(f"glTF: {name!a:.80}{by} is not read, expected {SPZ_2} or none")
     default = ("ellipse", COLOUR_SPACE) if inner else (None, None)
     kernel = splats.get("kernel", default[0])
@@ -88,7 +96,8 @@ def check_supported(primitive: dict[str, Any]) -> None:
 
 
 def _spz_of(file: GltfFile, primitive: dict[str, Any]) -> memoryview:
-    stated = next(iter(_inner(primitive).values()))
+    inner = _inner(primitive)
+    stated = next(inner[name] for name in _NAMES if name in inner)
     view = stated.get("bufferView") if isinstance(stated, dict) else None
     return file.bytes_of(view, SPZ_2)
 

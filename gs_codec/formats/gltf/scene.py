@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.format_table import GLTF
 from gs_codec.formats.coordinates import state_system, turn_axes
-from gs_codec.formats.extra_properties import left_out_of, say_degree_4, say_left_out
+from gs_codec.formats.extra_properties import left_out_of, listed, say_degree_4, say_left_out
 from gs_codec.formats.gltf.compressed import (
     EXTENSION,
     as_current,
@@ -27,6 +27,7 @@ from gs_codec.formats.gltf.compressed import (
     compressed_size,
     document_of,
     is_compressed,
+    other_extensions,
     sh_name,
 )
 from gs_codec.formats.gltf.file import MAGIC, GltfFile, numbers, open_gltf, pack_document, whole
@@ -84,7 +85,7 @@ def placed_scenes(
         plain = [each.primitive for each in placed if not is_compressed(each.primitive)]
         if any(sh_name(4, 0) in primitive["attributes"] for primitive in plain):
             say_degree_4(path)
-        _say_others(path, file)
+        _say_others(path, file, placed)
         above = np.eye(4) if matrix is None else matrix
         return [
             state_system(_scene_of(path, file, each, degree, max_bytes, above), system)
@@ -92,7 +93,7 @@ def placed_scenes(
         ]
 
 
-def _say_others(path: Path, file: GltfFile) -> None:
+def _say_others(path: Path, file: GltfFile, placed: list[_Placed]) -> None:
     """Log what a file has besides the Gaussians of its scene."""
     primitives = [each for mesh in file.items("meshes") for each in _primitives(mesh)]
     meshes = sum("mesh" in node for node in file.items("nodes"))
@@ -102,7 +103,9 @@ def _say_others(path: Path, file: GltfFile) -> None:
         "meshes outside the scene": meshes - shown,
         "animations": len(file.items("animations")),
     }
-    say_left_out(path, lines=others)
+    names = {ascii(name) for each in placed for name in other_extensions(each.primitive)}
+    extensions = [f"extensions {listed(sorted(names))}"] if names else []
+    say_left_out(path, lines=others, others=extensions)
 
 
 def variant_of(path: Path, view: memoryview) -> str:

@@ -24,6 +24,12 @@ SCHEMA = 1
 #: Sections that all entropy-coded channels share.
 _SHARED = ("states", "channels", "lattice")
 
+#: Why there is no loss in rendered views; see `encoding.loss`.
+NOT_MEASURED = (
+    "rendered views: not measured, because nearly all crops are empty, almost transparent, "
+    "or show too many Gaussians"
+)
+
 #: Called with a stage's name, the steps done, and the total number of steps.
 Progress = Callable[[str, int, int], None]
 

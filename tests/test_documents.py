@@ -174,3 +174,10 @@ def test_reason_is_stated_if_views_are_not_measured(folder):
     assert line.startswith("rendered views: not measured, because nearly all crops are empty, ")
     assert document(folder, "encode", "faint.ply", "p.egs")["warnings"] == [line]
     assert document(folder, "encode", "faint.ply", "q.egs", "-p", "lossless")["warnings"] == []
+    shared = ("faint.ply", "--out", "o.html", "--cameras", "cameras.json")
+    assert document(folder, "share", *shared)["warnings"] == [line]
+    assert document(folder, "convert", "faint.ply", "o.sog")["warnings"][-1] == line
+    assert folder.run("convert", "faint.ply", "p.sog").out.splitlines()[-1] == line
+    assert document(folder, "batch", "faint.ply", "coded")["warnings"] == []
+    record = json.loads(Path("coded", "report.jsonl").read_text())
+    assert record["warnings"] == [f"{Path('faint.ply').absolute()}: {line}"]

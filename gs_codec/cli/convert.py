@@ -21,7 +21,7 @@ from gs_codec.cli.output import (
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.cli.typed_request import action_plan, config_of
-from gs_codec.config import Config
+from gs_codec.config import LOSSLESS, Config
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.combinations import refuse_coding
 from gs_codec.errors import InvalidInput
@@ -114,7 +114,7 @@ def command(
                 f"{target}: {counted(done.count, 'Gaussian')}, SH degree {done.sh_degree}, "
                 f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
             )
-            if done.rendered is not None:
+            if done.rendered is not None or (suffix not in PLAIN and config.profile != LOSSLESS):
                 print_rendered(done.rendered)
 
 

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 from gs_codec.cli.streams import is_stdout
 from gs_codec.config import LOSSLESS
 from gs_codec.errors import printable
-from gs_codec.report import SCHEMA, finite
+from gs_codec.report import NOT_MEASURED, SCHEMA, finite
 from gs_codec.runtime.wording import as_typed
 
 #: Keys of every document, in this order; null for missing values.
@@ -21,12 +21,6 @@ KEYS = (
     "input_bytes", "output_bytes", "ratio", "bits_per_gaussian", "seconds", "stages", "warnings",
     "error",
 )  # fmt: skip
-
-#: Why there is no loss in rendered views; see `encoding.loss`.
-NOT_MEASURED = (
-    "rendered views: not measured, because nearly all crops are empty, almost transparent, "
-    "or show too many Gaussians"
-)
 
 #: Fields of Python reports with a different key in documents.
 _NAMES = {"count": "gaussians", "file_bytes": "output_bytes"}
@@ -76,9 +70,7 @@ def print_document(**shown: Any) -> None:
     values = _renamed(shown)
     if "lost" in values:
         values["lost"] = list(map(as_typed, values["lost"]))
-    warned, is_lossy = _run.warnings, values.get("profile") not in (None, LOSSLESS)
-    if is_lossy and values.get("rendered", {}) is None:
-        warned = [*warned, NOT_MEASURED]
+    warned = [*_run.warnings, *[NOT_MEASURED] * _lacks_loss(values)]
     whole = {"schema": SCHEMA, "command": _run.command, "warnings": warned} | values
     if whole.get("seconds") is None:
         stages = whole.get("stages")
@@ -86,6 +78,13 @@ def print_document(**shown: Any) -> None:
     ordered = {key: whole.get(key) for key in KEYS}
     file = _run.file
     print(json.dumps(finite(ordered | whole), allow_nan=False), file=file)
+
+
+def _lacks_loss(values: Mapping[str, Any]) -> bool:
+    """Whether a loss in rendered views should be stated, but is not."""
+    if _run.command == "share":
+        return any(each["encoded"] and not each["rendered"] for each in values.get("scenes", ()))
+    return values.get("profile") not in (None, LOSSLESS) and values.get("rendered", {}) is None
 
 
 def print_error(kind: str, text: str) -> None:

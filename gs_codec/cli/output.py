@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from gs_codec.cli.documents import NOT_MEASURED
 from gs_codec.errors import printable
 from gs_codec.format_table import read_names
-from gs_codec.report import Progress, RenderedLoss
+from gs_codec.report import NOT_MEASURED, Progress, RenderedLoss
 from gs_codec.runtime.wording import as_typed, listed, log_warnings, size_text
 
 if TYPE_CHECKING:

@@ -513,10 +513,13 @@ BAD = {
     ),
     "mesh beyond": (edited("nodes", 0, "mesh", to=7), "meshes 7, expected one of 1"),
     "mesh of text": (edited("nodes", 0, "mesh", to="0"), "meshes '0'"),
-    "no rotation": (edited(*ATTRIBUTES, f"{KHR}:ROTATION", to=None), "accessors None"),
+    "no rotation": (
+        edited(*ATTRIBUTES, f"{KHR}:ROTATION", to=None),
+        f"glTF: no attribute {KHR}:ROTATION",
+    ),
     "one of degree 1 missing": (
         edited(*ATTRIBUTES, f"{KHR}:SH_DEGREE_1_COEF_2", to=None),
-        "accessors None",
+        f"glTF: no attribute {KHR}:SH_DEGREE",
     ),
     "VEC3 rotation": (edited("accessors", 1, "type", to="VEC3"), "expected VEC4 of numbers"),
     "32-bit integers": (edited("accessors", 0, "componentType", to=5125), "5125, expected VEC3"),

@@ -285,6 +285,8 @@ def _plain_scene(path: Path, file: GltfFile, primitive: dict[str, Any], degree: 
     count = file.count(attributes.get("POSITION"))
 
     def planes(name: str, kind: str) -> NDArray[np.float32]:
+        if name not in attributes:
+            raise InvalidInput(f"glTF: no attribute {name}")
         values = file.values(attributes.get(name), kind, name)
         if len(values) != count:
             raise InvalidInput(f"glTF: {name} of {len(values)}, expected {count}")

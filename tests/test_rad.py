@@ -74,6 +74,19 @@ def test_values_are_read_in_every_encoding(case, tmp_path):
     assert_read(read_scene(path), values, bound)
 
 
+@pytest.mark.parametrize(("size", "read"), [(8_200_000, True), (17_000_000, False)])
+def test_the_description_of_many_small_chunks_is_read(size, read, tmp_path):
+    """LichtFeld Studio writes 8 MB for 137 million Gaussians."""
+    values = foreign.rad_values(5, 0, seed=1)
+    chunk = foreign.rad_chunk(values, *ENCODINGS["floats"][:2])
+    path = written(tmp_path, foreign.rad_file([chunk], comment="c" * size))
+    if read:
+        assert read_scene(path).count == 5
+    else:
+        with pytest.raises(InvalidInput, match="expected b'RAD0' and a description"):
+            read_scene(path)
+
+
 @pytest.mark.parametrize("degree", range(4))
 def test_only_leaves_of_all_chunks_are_read(degree, tmp_path, caplog):
     values = [foreign.rad_values(n, degree, seed=n, levels=True) for n in (9, 4)]

@@ -30,8 +30,9 @@ VERSION = 1
 #: Descriptions and lengths are padded to multiples of this.
 UNIT = 8
 
-#: Maximum bytes of a description.
-_META_BYTES = 1 << 22
+#: Maximum bytes of a description. LichtFeld Studio writes 8 MB for 137 million Gaussians, in chunks
+#: of 2,048.
+_META_BYTES = 1 << 24
 
 _FLOATS = ("f32", "f16")
 _PLANES = (*_FLOATS, "f32_lebytes", "f16_lebytes")

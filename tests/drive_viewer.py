@@ -284,6 +284,11 @@ def run(folder: Path) -> dict:
     found["captions"] = [label.text for label in viewer.stage.captions]
     found["where"] = [viewer.visits.where]
     found["outlined"] = outlined(driver, first)
+    viewer.help()
+    driver.tick(10, redraw=True)
+    driver.key("Escape")
+    driver.wait(lambda: viewer.modal.dialog is None)
+    found["ghosts"] = int((driver.rest() != first).sum())
     found["at_first"] = driver.models()
     driver.drag(viewer.stage.panes[0], back=False)
     moved = driver.rest()

@@ -44,6 +44,10 @@ def test_the_quality_is_of_the_frame_whatever_the_layout(found, folder):
     assert found["quality"] == found["wiped_quality"] == quality_text(expected)
 
 
+def test_a_dialog_leaves_no_trace_between_panes(found):
+    assert found["ghosts"] == 0
+
+
 def test_panes_are_named_and_the_panel_shows_the_viewpoint(found):
     assert found["captions"] == [" A: a.ply", " B: b.egs"]
     assert found["flipped"] == [" A: a.ply", " B: b.egs, error against A"]

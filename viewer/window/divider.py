@@ -41,11 +41,11 @@ def make_divider(window: gui.Window, slide: Callable[[int], None]) -> Canvas:
 
 
 def _dotted(width: int, height: int) -> np.ndarray:
-    """The line with dots in its middle, ``(height, width, 3)``."""
+    """The line, if it is wide with dots in its middle, ``(height, width, 3)``."""
     image = np.empty((height, width, 3), np.float32)
     image[:] = LINE_COLOUR
-    left = max((width - _DOT) // 2, 0)
-    for dot in range(_DOTS):
+    left = (width - _DOT) // 2
+    for dot in range(_DOTS if left >= 0 else 0):
         top = max((height - _DOT) // 2 + _STEP * (dot - _DOTS // 2), 0)
         image[top : top + _DOT, left : left + _DOT] = _DOT_COLOUR
     return image

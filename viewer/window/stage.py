@@ -391,7 +391,7 @@ class Stage:
                 label.text = f" {names[visible[k]]}"[:most]
                 label.frame = gui.Rect(left + start, top, stop - start, line)
         gap = gui.Rect(left + width - 1, top, *HIDDEN)
-        if len(visible) == 2 and self.choice.mode == "wipe":
+        if len(visible) == 2:  # otherwise a gap would keep old dialogs
             line = max(columns[1][0] - columns[0][1], 1)
             gap = gui.Rect(left + columns[0][1], below, line, high)
         self.divider.move_to(gap)
@@ -405,7 +405,8 @@ class Stage:
 
     def _slide(self, x: int) -> None:
         """Move the wipe line to a column of the window."""
-        self.wipe_to((x - self._left) / self.size[0])
+        if self.choice.mode == "wipe":
+            self.wipe_to((x - self._left) / self.size[0])
 
     def wipe_to(self, wipe: float) -> None:
         """Move the wipe line, 0-1."""
@@ -420,7 +421,8 @@ class Stage:
             stop, start = wipe_line(self.choice.wipe, width)
             return [(0, stop, width, 0), (start, width, width, start)]
         each = width // max(count, 1)
-        return [(k * each, (k + 1) * each - (k < count - 1), each, 0) for k in range(count)]
+        starts = (0, width - each)[:count]
+        return [(start, start + each - (k < count - 1), each, 0) for k, start in enumerate(starts)]
 
     def _look(self) -> None:
         if self.seen is None:

@@ -492,6 +492,14 @@ def test_frames_are_not_one_scene(folder, source, typed):
     assert [path.name for path in folder.path.iterdir() if path.name.startswith("x")] == []
 
 
+def test_a_zip_of_tiles_has_no_frames(folder):
+    (folder.path / "frames/tileset.json").write_text("{}")
+    zipped("frames.zip")
+    for typed in ("inspect frames.zip", "encode frames.zip x.egs", "convert frames.zip x.ply"):
+        said = folder.refuse(*typed.split())
+        assert "frames.zip: a zip without meta.json, expected a SOG scene; unpack others" in said
+
+
 def zipped(path) -> None:
     """Zip the files of the folder `frames`."""
     with zipfile.ZipFile(path, "w") as archive:

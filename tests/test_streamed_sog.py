@@ -38,6 +38,7 @@ from gs_codec.levels.streaming import stream_levels
 from gs_codec.plan import Plan, Steps
 from gs_codec.runtime.atomic import write_files
 from gs_codec.scene import ANTIALIASED, FLAT, Scene
+from gs_codec.sequences.frame_sources import has_frames
 from gs_codec.views.estimate import auto_cameras
 from samples.generate import generate
 
@@ -406,6 +407,9 @@ def test_units_may_be_bundles(folder, tmp_path):
     expected = read_scene(folder / STREAMED)
     assert_same_floats(read_scene(units / STREAMED), expected)
     assert_same_floats(read_scene(zipped(units, tmp_path / "all.ssog")), expected)
+    path = zipped(units, tmp_path / "all.zip")  # not a zip of frames
+    assert not has_frames(path)
+    assert_same_floats(read_scene(path), expected)
     stored = overview_of(units / STREAMED).file_bytes
     assert stored == sum(path.stat().st_size for path in units.iterdir())
 

@@ -31,6 +31,8 @@ def scenes_in(source: str | Path) -> tuple[str, list[PurePath]]:
     if path.suffix.lower() != ZIP_SUFFIX or not path.is_file():
         return "", []
     with located(path), opened_zip(path) as archive:
+        if archive.named(STREAMED) or archive.named(TILESET):
+            return "", []  # the other files are parts of one scene
         entries = [PurePosixPath(name) for name in archive.names]
     # macOS adds files that only have attributes.
     return "zip", [e for e in entries if _is_scene(e.name) and "__MACOSX" not in e.parts]

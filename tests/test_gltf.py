@@ -244,6 +244,9 @@ def test_gltf_of_earlier_drafts_is_read(tmp_path):
     expected = read(tmp_path, document, binary)
     [primitive] = document["meshes"][0]["primitives"]
     splats = primitive["extensions"][KHR]
+    for name in ("BT.709-sRGB", "BT.709"):
+        splats["colorSpace"] = name
+        assert_same_floats(read(tmp_path, document, binary), expected)
     del splats["kernel"], splats["colorSpace"]
     stated = splats["extensions"].pop(SPZ_2)
     splats["extensions"][f"{KHR}_compression_spz"] = stated

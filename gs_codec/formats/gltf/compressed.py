@@ -29,6 +29,9 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands
 EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
 
+#: Its names in drafts of 2025; JSplat wrote the first.
+_DRAFTED = ("BT.709-sRGB", "BT.709")
+
 SPZ_2 = f"{EXTENSION}_compression_spz_2"
 
 #: The extension of drafts of 2025, which was not within the other.
@@ -89,7 +92,7 @@ def check_supported(primitive: dict[str, Any]) -> None:
     default = ("ellipse", COLOUR_SPACE) if inner else (None, None)
     kernel = splats.get("kernel", default[0])
     space = splats.get("colorSpace", default[1])
-    if kernel != "ellipse" or space != COLOUR_SPACE:
+    if kernel != "ellipse" or space not in (COLOUR_SPACE, *_DRAFTED):
         raise InvalidInput(
             f"glTF: kernel {kernel!a:.40} in {space!a:.40}, expected ellipse in {COLOUR_SPACE}"
         )

@@ -113,6 +113,16 @@ def test_frames_of_other_formats(tmp_path):
         open_frames(tmp_path)
 
 
+def test_what_all_frames_leave_out_is_told_once(tmp_path, caplog):
+    for number, name in enumerate(["glow", "glow", "heat"]):
+        scene = random_scene(5, 1)
+        write_ply(tmp_path / f"{number}.ply", replace(scene, extra={name: scene.opacity[0]}))
+    frames = open_frames(tmp_path, extra="drop")
+    assert len([*frames, *frames]) == 6
+    told = [f"{tmp_path / '0.ply'}: left out: properties glow"]
+    assert caplog.messages == [*told, f"{tmp_path / '2.ply'}: left out: properties heat"]
+
+
 @pytest.mark.parametrize("name", ["tileset.json", "lod-meta.json", "meta.json"])
 def test_folders_of_a_scene_of_several_files_name_it(tmp_path, name):
     write_ply(tmp_path / "a.ply", random_scene(9, 1))

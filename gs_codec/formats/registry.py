@@ -6,7 +6,7 @@ import logging
 import sys
 import threading
 from codecs import BOM_UTF8
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -214,16 +214,25 @@ def read_written(path: Path) -> Scene:
 
     Valid infinities become finite, also without a warning.
     """
+    with keeping_logs(_WARNING, lambda record: False), open_scene(path) as file:
+        return finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0]
+
+
+@contextmanager
+def keeping_logs(
+    names: Iterable[str], keeps: Callable[[logging.LogRecord], bool]
+) -> Iterator[None]:
+    """Keep only some records of this thread's loggers within the block."""
     thread = threading.get_ident()
 
-    def is_of_others(record: logging.LogRecord) -> bool:
-        return record.thread != thread
+    def is_kept(record: logging.LogRecord) -> bool:
+        return record.thread != thread or keeps(record)
 
-    with ExitStack() as stack, open_scene(path) as file:
-        for log in map(logging.getLogger, _WARNING):
-            log.addFilter(is_of_others)
-            stack.callback(log.removeFilter, is_of_others)
-        return finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0]
+    with ExitStack() as stack:
+        for log in map(logging.getLogger, names):
+            log.addFilter(is_kept)
+            stack.callback(log.removeFilter, is_kept)
+        yield
 
 
 def scene_files(path: str | Path) -> list[Path]:

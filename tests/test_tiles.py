@@ -372,6 +372,19 @@ def test_buffers_of_a_tile_are_next_to_it(tmp_path):
     assert scene_files(path) == [path, tmp_path / "in/a.gltf", tmp_path / "in/a.bin"]
 
 
+def test_what_all_tiles_leave_out_is_told_once(tmp_path, caplog):
+    """And each file read alone tells it of itself."""
+    document = json.loads(pack_gltf(random_scene(5, 0, seed=0), as_text=True)[0])
+    text = json.dumps(document | {"animations": [{}]})
+    path = made(tmp_path, {"children": [uri("a.gltf"), uri("b.gltf")]})
+    for name in "ab":
+        (tmp_path / f"{name}.gltf").write_text(text)
+    read_scene(path)
+    read_scene(tmp_path / "b.gltf")
+    names = "a.gltf", tmp_path / "b.gltf"
+    assert caplog.messages == [f"{name}: left out: animations (1)" for name in names]
+
+
 def test_transforms_and_tilesets_in_tilesets(tmp_path):
     shift = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 10, 20, 30, 1]
     turn = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]

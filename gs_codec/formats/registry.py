@@ -48,6 +48,13 @@ _JSON = b"{"
 #: on the earth.
 _WARNING = ("gs_codec.formats.ply.dialects", "gs_codec.formats.tiles.tileset")
 
+#: Loggers of readers that warn of what many files of a scene or sequence may have.
+_OF_CONTENT = (
+    "gs_codec.formats.extra_properties",
+    "gs_codec.formats.gltf.scene",
+    "gs_codec.formats.ply.dialects",
+)
+
 #: Formats with a `recognises` function are tried first.
 _BY_CONTENT = sorted(FORMATS, key=lambda known: known.recognises is None)
 _BY_SUFFIX = {suffix: known for known in FORMATS for suffix in known.read}
@@ -186,7 +193,8 @@ class SceneFile:
         Valid infinities become finite (see `finite_ends`), unless `exact`. Raises InvalidInput if
         it is not a valid file of its format, or decodes to more than `max_bytes`.
         """
-        scene = self._scene(extra, max_bytes)
+        with saying_once(set()):
+            scene = self._scene(extra, max_bytes)
         return scene if exact else with_finite_ends(scene, self.path)
 
     def _scene(self, extra: Extra, max_bytes: int | None) -> Scene:
@@ -232,6 +240,21 @@ def keeping_logs(
         for log in map(logging.getLogger, names):
             log.addFilter(is_kept)
             stack.callback(log.removeFilter, is_kept)
+        yield
+
+
+@contextmanager
+def saying_once(said: set[tuple[object, ...]]) -> Iterator[None]:
+    """Log warnings that begin with the name of a file only if they are not `said` of another."""
+
+    def is_new(record: logging.LogRecord) -> bool:
+        _, *rest = record.args or ("",)
+        text = (record.msg, *rest)
+        found = text not in said
+        said.add(text)
+        return found
+
+    with keeping_logs(_OF_CONTENT, is_new):
         yield
 
 
@@ -289,7 +312,8 @@ def check_file(path: str | Path, max_bytes: int | None = None) -> None:
     """Read the coarser levels, which `SceneFile.scene` skips; raises like it."""
     with open_scene(path) as file:
         if (checker := file.scene_format.checker) is not None:
-            checker(file.path, file.data[:], max_bytes)
+            with saying_once(set()):
+                checker(file.path, file.data[:], max_bytes)
 
 
 def read_with_overview(path: str | Path, max_bytes: int | None = None) -> tuple[Scene, Overview]:

@@ -21,7 +21,7 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.format_table import EGS, FORMATS, PLY, STREAMED, TILESET, UNBUNDLED, USD
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply.animation import frame_names, read_frame
-from gs_codec.formats.registry import SceneFile, keeping_logs, open_scene, scene_files
+from gs_codec.formats.registry import SceneFile, open_scene, saying_once, scene_files
 from gs_codec.formats.several_scenes import ZIP_SUFFIX, scenes_in
 from gs_codec.formats.usd.scene import frame_times, read_usd
 from gs_codec.formats.zip_file import opened_zip
@@ -33,9 +33,6 @@ log = logging.getLogger(__name__)
 
 #: Suffixes of frames: of all formats but the one that sequences are encoded to.
 _SUFFIXES = tuple(suffix for known in FORMATS if known is not EGS for suffix in known.read)
-
-#: Loggers of warnings that all frames may cause; each is logged for the first.
-_OF_CONTENT = ("gs_codec.formats.extra_properties", "gs_codec.formats.ply.dialects")
 
 
 @dataclass(frozen=True)
@@ -74,17 +71,9 @@ class Frames:
 
         Raises InvalidInput if its file is damaged.
         """
-        with keeping_logs(_OF_CONTENT, self._is_new):
+        with saying_once(self._said):
             scene = self.open_frame(number)
         return scene if system_of(scene) == CONVENTION else turn_axes(scene)
-
-    def _is_new(self, record: logging.LogRecord) -> bool:
-        """Whether a warning, which begins with the name of a file, was not of a frame before."""
-        _, *rest = record.args or ("",)
-        said = (record.msg, *rest)
-        is_new = said not in self._said
-        self._said.add(said)
-        return is_new
 
     def ratio_bytes(self, float_bytes: int) -> int:
         """Reference size for ratios: of the files, or of the floats if they are compressed."""

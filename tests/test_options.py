@@ -118,6 +118,8 @@ def test_who_types_an_option_for_the_output_is_told_the_usage(folder, typed):
     line = folder.refuse("encode", "scene.ply", *typed.split())
     usage = "usage: gs-codec encode [OPTIONS] IN OUT (more: gs-codec help encode)"
     assert line == f"gs-codec: error: No such option: -o; {usage}\n"
+    line = folder.refuse("share", "scene.ply", *typed.split())
+    assert line == "gs-codec: error: No such option: -o; write --out\n"
 
 
 @pytest.mark.parametrize("command", ["encode scene.ply o.spz -p s", "convert scene.ply o.glb -p s"])

@@ -61,7 +61,8 @@ def usage_text(error: Any) -> str:
     if "unexpected extra argument" in text:
         return _of_several(error.ctx) or f"{text.replace('(s)', 's')}; {usage_of(error.ctx)}"
     if text == "No such option: -o":  # the output of many programs
-        return f"{text}; {usage_of(error.ctx)}"
+        is_named = any("--out" in param.opts for param in error.ctx.command.params)
+        return f"{text}; {'write --out' if is_named else usage_of(error.ctx)}"
     # Or the argument after a list is missing.
     if text.startswith("Missing argument") and error.param.nargs == -1:
         return f"Missing argument: expected {' '.join(argument_names(error.ctx.command))}"

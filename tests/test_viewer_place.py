@@ -124,6 +124,14 @@ def test_pictures_of_a_project_lack_what_is_hidden(folder):
     np.testing.assert_array_equal(shown.look(scenes[0]).drawn, edits.drawn)
 
 
+def test_watching_what_cannot_be_reloaded_is_refused(folder):
+    save_project(Edits(open_scene("a.ply")), folder / "p.gsproj")
+    for source in ("p.gsproj", gs_codec.read("a.ply")):
+        with pytest.raises(gs_codec.GsCodecError, match="no effect on clouds and projects"):
+            Request(source, watch=True).scenes()
+        assert len(Request(source, "a.ply", watch=True).scenes()) == 2
+
+
 def test_shears_are_refused_and_change_nothing(folder):
     edits = Edits(open_scene("a.ply"))
     with pytest.raises(gs_codec.GsCodecError, match="stretches or shears"):

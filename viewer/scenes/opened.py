@@ -301,6 +301,11 @@ class Opened:
         return "stored in the original order" if self.info.keeps_order else ""
 
     @property
+    def can_reload(self) -> bool:
+        """Whether it can be read again: it is no cloud, and no project or frame."""
+        return self.file_bytes is not None and not self.sources
+
+    @property
     def has_changed(self) -> bool:
         """Whether a file has changed since it was opened."""
         return times_of(self.files) != self.modified

@@ -168,6 +168,8 @@ class Request:
 
         scenes = [open_file(source, part(k), self.max_bytes) for k, source in enumerate(sources)]
         scenes = self._at_moment(scenes)
+        if self.watch and scenes and not any(scene.can_reload for scene in scenes):
+            raise gs_codec.GsCodecError("watch: has no effect on clouds and projects")
         wanted = {"octree-colour": self.octree.colouring, "colour": self.colouring}
         for option, colouring in wanted.items():
             reasons = [scene.unknown(colouring) for scene in scenes]

@@ -145,9 +145,7 @@ class Loading:
         if not self._viewer.may_load():
             return
         scenes = self._viewer.stage.scenes
-        changed = [k for k, each in enumerate(scenes) if each.has_changed]
-        # Not a cloud, or a project.
-        changed = [k for k in changed if scenes[k].file_bytes is not None and not scenes[k].sources]
+        changed = [k for k, each in enumerate(scenes) if each.can_reload and each.has_changed]
         if changed and not self._editor.ask_unsaved(changed, self.reload_all):
             self.reload(changed[0], scenes[changed[0]].path, self.reload_all)
 

@@ -46,7 +46,7 @@ class Watching:
             return
         self._looked = time.monotonic()
         for number, scene in enumerate(self._viewer.stage.scenes):
-            if scene.file_bytes is None or scene.sources:  # a cloud, or a project
+            if not scene.can_reload:
                 continue
             path = newest(scene.path) if self.on else scene.path
             now = times_of(scene.files if path == scene.path else (path,))

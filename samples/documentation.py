@@ -222,7 +222,7 @@ def described(name: str, command: Any) -> Iterator[str]:
 def option(each: Any) -> Iterator[str]:
     """The lines of an argument or option."""
     value = "" if getattr(each, "is_flag", False) else each.metavar or each.type.name.upper()
-    names = [value] if each.param_type_name == "argument" else each.opts or each.secondary_opts
+    names = [value] if each.param_type_name == "argument" else [*each.opts, *each.secondary_opts]
     default = each.show_default if isinstance(each.show_default, str) else each.default
     said = default and default is not True and each.show_default
     shown = f" Default: {plain(str(default))}." if said else ""

@@ -158,7 +158,10 @@ def test_references_have_every_name_and_option():
     commands = documentation.command_reference()
     for name in ("gs-viewer", "gs-codec bench suite", *(f"gs-codec {name}" for name in COMMANDS)):
         assert f"\n{name}\n===" in commands
-    for option in ("--profile NAME, -p NAME", "--no-verify", "--dask ADDRESS", "--screenshot PNG"):
+    for option in (
+        "--profile NAME, -p NAME", "--no-verify", "--antialiased, --plain", "--dask ADDRESS",
+        "--screenshot PNG",
+    ):  # fmt: skip
         assert f".. option:: {option}\n" in commands
 
 

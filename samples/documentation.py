@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("gs_codec", "gs_codec.edit", "viewer")
 
 #: Types returned by functions of `viewer`, by the module they are imported from.
-TYPES = {"viewer.plugin": ("Actions",)}
+TYPES = {"viewer.plugin": ("Actions",), "viewer.notebook": ("Embedded",)}
 
 #: Pages in the order of the navigation: title and document without suffix, by heading.
 PAGES = {

@@ -80,6 +80,12 @@ def test_public_name_has_an_example_and_its_errors(module, name):
     assert "Raises" in told or not inspect.isfunction(each) or name == "attach"
 
 
+@pytest.mark.parametrize("name", viewer.__all__)
+def test_what_the_viewer_returns_is_public(name):
+    returned = inspect.signature(getattr(viewer, name)).return_annotation
+    assert returned in {"None", *(name for _, name in NAMES)}
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """Files for the examples, in the folder where they run."""

@@ -39,6 +39,11 @@ class Embedded:
         The page, complete in itself.
     height : int
         Height of its frame, pixels.
+
+    Examples
+    --------
+    >>> with open("page.html", "w") as file:
+    ...     written = file.write(viewer.embed("scene.ply").page)
     """
 
     page: str = field(repr=False)

@@ -22,7 +22,7 @@ from gs_codec.config import Config
 from gs_codec.edit.actions import Action
 from gs_codec.encoding import order as planned
 from gs_codec.encoding import retry as checked
-from gs_codec.encoding.loss import Check, error_of
+from gs_codec.encoding.loss import Check, _Seen, error_of
 from gs_codec.errors import InvalidInput
 from gs_codec.files.conversion import convert_file
 from gs_codec.formats.ply.writer import write_ply
@@ -276,6 +276,14 @@ def test_cameras_of_another_scene_do_not_guide(still_life, cameras, caplog):
     assert "cameras do not fit the scene: guided by them, views lose" in record.getMessage()
     with pytest.raises(InvalidInput, match="cameras do not fit the scene"):
         as_requested(still_life, Config(strict=True), Plan(cameras=flipped))
+
+
+@pytest.mark.parametrize(("empty", "fits"), [(0.0, True), (0.1, True), (0.15, False)])
+def test_cameras_that_see_nothing_in_some_views_may_cause_smaller_errors(still_life, empty, fits):
+    left = [1.0] * round(100 * empty) + [0.0] * round(100 * (1 - empty))
+    check = Check(still_life, None, _Seen([], [], [], left, []))
+    loss = RenderedLoss(45.0, 0.05, 0.1, 128, "given", away=psnr_loss(100 * 1.16e-5))
+    assert checked._misfits(check, loss, 1.16e-5, Config()) != fits
 
 
 def _warnings(caplog):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -403,6 +405,15 @@ def test_commands(folder, caplog):
     assert "the first of 4 frames is read" in caplog.text
     assert is_sequence("a.egs")
     assert not is_sequence("first.ply")
+
+
+def test_a_sequence_from_stdin_is_decoded(folder):
+    folder.run("encode", "frames", "a.egs")
+    folder.run("decode", "a.egs", "one.ply", "--frame", "1")
+    stdin = io.TextIOWrapper(io.BytesIO(Path("a.egs").read_bytes()))
+    folder.monkeypatch.setattr(sys, "stdin", stdin)
+    assert folder.run("decode", "-", "piped.ply", "--frame", "1").status == 0
+    assert Path("piped.ply").read_bytes() == Path("one.ply").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import typer
 
 from gs_codec.cli.documents import print_document
 from gs_codec.cli.output import print_text, progress_bar
-from gs_codec.cli.streams import check_no_pipes, piped
+from gs_codec.cli.streams import check_no_pipes, piped, piped_source
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.errors import InvalidInput
 from gs_codec.report import bits_per_gaussian
@@ -75,49 +75,47 @@ def command(
 
     For a sequence, OUT is a folder with a PLY of each frame (default: IN without its suffix).
     """
-    if str(source) != "-":
-        from gs_codec.egs.frame_sections import is_sequence
+    if target is None and str(source) == "-":
+        raise InvalidInput("missing OUT: required with stdin, expected a .ply, or - for stdout")
+    from gs_codec.egs.frame_sections import is_sequence
 
-        if is_sequence(source):
+    with piped_source(source) as file:
+        if is_sequence(file):
             from gs_codec.cli import sequence_commands
 
-            if target is None:
-                target = source.with_suffix("" if frame is None else ".ply")
-            sequence_commands.decode(source, target, typed, frame, time)
+            target = target or source.with_suffix("" if frame is None else ".ply")
+            sequence_commands.decode(source, file, target, typed, frame, time)
             return
-    typed.refuse(["frame", "time"], f"has no effect on {source}, expected a sequence")
-    if target is None:
-        if str(source) == "-":
-            raise InvalidInput("missing OUT: required with stdin, expected a .ply, or - for stdout")
-        target = source.with_suffix(".ply")
-    box = None if bbox is None else _parse_box(bbox)
-    from gs_codec.codecs.part import Part
-    from gs_codec.files.decode_file import decode_file
+        typed.refuse(["frame", "time"], f"has no effect on {source}, expected a sequence")
+        target = target or source.with_suffix(".ply")
+        box = None if bbox is None else _parse_box(bbox)
+        from gs_codec.codecs.part import Part
+        from gs_codec.files.decode_file import decode_file
 
-    if typed["dask"] is not None:
-        typed.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
-        typed.refuse(["level", "view"], "has no effect with --dask, which decodes whole scenes")
-        check_no_pipes("--dask", source, target)
-        part = Part(box, sh_degree, budget=budget, tolerance=tolerance)
-        from gs_codec.distributed.decoding import decode_distributed
+        if typed["dask"] is not None:
+            typed.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
+            typed.refuse(["level", "view"], "has no effect with --dask, which decodes whole scenes")
+            check_no_pipes("--dask", source, target)
+            part = Part(box, sh_degree, budget=budget, tolerance=tolerance)
+            from gs_codec.distributed.decoding import decode_distributed
 
-        with progress_bar() as progress:
-            report = decode_distributed(
-                source, target, part, dask=typed["dask"], threads=typed["threads"],
-                progress=progress, max_memory=typed["max_memory"], overwrite=typed["overwrite"],
-            )  # fmt: skip
-        _tell(source, target, target, typed, report)
-        return
-    camera = None if view is None else _camera_of(view)
-    part = Part(box, sh_degree, level, camera, budget, tolerance)
-    with piped([source], target, ".ply") as ([file], out):
-        with progress_bar() as progress:
-            report = decode_file(
-                file, out, part, threads=typed["threads"], tmc3=typed["tmc3"], progress=progress,
-                max_memory=typed["max_memory"], max_bytes=typed["max_bytes"],
-                overwrite=typed["overwrite"],
-            )  # fmt: skip
-        _tell(source, target, out, typed, report)
+            with progress_bar() as progress:
+                report = decode_distributed(
+                    source, target, part, dask=typed["dask"], threads=typed["threads"],
+                    progress=progress, max_memory=typed["max_memory"], overwrite=typed["overwrite"],
+                )  # fmt: skip
+            _tell(source, target, target, typed, report)
+            return
+        camera = None if view is None else _camera_of(view)
+        part = Part(box, sh_degree, level, camera, budget, tolerance)
+        with piped([file], target, ".ply") as (_, out):
+            with progress_bar() as progress:
+                report = decode_file(
+                    file, out, part, threads=typed["threads"], tmc3=typed["tmc3"],
+                    progress=progress, max_memory=typed["max_memory"],
+                    max_bytes=typed["max_bytes"], overwrite=typed["overwrite"],
+                )  # fmt: skip
+            _tell(source, target, out, typed, report)
 
 
 def _tell(source: Path, target: Path, out: Path, typed: Typed, report: DecodeReport) -> None:

@@ -107,8 +107,10 @@ def _keys_text(keys: int, frames: int, share: float) -> str:
     return text
 
 
-def decode(source: Path, target: Path, typed: Typed, frame: int | None, time: str | None) -> None:
-    """Decode frames of a sequence to a folder, or one to a PLY."""
+def decode(
+    source: Path, file: Path, target: Path, typed: Typed, frame: int | None, time: str | None
+) -> None:
+    """Decode frames of a sequence at `file`, called `source`, to a folder, or one to a PLY."""
     from gs_codec.runtime.threads import using_threads
     from gs_codec.sequences.frame_decoding import decode_to_files
 
@@ -119,7 +121,7 @@ def decode(source: Path, target: Path, typed: Typed, frame: int | None, time: st
         raise InvalidInput("--frame and --time cannot be combined")
     with progress_bar() as progress, using_threads(typed["threads"]):
         done = decode_to_files(
-            source, target, frame, span, progress, typed["max_bytes"], typed["overwrite"]
+            file, target, frame, span, progress, typed["max_bytes"], typed["overwrite"]
         )
     if typed["json"]:
         shown = asdict(done)

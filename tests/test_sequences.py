@@ -424,6 +424,7 @@ def test_a_sequence_from_stdin_is_decoded(folder):
         ("encode frames a.egs --target-bitrate 9Mbit", "expected a bit rate, for example 20Mbit/s"),
         ("encode frames/f9.ply a.egs --target-bitrate 9M", "--target-bitrate has no effect on"),
         ("encode frames a.egs --prune 10", "--prune has no effect on a sequence"),
+        ("encode frames a.egs --scale 2", "error: --scale 2: has no effect on a sequence"),
         ("encode frames a.spz", "a.spz: frames are encoded to an .egs"),
         ("encode frames -", "-: stdout is for one scene, expected a name"),
         ("encode frames a.egs --strict", "strict: has no effect on a sequence without cameras"),

@@ -56,7 +56,7 @@ def encode(source: Path, target: Path, typed: Typed) -> None:
     _refuse_stdout(target)
     typed.refuse(_WHOLE_SCENES, "has no effect on a sequence of frames")
     if typed.actions:
-        raise InvalidInput(f"--{typed.actions[0].typed}: has no effect on a sequence of frames")
+        raise InvalidInput(f"{typed.actions[0].typed}: has no effect on a sequence of frames")
     request = request_of(typed, target)
     config = request.config
     with progress_bar() as progress:

@@ -41,7 +41,7 @@ file.close();
 
 const viewer = createViewer(document.body, {
   page: new URL('https://example.org/site/'),
-  state: { view: 3, show: 'wipe', wipe: 0.4 },
+  state: { view: 3, show: 'wipe', wipe: 0.4, lang: 'de' },
   onChange: ({ camera: [x, y, z] }) => `${x + y + z}`,
   onMessage: (text, isError) => (isError ? text.length : 0),
 });

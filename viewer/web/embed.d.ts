@@ -36,8 +36,8 @@ type Vector = [x: number, y: number, z: number];
 export interface ViewerOptions {
   /** The page; by default index.html in the folder of embed.js. */
   page?: string | URL;
-  /** What it shows first. */
-  state?: Partial<ViewerState>;
+  /** What it shows first, and in which language; by default in one of the browser's. */
+  state?: Partial<ViewerState> & { lang?: 'en' | 'de' | 'fr' | 'zh' | 'ja' };
   /** Name of the frame for screen readers. */
   title?: string;
   /** Called when it shows something else: at most once a frame, also while the camera moves. */

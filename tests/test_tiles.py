@@ -262,7 +262,7 @@ def test_a_place_changes_no_numbers_of_the_scene(folder, tmp_path, scene, caplog
 
 @pytest.mark.parametrize("at", [(181, 0, 0), (0, -91, 0), (0, 0, 1e6), (0, math.nan, 0)])
 def test_places_elsewhere_are_refused(at, scene):
-    with pytest.raises(InvalidInput, match="expected a longitude"):
+    with pytest.raises(InvalidInput, match=r"expected a longitude .* less than 100,000 metres"):
         tile_levels(scene, CONFIG, at)
 
 

@@ -30,7 +30,7 @@ def check_place(place: Sequence[float]) -> Place:
     if not (abs(longitude) <= 180 and abs(latitude) <= 90 and abs(height) < 1e5):
         raise InvalidInput(
             f"at {longitude:g},{latitude:g},{height:g}: expected a longitude from -180 to 180, "
-            "a latitude from -90 to 90, and a height in metres"
+            "a latitude from -90 to 90, and a height of less than 100,000 metres"
         )
     return longitude, latitude, height
 

@@ -172,6 +172,8 @@ def test_what_lists_contain_is_checked():
     for fps in (0, float("nan"), float("inf")):
         with pytest.raises(InvalidInput, match=r"fps: .*, expected more than 0"):
             gs_codec.encode_sequence([gs_codec.read("a.ply")], "one.egs", fps=fps)
+    with pytest.raises(InvalidInput, match="source: list_iterator, expected a path or list"):
+        gs_codec.encode_sequence(iter([gs_codec.read("a.ply")]), "one.egs")
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,8 @@ def encode_sequence(
 
 def _frames_of(clouds: Sequence[PointCloud], fps: float | None) -> Frames:
     """Clouds as frames, named by their numbers; raises InvalidInput if there are none."""
+    if not (hasattr(clouds, "__len__") and hasattr(clouds, "__getitem__")):
+        raise InvalidInput(f"source: {type(clouds).__name__}, expected a path or list of clouds")
     if not len(clouds):
         raise InvalidInput("no frames, expected at least one")
     names = [f"{number:04d}" for number in range(len(clouds))]

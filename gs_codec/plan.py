@@ -186,7 +186,8 @@ class Plan:
     cameras : path, "auto", or sequence of Camera
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced, guide
         the steps, together with views between them if there are fewer. If none or all are marked,
-        the same cameras do both, but `refine` holds out every 8th. ``auto`` estimates two to four
+        the same cameras do both, but with `refine` or for a loss as target, every 8th only
+        measures. ``auto`` estimates two to four
         times `views` cameras, with as many pixels in total as `views` images of 420 x 280.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
@@ -206,6 +207,8 @@ class Plan:
     device : {"auto", "cpu", "cuda"}
         Device for `refine`: ``cuda`` uses gsplat, ``auto`` uses ``cuda`` if available. Results on a
         device vary slightly from run to run; the other steps run on the CPU.
+    holds_out : bool
+        Whether every 8th camera only measures, if none or all are marked.
 
     Raises
     ------
@@ -258,6 +261,8 @@ class Plan:
         "Device for rendering and refinement; cuda needs gsplat, auto uses cuda if possible.",
         values=get_args(Device),
     )
+
+    holds_out: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -143,13 +143,14 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
         )
     if config.profile == LOSSLESS:
         return
-    if report.rate is not None and report.rate.psnr_drop is not None:
-        print_rendered(report.rendered, _CROPS)
+    loss, rate = report.rendered, report.rate
+    if rate is not None and rate.psnr_drop is not None and loss and loss.views == "given":
+        print_rendered(loss, _CROPS)
     else:
-        print_rendered(report.rendered)
+        print_rendered(loss)
 
 
-#: Description of the crops that are measured in addition to whole views with a loss target.
+#: Description of the crops that are measured in addition to given views with a loss target.
 _CROPS = "crops of other views (half show the smallest Gaussians)"
 
 
@@ -164,7 +165,7 @@ def _print_rate(rate: RateReport) -> None:
         text += f"; {size_text(rate.predicted_bytes)} expected"
     if rate.psnr_drop is not None:
         most = rate.target.psnr_drop
-        text += f"; held-out views lose {rate.psnr_drop:.3f} dB (asked: at most {most:g})"
+        text += f"; views lose {rate.psnr_drop:.3f} dB (asked: at most {most:g})"
     if rate.at_end:
         text += f"; there are no {'coarser' if rate.psnr_drop is not None else 'finer'} step sizes"
     print_text(text)

@@ -190,7 +190,7 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
     """Find the cameras of a plan.
 
     If none or all are marked, the same cameras guide and measure. Refinement, which would fit the
-    views it is measured by, then holds out every 8th.
+    views it is measured by, then holds out every 8th, as does a target that is measured.
     """
     origin: Origin = "given"
     if plan.estimates:
@@ -207,8 +207,8 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
     rest = [camera for camera in cameras if camera.split != "test"]
     if rest and test:
         return _Split(rest, test, origin)
-    if plan.steps.refine and len(cameras) > 1:
-        if origin == "given":
+    if (plan.steps.refine or plan.holds_out) and len(cameras) > 1:
+        if plan.steps.refine and origin == "given":
             log.warning(
                 "cameras: none or all are marked 'test', so every 8th is held out from refinement"
             )

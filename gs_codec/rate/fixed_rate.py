@@ -11,16 +11,20 @@ from gs_codec.codecs.encode import Encoded, encode_scene
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.plan import Plan
-from gs_codec.preparation.view_selection import choose_views
-from gs_codec.report import EncodeReport, Progress, RateReport
+from gs_codec.rate.search import Seen
+from gs_codec.report import EncodeReport, RateReport
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
 
 #: Encodes a scene according to a plan.
 Encode = Callable[[Plan | None], Encoded]
 
-#: Maximum number of times pruning is repeated because held-out views lose more than predicted.
+#: Maximum number of times a scene is pruned, as views may lose more than those that guide pruning.
 _ATTEMPTS = 4
+
+#: The next attempt aims at this share of the loss that pruning may cause. It grows about with the
+#: square root of what the guiding views are allowed to lose, if these are few.
+_CAUTION = 0.9
 
 #: Maximum difference between the headers of two scenes, in bytes.
 _HEADER = 256
@@ -33,15 +37,17 @@ def meet_by_count(
     config: Config,
     target: RateTarget,
     plan: Plan | None,
-    progress: Progress | None,
+    see: Callable[[Plan], Seen],
 ) -> Encoded:
     """Meet a target by pruning: keep as many Gaussians as it allows, the most visible ones.
+
+    `see` returns how a loss is measured.
 
     Raises InvalidInput if the target is unreachable.
     """
     limit = target.limit(scene.count, ply_bytes)
     if limit is None:
-        return _meet_drop(encode, scene, config, target, plan or Plan(), progress)
+        return _meet_drop(encode, scene, config, target, plan or Plan(), see)
     count = _most(scene, config, limit)
     if count < scene.count:
         chosen = plan or Plan()
@@ -70,28 +76,27 @@ def _meet_drop(
     config: Config,
     target: RateTarget,
     plan: Plan,
-    progress: Progress | None,
+    see: Callable[[Plan], Seen],
 ) -> Encoded:
     """Prune as far as a loss allows, in addition to the loss of the format itself."""
-    views, limit = choose_views(scene, plan, progress).held_out, float(target.psnr_drop or 0)
-    before = views.errors(scene, progress)
+    seen, limit = see(plan), float(target.psnr_drop or 0)
 
-    def loss(data: bytes) -> float:
-        return views.drop(views.errors(decode_as(config, data, progress), progress), before)
+    def loss(parts: list[bytes | memoryview]) -> float:
+        return seen.loss(decode_as(config, b"".join(parts), seen.progress))
 
-    allowed = limit - loss(encode_scene(scene, config)[0])
-    for attempt in range(1, _ATTEMPTS + 1):
-        steps = plan.steps
-        if allowed > 0:
-            steps = replace(steps, prune_max_psnr_drop=allowed)
-        parts, report = encode(replace(plan, steps=steps))
-        lost = loss(b"".join(parts))
+    parts, report = encode(plan)
+    own = loss(parts)
+    if own > limit:
+        raise InvalidInput(f"target {limit:g} dB: the format itself loses {own:.4f} dB")
+    allowed = limit - own
+    for attempt in range(2, 2 + _ATTEMPTS):
+        steps = replace(plan.steps, prune_max_psnr_drop=allowed)
+        pruned, fewer = encode(replace(plan, steps=steps))
+        lost = loss(pruned)
         if lost <= limit:
-            return parts, _with_rate(report, scene, target, attempt, lost)
-        if allowed <= 0:
-            break
-        allowed -= max(lost - limit, 0.1 * limit)
-    raise InvalidInput(f"target {limit:g} dB: the format itself loses {lost:.4f} dB")
+            return pruned, _with_rate(fewer, scene, target, attempt, lost)
+        allowed *= (_CAUTION * (limit - own) / (lost - own)) ** 2
+    return parts, _with_rate(report, scene, target, 1 + _ATTEMPTS, own)
 
 
 def _with_rate(

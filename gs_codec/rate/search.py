@@ -16,7 +16,7 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import EGS, AdaptiveProfile, Config, RateTarget
 from gs_codec.guidance.guide import Guidance, Shaped, guide
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
-from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes
+from gs_codec.report import EncodeReport, Progress, RateReport, RenderedLoss, StageTimes
 from gs_codec.scene import Scene
 
 #: Log2 of the smallest coarseness that is tried.
@@ -186,14 +186,20 @@ def _expected(value: float, low: float, high: float, octaves: float, slope: floa
 
 @dataclass(frozen=True)
 class Seen:
-    """Views, and the mean squared errors of the held-out ones ``(views,)`` before encoding."""
+    """Views, and the mean squared errors of the held-out ones ``(views,)`` before encoding.
+
+    `check` measures instead of the held-out views, if it is given and can.
+    """
 
     views: ViewSplit
     before: NDArray[np.float64]
     progress: Progress | None
+    check: Callable[[Scene], RenderedLoss | None] | None = None
 
     def loss(self, coded: Scene) -> float:
-        """PSNR loss of a decoded scene in the held-out views, dB."""
+        """PSNR loss of a decoded scene, dB."""
+        if self.check is not None and (found := self.check(coded)) is not None:
+            return found.loss
         measured = self.views.held_out
         return measured.drop(measured.errors(coded, self.progress), self.before)
 

@@ -277,9 +277,10 @@ def _see(
     from gs_codec.rate.search import Seen
 
     views = views or choose_views(original, plan, progress)
-    check = Check.by_plan(clean_scene(original, config)[0], plan) if plan.estimates else None
-    before = views.held_out.errors(original, progress)
-    return Seen(views, before, progress, check and check.measure)
+    seen = Seen(views, views.held_out.errors(original, progress), progress)
+    if not plan.estimates:
+        return seen
+    return replace(seen, check=Check.by_plan(clean_scene(original, config)[0], plan).measure)
 
 
 def encode_prepared(

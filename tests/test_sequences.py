@@ -430,6 +430,7 @@ def test_a_sequence_from_stdin_is_decoded(folder):
         ("encode frames a.egs --strict", "strict: has no effect on a sequence without cameras"),
         ("encode frames a.egs -p lossless", "a.egs: frames are encoded to an .egs by profile"),
         ("encode frames a.egs --group 0", "--group 0: expected"),
+        ("encode frames a.egs --fps 0", "--fps 0.0: expected 0.001 to a million"),
         ("encode frames/f9.ply a.egs --fps 3", "--fps has no effect on frames/f9.ply"),
         ("encode 'x*.ply' a.egs", "no frames"),
         ("decode frames/f9.ply --frame 3", "--frame has no effect on frames/f9.ply"),

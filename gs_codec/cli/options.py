@@ -54,7 +54,7 @@ OPTIONS = {
     ),
     "fps": Option(
         "Frames per second of a sequence.", float, metavar="X", low=0.001, high=1e6,
-        shown="as stated, or 30",
+        expected="0.001 to a million", shown="as stated, or 30",
     ),
     "group": Option(
         "Of a sequence: maximum number of frames in the group of a key frame. Smaller groups give "

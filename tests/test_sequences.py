@@ -218,7 +218,7 @@ def test_what_appears_at_once_becomes_exact(tmp_path):
 
 def test_frames_must_be_alike(tmp_path):
     scenes = [random_scene(20, 3), random_scene(20, 2)]
-    with pytest.raises(InvalidInput, match="frames differ in SH degree"):
+    with pytest.raises(InvalidInput, match="frame_1: frames differ in SH degree"):
         coded(tmp_path / "a.egs", scenes)
     assert not (tmp_path / "a.egs").exists()
 

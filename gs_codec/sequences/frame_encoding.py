@@ -35,6 +35,7 @@ from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.report import Progress, StageTimes, step_counter
 from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 from gs_codec.sequences.frame_sources import Frames
@@ -249,7 +250,8 @@ class _Groups:
             extra = file.section(SectionId.EXTRA)
             found = read_extra(extra, file.header.count)[_ORDER]
         self._headers = [*self._headers[:1], file.header]
-        sequence_header(self._headers)
+        with located(self._source.names[number]):
+            sequence_header(self._headers)
         key = _without_extra(file)
         self._encoder = FrameEncoder(file, found, scene)
         self._key, self._key_bytes = number, len(key)

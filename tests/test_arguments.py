@@ -191,6 +191,7 @@ def test_what_lists_contain_is_checked():
         (lambda: gs_codec.inspect("a\ud800b.ply"), "source: 'a\\ud800b.ply', expected a possible"),
         (lambda: gs_codec.convert_file(["a.ply", Path("\0")], "c.egs"), "source: '\\x00',"),
         (lambda: gs_codec.Plan(cameras="\0"), "cameras: '\\x00', expected a possible path"),
+        (lambda: gs_codec.Plan(cameras=iter(())), "cameras: tuple_iterator, expected a list or t"),
         (lambda: gs_codec.encode_file("a.ply", "c.egs", max_memory=10**400), "max_memory: int 1"),
         (lambda: gs_codec.edit.scale(gs_codec.read("a.ply"), 10**400), "factor: int 1000"),
         (lambda: gs_codec.Part(level=Fraction(10**400)), "level: Fraction "),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import builtins
 import os
 import sys
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from functools import cache, wraps
 from inspect import signature
@@ -37,7 +37,10 @@ def check_fields(settings: Any) -> None:
     """Raise `InvalidInput` if a field of a dataclass has a value of a wrong type."""
     hints = _hints_of(cast(Hashable, type(settings)))
     for field in (each for each in fields(settings) if each.init):
-        _check(field.name, getattr(settings, field.name), hints[field.name])
+        value = getattr(settings, field.name)
+        _check(field.name, value, hints[field.name])
+        if isinstance(value, Iterator):  # which is empty after its first use
+            raise InvalidInput(f"{field.name}: {type(value).__name__}, expected a list or tuple")
 
 
 #: An annotation as written, and the types that it denotes.

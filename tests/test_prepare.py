@@ -292,6 +292,14 @@ def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog, tm
     assert views.targets.cameras[0].name == "5"
 
 
+def test_the_only_photograph_is_not_held_out(scene, tmp_path):
+    unmarked = [replace(each, split=None) for each in CAMERAS]
+    write_png(tmp_path / f"{unmarked[1].name}.png", np.full((32, 48, 3), 0.4))
+    views = choose_views(scene, Plan(Steps(), unmarked, gt_images=tmp_path, holds_out=True))
+    assert views.photographs is views.held_out
+    assert [c.name for c in views.held_out.cameras] == [unmarked[1].name]
+
+
 def test_views_are_evenly_spaced():
     assert evenly(CAMERAS, 2) == [CAMERAS[0], CAMERAS[3]]
     assert evenly(CAMERAS, 9) == CAMERAS

@@ -207,7 +207,7 @@ def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
     rest = [camera for camera in cameras if camera.split != "test"]
     if rest and test:
         return _Split(rest, test, origin)
-    if (plan.steps.refine or plan.holds_out) and len(cameras) > 1:
+    if (plan.steps.refine or plan.holds_out) and len(known) > 1:
         if plan.steps.refine and origin == "given":
             log.warning(
                 "cameras: none or all are marked 'test', so every 8th is held out from refinement"

@@ -510,6 +510,16 @@ def test_a_loss_without_given_cameras_is_the_reported_one(config, most):
     assert most / 2 < report.rendered.loss <= most
 
 
+def test_a_warning_about_views_is_logged_once_for_several_encodings(caplog):
+    plan = Plan(Steps(), views=4, width=80)
+    scene, target = generate(3000, 1, 7), RateTarget(psnr_drop=3.0)
+    _, report = as_requested(scene, Config(format="splat"), plan, target)
+    assert report.rate.encodings > 1
+    assert [text for text in caplog.messages if text.startswith("cameras")] == [
+        "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
+    ]
+
+
 def test_a_loss_is_measured_in_given_views_that_do_not_guide(seen):
     scene, plan = seen
     given = [replace(camera, split=None) for camera in plan.cameras]

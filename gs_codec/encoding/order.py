@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+#: Loggers that warn about views, in each encoding of several.
+_OF_VIEWS = ("gs_codec.encoding.retry", "gs_codec.preparation.view_selection")
+
 #: Minimum share of the Gaussians visible to the cameras; otherwise the many unseen ones would be
 #: very coarse.
 _LEAST_SEEN = 0.1
@@ -161,6 +164,7 @@ def _encode_edited(
     if rate is not None and not scene.count:
         raise InvalidInput("target: the scene has no Gaussians")
     if rate is not None and not config.has_steps:
+        from gs_codec.formats.registry import keeping_logs
         from gs_codec.rate.fixed_rate import meet_by_count
 
         def encode_as_planned(plan: Plan | None) -> Encoded:
@@ -170,12 +174,19 @@ def _encode_edited(
         def see(plan: Plan) -> Seen:
             return _see(scene, config, plan, None, progress)
 
-        encoded = meet_by_count(
-            encode_as_planned, scene, ply_bytes, config, rate, request.plan, see
-        )
-    else:
-        encoded = _encode_planned(scene, request, progress, ply_bytes)
-    return _check_whole(scene, request, *encoded)
+        said = set[str]()
+
+        def is_new(record: logging.LogRecord) -> bool:
+            found = (text := record.getMessage()) not in said
+            said.add(text)
+            return found
+
+        with keeping_logs(_OF_VIEWS, is_new):
+            encoded = meet_by_count(
+                encode_as_planned, scene, ply_bytes, config, rate, request.plan, see
+            )
+            return _check_whole(scene, request, *encoded)
+    return _check_whole(scene, request, *_encode_planned(scene, request, progress, ply_bytes))
 
 
 def _prepare(scene: Scene, request: Request, progress: Progress | None, ply_bytes: int) -> Encoded:

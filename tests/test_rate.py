@@ -38,6 +38,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.view_selection import choose_views
+from gs_codec.rate import fixed_rate
 from gs_codec.rate import search as searching
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import RateReport, RenderedLoss
@@ -518,6 +519,15 @@ def test_a_warning_about_views_is_logged_once_for_several_encodings(caplog):
     assert [text for text in caplog.messages if text.startswith("cameras")] == [
         "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
     ]
+
+
+def test_a_scene_that_cannot_be_pruned_has_no_coarsest_steps(monkeypatch):
+    monkeypatch.setattr(fixed_rate, "_ATTEMPTS", 0)
+    plan = Plan(Steps(), cameras(4))
+    target = RateTarget(psnr_drop=3.0)
+    _, report = as_requested(generate(1000, 0, 7), Config(format="splat"), plan, target)
+    assert report.rate.pruned == 0
+    assert not report.rate.at_end
 
 
 def test_a_loss_is_measured_in_given_views_that_do_not_guide(seen):

@@ -107,7 +107,8 @@ def _with_rate(
     lost: float | None = None,
 ) -> EncodeReport:
     pruned = scene.count - report.count
+    at_end = lost is None and not pruned
     rate = RateReport(
-        target, 1.0, {}, report.file_bytes, None, lost, None, encodings, pruned, at_end=not pruned
+        target, 1.0, {}, report.file_bytes, None, lost, None, encodings, pruned, at_end
     )
     return replace(report, rate=rate)

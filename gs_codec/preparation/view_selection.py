@@ -45,7 +45,7 @@ _BETWEEN = 4
 #: the faults of the scene itself.
 _PHOTOGRAPHS = 3
 
-#: If no cameras are marked, refinement holds out every n-th one, as 3DGS does.
+#: If no cameras are marked, every n-th one is held out, as in 3DGS; see `_split`.
 _EVERY = 8
 
 

@@ -449,6 +449,16 @@ def test_values_before_activation_are_read_as_such(name, plane, said, tmp_path, 
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: {said}"]
 
 
+def test_a_few_opacities_beyond_1_are_not_logits(tmp_path, caplog):
+    document, binary = split(pack_gltf(random_scene(30, 0, seed=4))[0])
+    expected = read(tmp_path, document, binary)
+    attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{KHR}:OPACITY"]
+    start = document["bufferViews"][attribute]["byteOffset"]
+    found = read(tmp_path, document, binary[:start] + struct.pack("<f", 1.1) + binary[start + 4 :])
+    np.testing.assert_array_equal(found.opacity[:, 1:], expected.opacity[:, 1:])
+    assert not any("logits" in text for text in caplog.messages)
+
+
 def edited(*path: Any, to: Any) -> Any:
     """A function that sets the value at a path of names and indices in a document."""
 

@@ -186,8 +186,8 @@ class Plan:
     cameras : path, "auto", or sequence of Camera
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced, guide
         the steps, together with views between them if there are fewer. If none or all are marked,
-        the same cameras do both, but with `refine` or for a loss as target, every 8th only
-        measures. ``auto`` estimates two to four
+        the same cameras do both, but with `refine`, or a target that is a loss or may prune, every
+        8th only measures. ``auto`` estimates two to four
         times `views` cameras, with as many pixels in total as `views` images of 420 x 280.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 import sys
-import threading
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Hashable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +33,7 @@ from gs_codec.formats.ply.packed import is_packed
 from gs_codec.formats.ply.packed import stated_size as packed_size
 from gs_codec.formats.several_scenes import refuse_several
 from gs_codec.runtime.guess import LOOKED_AT, looks_like, text_kind
+from gs_codec.runtime.kept_logs import keeping_logs, keeping_new
 from gs_codec.runtime.mapped import FileBytes, opened, total_bytes
 from gs_codec.runtime.wording import listed
 from gs_codec.scene import Scene, Shift, float_bytes
@@ -226,36 +226,14 @@ def read_written(path: Path) -> Scene:
         return finite_ends(file.scene(max_bytes=sys.maxsize, exact=True))[0]
 
 
-@contextmanager
-def keeping_logs(
-    names: Iterable[str], keeps: Callable[[logging.LogRecord], bool]
-) -> Iterator[None]:
-    """Keep only some records of this thread's loggers within the block."""
-    thread = threading.get_ident()
-
-    def is_kept(record: logging.LogRecord) -> bool:
-        return record.thread != thread or keeps(record)
-
-    with ExitStack() as stack:
-        for log in map(logging.getLogger, names):
-            log.addFilter(is_kept)
-            stack.callback(log.removeFilter, is_kept)
-        yield
-
-
-@contextmanager
-def saying_once(said: set[tuple[object, ...]]) -> Iterator[None]:
+def saying_once(said: set[Hashable]) -> AbstractContextManager[None]:
     """Log warnings that begin with the name of a file only if they are not `said` of another."""
 
-    def is_new(record: logging.LogRecord) -> bool:
+    def content(record: logging.LogRecord) -> Hashable:
         _, *rest = record.args or ("",)
-        text = (record.msg, *rest)
-        found = text not in said
-        said.add(text)
-        return found
+        return record.msg, *rest
 
-    with keeping_logs(_OF_CONTENT, is_new):
-        yield
+    return keeping_new(_OF_CONTENT, said, content)
 
 
 def scene_files(path: str | Path) -> list[Path]:

@@ -7,7 +7,7 @@ import math
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path, PurePath
@@ -61,7 +61,7 @@ class Frames:
     open_frame: Callable[[int], Scene]
     paths: Sequence[Path] = ()
     is_compressed: bool = False
-    _said: set[tuple[object, ...]] = field(default_factory=set)
+    _said: set[Hashable] = field(default_factory=set)
 
     def __len__(self) -> int:
         return len(self.names)

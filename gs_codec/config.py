@@ -300,6 +300,11 @@ class RateTarget:
         if self.psnr_drop is not None and self.psnr_drop > 100:
             raise InvalidInput(f"target psnr_drop {self.psnr_drop}: expected at most 100 dB")
 
+    @property
+    def measures(self) -> bool:
+        """Whether the loss of views is measured to meet it."""
+        return self.psnr_drop is not None or self.allow_prune
+
     def limit(self, count: int, ply_bytes: int, seconds: float | None = None) -> int | None:
         """Maximum file size in bytes of a scene, or of a sequence that takes some seconds.
 

@@ -76,7 +76,7 @@ class Options(Request):
     def pixels(self) -> int:
         """Upper bound of the total pixels of all views rendered of a scene."""
         plan, rate = self.plan, self.rate
-        if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
+        if plan is None and (rate is None or not rate.measures):
             return 0
         from gs_codec.cameras.camera_files import read_cameras
         from gs_codec.plan import Plan

@@ -35,6 +35,7 @@ from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.extra_properties import left_out_of
 from gs_codec.levels.adding import add_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
+from gs_codec.runtime.kept_logs import keeping_new
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
@@ -91,8 +92,9 @@ def encode(
     report : EncodeReport
     """
     config, times = request.config, StageTimes()
-    if request.measures and request.plan is not None and not request.plan.estimates:
-        request = replace(request, plan=replace(request.plan, holds_out=True))
+    plan, rate = request.plan, request.rate
+    if rate is not None and rate.measures and plan is not None and not plan.estimates:
+        request = replace(request, plan=replace(plan, holds_out=True))
     with using_threads(config.threads):
         scene, actions = _edit(scene, request, times, progress, translated)
         ply_bytes = scene.float_bytes if actions else ply_bytes
@@ -164,7 +166,6 @@ def _encode_edited(
     if rate is not None and not scene.count:
         raise InvalidInput("target: the scene has no Gaussians")
     if rate is not None and not config.has_steps:
-        from gs_codec.formats.registry import keeping_logs
         from gs_codec.rate.fixed_rate import meet_by_count
 
         def encode_as_planned(plan: Plan | None) -> Encoded:
@@ -174,14 +175,7 @@ def _encode_edited(
         def see(plan: Plan) -> Seen:
             return _see(scene, config, plan, None, progress)
 
-        said = set[str]()
-
-        def is_new(record: logging.LogRecord) -> bool:
-            found = (text := record.getMessage()) not in said
-            said.add(text)
-            return found
-
-        with keeping_logs(_OF_VIEWS, is_new):
+        with keeping_new(_OF_VIEWS, set()):
             encoded = meet_by_count(
                 encode_as_planned, scene, ply_bytes, config, rate, request.plan, see
             )
@@ -259,7 +253,7 @@ def encode_to_rate(
     config, plan, rate = request.config, request.plan, request.rate
     assert rate is not None
     limit, seen, references = rate.limit(original.count, ply_bytes), None, None
-    if limit is None or rate.allow_prune:
+    if rate.measures:
         plan = plan or Plan()
         seen = _see(original, config, plan, views, progress)
         views = seen.views

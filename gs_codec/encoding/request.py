@@ -51,9 +51,3 @@ class Request:
     def prepares(self) -> bool:
         """Whether the scene is prepared before it is coded."""
         return self.plan is not None and self.plan.steps.wanted
-
-    @property
-    def measures(self) -> bool:
-        """Whether a target needs the loss of views."""
-        rate = self.rate
-        return rate is not None and (rate.psnr_drop is not None or rate.allow_prune)

@@ -187,8 +187,8 @@ class Plan:
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced, guide
         the steps, together with views between them if there are fewer. If none or all are marked,
         the same cameras do both, but with `refine`, or a target that is a loss or may prune, every
-        8th only measures. ``auto`` estimates two to four
-        times `views` cameras, with as many pixels in total as `views` images of 420 x 280.
+        8th only measures. ``auto`` estimates two to four times `views` cameras, with as many pixels
+        in total as `views` images of 420 x 280.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
         measured against them. `refine` fits them, renders of the input for cameras without one,

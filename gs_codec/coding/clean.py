@@ -170,8 +170,7 @@ def solid_gaussians(
 ) -> NDArray[np.integer]:
     """Indices of the solid Gaussians among usable ones; opacity ``(N,)`` are logits by default.
 
-    If fewer than a tenth of the usable ones have at least `least`, as in smoke: the most opaque
-    tenth.
+    Their opacity is above `least`. If fewer than a tenth are, as in smoke, the most opaque tenth.
     """
     found = np.flatnonzero(usable & ~np.isnan(opacity))
     values = opacity[found]

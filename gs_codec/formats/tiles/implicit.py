@@ -1,6 +1,6 @@
 """Implicit tiling of 3D Tiles 1.1: one tile stands for a quadtree or octree of tiles.
 
-Names of files contain the place of a tile in the tree. Which tiles exist is in subtree files: a bit
+Names of files contain the place of a tile in the tree. Subtree files say which tiles exist: a bit
 for each tile, level by level, and in Morton order within a level.
 """
 

@@ -402,6 +402,36 @@ def test_only_the_scene_is_read_and_the_rest_is_named(shown, moved, tmp_path, ca
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: left out: {told}"]
 
 
+def with_indices(document: dict[str, Any], binary: bytes, index: np.ndarray) -> bytes:
+    """Give the primitive of a document indices; the buffer then."""
+    start = len(binary) + -len(binary) % 4
+    view = {"buffer": 0, "byteOffset": start, "byteLength": index.nbytes}
+    kind = {1: 5121, 2: 5123, 4: 5125}[index.itemsize]
+    accessor = {"componentType": kind, "count": len(index), "type": "SCALAR"}
+    document["meshes"][0]["primitives"][0]["indices"] = len(document["accessors"])
+    document["accessors"].append(accessor | {"bufferView": len(document["bufferViews"])})
+    document["bufferViews"].append(view)
+    document["buffers"][0]["byteLength"] = start + index.nbytes
+    return binary.ljust(start, b"\0") + index.tobytes()
+
+
+@pytest.mark.parametrize("pack", [pack_gltf, pack_gltf_spz])
+@pytest.mark.parametrize("code", ["<u1", "<u2", "<u4"])
+def test_indices_select_and_order_gaussians(code, pack, tmp_path):
+    document, binary = split(pack(random_scene(20, 1))[0])
+    plain = read(tmp_path, document, binary)
+    index = np.array([7, 3, 19, 3], code)
+    binary = with_indices(document, binary, index)
+    assert_same_floats(read(tmp_path, document, binary), plain.take(index))
+    assert overview_of(tmp_path / "a.glb").count == 4
+    binary = with_indices(document, binary, np.array([0, 20], code))
+    with pytest.raises(InvalidInput, match="glTF: index 20 of 20 Gaussians"):
+        read(tmp_path, document, binary)
+    document["accessors"][-1]["componentType"] = 5126
+    with pytest.raises(InvalidInput, match="indices is 'SCALAR' of 5126, expected"):
+        read(tmp_path, document, binary)
+
+
 def test_a_separate_buffer_is_read(tmp_path):
     document, binary = made()
     (tmp_path / "a b.bin").write_bytes(binary + b"more")

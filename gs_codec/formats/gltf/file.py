@@ -39,6 +39,7 @@ _COMPONENTS = {
     5123: ("<u2", 65535.0),
     5126: ("<f4", 1.0),
 }
+_INDICES = {kind: _COMPONENTS[kind] for kind in (5121, 5123)} | {5125: ("<u4", 1.0)}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 #: Compressions of a buffer view.
@@ -90,9 +91,27 @@ class GltfFile:
 
         Raises InvalidInput if it is of another type, sparse, or outside its buffer.
         """
+        rows, divisor = self._rows(accessor, kind, where, _COMPONENTS)
+        with np.errstate(invalid="ignore"):
+            plain = rows.astype(np.float32)
+        normalised = self.item("accessors", accessor).get("normalized") is True
+        return plain / np.float32(divisor) if normalised else plain
+
+    def indices(self, accessor: Any, most: int) -> NDArray[np.int64]:
+        """Indices ``(n,)`` of an accessor; raises like `values`, or if one is not below `most`."""
+        rows, _ = self._rows(accessor, "SCALAR", "indices", _INDICES)
+        index = rows[:, 0].astype(np.int64)
+        if index.size and index.max() >= most:
+            raise InvalidInput(f"glTF: index {index.max():,} of {counted(most, 'Gaussian')}")
+        return index
+
+    def _rows(
+        self, accessor: Any, kind: str, where: str, components: dict[int, tuple[str, float]]
+    ) -> tuple[NDArray, float]:
+        """Numbers ``(count, components)`` as stored, and the divisor of normalised ones."""
         known = self.item("accessors", accessor)
         component = known.get("componentType")
-        packed = _COMPONENTS.get(component) if isinstance(component, int) else None
+        packed = components.get(component) if isinstance(component, int) else None
         if known.get("type") != kind or packed is None or "sparse" in known:
             found = f"{known.get('type')!a:.20} of {component!a:.20}"
             raise InvalidInput(f"glTF: {where} is {found}, expected {kind} of numbers, not sparse")
@@ -107,9 +126,7 @@ class GltfFile:
         if used > length or first + length > len(data) or stride < width * size:
             raise InvalidInput(f"glTF: {where}: {counted(count, 'element')} beyond the buffer")
         rows = np.ndarray((count, width), code, data, first + offset, (stride, size))
-        with np.errstate(invalid="ignore"):
-            plain = rows.astype(np.float32)
-        return plain / np.float32(divisor) if known.get("normalized") is True else plain
+        return rows, divisor
 
     def bytes_of(self, index: Any, where: str) -> memoryview:
         """The bytes of a buffer view; `InvalidInput` if it is outside its buffer."""

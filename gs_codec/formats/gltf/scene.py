@@ -256,12 +256,13 @@ def _is_splats(primitive: Any) -> bool:
 def _size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
     """Number of Gaussians, and SH degree, of a primitive."""
     if is_compressed(primitive):
-        return compressed_size(file, primitive)
-    attributes = primitive["attributes"]
-    degree = 0
-    while degree < 3 and sh_name(degree + 1, 0) in attributes:
-        degree += 1
-    return file.count(attributes.get("POSITION")), degree
+        count, degree = compressed_size(file, primitive)
+    else:
+        attributes = primitive["attributes"]
+        count, degree = file.count(attributes.get("POSITION")), 0
+        while degree < 3 and sh_name(degree + 1, 0) in attributes:
+            degree += 1
+    return file.count(primitive["indices"]) if "indices" in primitive else count, degree
 
 
 def _scene_of(
@@ -276,6 +277,8 @@ def _scene_of(
         scene = compressed_scene(file, placed.primitive, max_bytes)
     else:
         scene = _plain_scene(path, file, placed.primitive, degree)
+    if "indices" in placed.primitive:
+        scene = scene.take(file.indices(placed.primitive["indices"], scene.count))
     with np.errstate(over="ignore", invalid="ignore"):
         return move_scene(scene, above @ placed.matrix)
 

@@ -402,6 +402,31 @@ def test_only_the_scene_is_read_and_the_rest_is_named(shown, moved, tmp_path, ca
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: left out: {told}"]
 
 
+def test_what_is_not_read_of_a_primitive_is_named(tmp_path, caplog):
+    document, binary = made()
+    expected = read(tmp_path, document, binary)
+    [primitive] = document["meshes"][0]["primitives"]
+    primitive["attributes"] |= {"COLOR_0": 0, "_FEATURE_ID_0": 0}
+    primitive["extensions"]["EXT_mesh_features"] = {}
+    primitive["targets"] = [{"POSITION": 0}]
+    document["skins"] = [{"joints": [0]}]
+    assert_same_floats(read(tmp_path, document, binary), expected)
+    told = "primitives with morph targets (1); skins (1)"
+    names = "attributes '_FEATURE_ID_0'; extensions 'EXT_mesh_features'"
+    assert caplog.messages == [f"{tmp_path / 'a.glb'}: left out: {names}; {told}"]
+
+
+def test_hidden_nodes_are_not_shown(tmp_path, caplog):
+    document, binary = made()
+    hidden = {"extensions": {"KHR_node_visibility": {"visible": False}}}
+    document["nodes"] = [{"mesh": 0}, {"children": [2], **hidden}, {"mesh": 0}]
+    document["scenes"] = [{"nodes": [0, 1]}]
+    assert read(tmp_path, document, binary).count == 6
+    assert caplog.messages == [f"{tmp_path / 'a.glb'}: left out: meshes outside the scene (1)"]
+    hidden["extensions"]["KHR_node_visibility"]["visible"] = True
+    assert read(tmp_path, document, binary).count == 12
+
+
 def with_indices(document: dict[str, Any], binary: bytes, index: np.ndarray) -> bytes:
     """Give the primitive of a document indices; the buffer then."""
     start = len(binary) + -len(binary) % 4
@@ -526,6 +551,14 @@ BAD = {
     "meshopt": (
         edited("bufferViews", 0, "extensions", to={"EXT_meshopt_compression": {}}),
         "'EXT_meshopt_compression' is not read",
+    ),
+    "Draco": (
+        edited("meshes", 0, "primitives", 0, "extensions", "KHR_draco_mesh_compression", to={}),
+        "'KHR_draco_mesh_compression' is not read",
+    ),
+    "instances": (
+        edited("nodes", 0, "extensions", to={"EXT_mesh_gpu_instancing": {"attributes": {}}}),
+        "'EXT_mesh_gpu_instancing' of Gaussians is not read",
     ),
     "a name alone": (edited(*SPLATS, "extensions", to=SPZ_2), f"'{SPZ_2}' is not read"),
     "no .spz": (edited(*SPLATS, "extensions", to={SPZ_2: {}}), "bufferViews None, expected one"),

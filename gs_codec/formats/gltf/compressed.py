@@ -40,6 +40,9 @@ _ALONE = "KHR_spz_gaussian_splats_compression"
 #: Names of the extension: the current one, then those of earlier drafts.
 _NAMES = (SPZ_2, f"{EXTENSION}_compression_spz", _ALONE)
 
+#: A compression of attributes of meshes.
+_DRACO = "KHR_draco_mesh_compression"
+
 #: Proposed compressions, by parts of the names of their extensions.
 _PROPOSED = {"lgsc": "L-GSC", "egsc": "EGSC", "mpeg": "MPEG's codec"}
 
@@ -74,13 +77,15 @@ def is_compressed(primitive: dict[str, Any]) -> bool:
 
 
 def other_extensions(primitive: dict[str, Any]) -> set[str]:
-    """Names of the extensions of a checked primitive that are not its compression."""
-    return {*_inner(primitive)} - {*_NAMES}
+    """Names of the extensions of a checked primitive that are neither Gaussians nor an `.spz`."""
+    return {*primitive["extensions"], *_inner(primitive)} - {EXTENSION, *_NAMES}
 
 
 def check_supported(primitive: dict[str, Any]) -> None:
     """Reject a primitive of Gaussians with another compression, kernel or colour space."""
     splats, inner = primitive["extensions"][EXTENSION], _inner(primitive)
+    if _DRACO in primitive["extensions"]:
+        raise InvalidInput(f"glTF: {_DRACO!r} is not read")
     names = sorted(inner) if isinstance(inner, dict) else [inner]
     # Others may add to an `.spz`, like EXT_splat_opacity of 3DGS-PLY-3DTiles-Converter.
     spz = isinstance(inner, dict) and any(name in _NAMES for name in names)

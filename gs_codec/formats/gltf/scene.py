@@ -50,6 +50,10 @@ log = logging.getLogger(__name__)
 
 _SYSTEM = GLTF.system
 
+#: Extensions of nodes: instances are refused, and hidden nodes are not shown.
+_INSTANCES = "EXT_mesh_gpu_instancing"
+_VISIBILITY = "KHR_node_visibility"
+
 #: Maximum number of primitives shown by nodes, per node and primitive of the file.
 _SHOWN = 16
 
@@ -101,11 +105,22 @@ def _say_others(path: Path, file: GltfFile, placed: list[_Placed]) -> None:
     others = {
         "primitives without Gaussians": sum(not _is_marked(each) for each in primitives),
         "meshes outside the scene": meshes - shown,
+        "primitives with morph targets": sum("targets" in each.primitive for each in placed),
+        "skins": len(file.items("skins")),
         "animations": len(file.items("animations")),
     }
-    names = {ascii(name) for each in placed for name in other_extensions(each.primitive)}
-    extensions = [f"extensions {listed(sorted(names))}"] if names else []
-    say_left_out(path, lines=others, others=extensions)
+    found = {
+        "attributes": {ascii(name) for each in placed for name in _unread(each.primitive)},
+        "extensions": {ascii(name) for each in placed for name in other_extensions(each.primitive)},
+    }
+    names = [f"{kind} {listed(sorted(each))}" for kind, each in found.items() if each]
+    say_left_out(path, lines=others, others=names)
+
+
+def _unread(primitive: dict[str, Any]) -> set[str]:
+    """Names of the attributes of a checked primitive that are no Gaussians' or their colours'."""
+    names = {name for name in primitive["attributes"] if not name.startswith(f"{EXTENSION}:")}
+    return names - {"POSITION", "COLOR_0"}
 
 
 def variant_of(path: Path, view: memoryview) -> str:
@@ -152,7 +167,10 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
     found, splats = [], _Splats(file)
     for node, matrix in _shown_nodes(file):
         if "mesh" in node:
-            found += [_Placed(each, matrix) for each in splats.of(node["mesh"])]
+            shown = splats.of(node["mesh"])
+            if shown and _extension(node, _INSTANCES) is not None:
+                raise InvalidInput(f"glTF: {_INSTANCES!r} of Gaussians is not read")
+            found += [_Placed(each, matrix) for each in shown]
             if len(found) > splats.most:
                 raise InvalidInput(
                     f"glTF: nodes show more than {counted(splats.most, 'primitive')}"
@@ -171,6 +189,8 @@ def _shown_nodes(file: GltfFile) -> list[tuple[dict[str, Any], NDArray[np.float6
             break
         index, above = pending.popleft()
         node = file.item("nodes", index)
+        if (_extension(node, _VISIBILITY) or {}).get("visible") is False:
+            continue
         with np.errstate(over="ignore", invalid="ignore"):  # rejected when the scene is placed
             matrix = above @ _placement(node)
         pending.extend((child, matrix) for child in _children(node))
@@ -178,6 +198,13 @@ def _shown_nodes(file: GltfFile) -> list[tuple[dict[str, Any], NDArray[np.float6
     if pending:
         raise InvalidInput("glTF: a node has two parents")
     return shown
+
+
+def _extension(node: dict[str, Any], name: str) -> dict[str, Any] | None:
+    """An extension of a node; None if it has none."""
+    found = node.get("extensions")
+    extension = found.get(name) if isinstance(found, dict) else None
+    return extension if isinstance(extension, dict) else None
 
 
 def _roots(file: GltfFile) -> list[int]:

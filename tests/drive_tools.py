@@ -226,6 +226,44 @@ def annotate(driver: Driver, found: dict) -> None:
     found["without rings"] = int(np.abs(after - before)[:, :wide].max())
 
 
+def follow(driver: Driver, found: dict) -> None:
+    """Place all of A, a selection, all, and B, and undo each: what was put on A, and its pixels."""
+    viewer, editor, stage = driver.viewer, driver.viewer.editor, driver.viewer.stage
+    measuring = viewer.measuring
+    measuring.points, measuring.unit = list(stage.scenes[0].positions[:2].astype(float)), 3.0
+    length = measuring.unit * measuring.distance
+
+    def put() -> tuple[list, list]:
+        points = [*(note.position for note in viewer.annotating.notes), *measuring.points]
+        poses = viewer.timeline.path.poses
+        pixels = [pose.project(points, 640, 480)[0] for pose in poses]
+        return [*points, *(pose.position for pose in poses)], pixels
+
+    def select(number: int, rows: slice) -> None:
+        editor.set_number(number)
+        chosen = np.zeros(editor.edits.scene.count, bool)
+        chosen[rows] = True
+        editor.do(lambda edits: edits.select(chosen))
+
+    points, pixels = put()
+    found["put"], found["follows"] = len(points), []
+    for number, rows in ((0, slice(0)), (0, slice(9)), (0, slice(None)), (1, slice(0))):
+        select(number, rows)
+        viewer.placing.place([1, 2, 3], [30, 40, 50], 2.0, True)
+        matrix = editor.edits.scene.moves[-1].matrix
+        moved, seen = put()
+        stays = np.abs(np.array(moved) - points).max() < 1e-9
+        goes = np.abs(points @ matrix[:3, :3].T + matrix[:3, 3] - moved).max()
+        apart = np.abs(np.array(seen) - pixels).max()
+        lengths = abs(measuring.unit * measuring.distance - length)
+        editor.do(Edits.undo)
+        back = np.abs(np.array(put()[0]) - points).max()
+        close = max(goes, apart, lengths, back) < 1e-6
+        found["follows"].append("stays" if stays else "goes" if close else "is lost")
+    select(0, slice(0))
+    viewer.forget()
+
+
 def write(path: Path, seed: int) -> None:
     """Write a scene, later than any before."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -289,6 +327,7 @@ def run(folder: Path) -> dict:
     flights(driver, found)
     measure(driver, found)
     annotate(driver, found)
+    follow(driver, found)
     watch(driver, found)
     return found
 

@@ -102,6 +102,11 @@ def test_annotations_are_clicked_titled_and_saved_for_pages(found, folder):
     assert found["without rings"] <= 4
 
 
+def test_what_was_put_on_a_scene_goes_where_all_of_it_goes(found):
+    assert found["put"] == 7  # annotations, measured points, keyframes
+    assert found["follows"] == ["goes", "stays", "goes", "stays"]
+
+
 def test_changed_files_are_reported_or_reloaded_from_the_same_pose(found):
     count, said = found["changed"]
     assert count == 1001

@@ -35,6 +35,7 @@ Options = tuple[str, ...]
 class _State:
     """Masks over the file's Gaussians, and the step that led here.
 
+    `placed` is the product ``(4, 4)`` of the moves of the whole scene.
     `options` are those of ``gs-codec convert`` with the same result; None if there are none.
     `means` are the options that remove the selection, and those that remove all others.
     """
@@ -44,6 +45,7 @@ class _State:
     hidden: _Bits
     deleted: _Bits
     moves: tuple[Move, ...] = ()
+    placed: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     names: Mapping[int, str] = field(default_factory=dict)
     order: tuple[int, ...] = ()
     options: tuple[str, ...] | None = ()
@@ -108,6 +110,11 @@ class Edits:
     def now(self) -> object:
         """The present state; the same object after undo."""
         return self._state
+
+    @property
+    def placed(self) -> NDArray[np.float64]:
+        """The product ``(4, 4)`` of the moves of the whole scene since it was opened."""
+        return self._state.placed
 
     @property
     def middle(self) -> NDArray[np.float64]:
@@ -214,6 +221,8 @@ class Edits:
         everything = everything or not rows.any()
         rows, moves, option = rows | everything, state.moves, move_option(matrix)
         options = self._then((option,)) if everything else None
+        whole = everything or self.count == self.scene.count
+        placed = matrix @ state.placed if whole else state.placed
         if moves and np.array_equal(moves[-1].rows, rows):  # so that rounding does not add up
             total = matrix @ moves[-1].matrix
             if options is not None and options[-2:-1] == (move_option(moves[-1].matrix),):
@@ -221,7 +230,8 @@ class Edits:
             moves = (*moves[:-1], Move(moves[-1].rows, total))
         else:
             moves = (*moves, Move(rows, matrix))
-        self._do("move", {}, replace(state, moves=moves, options=options, means=((), ())))
+        made = replace(state, moves=moves, placed=placed, options=options, means=((), ()))
+        self._do("move", {}, made)
 
     def _then(self, options: Options) -> Options | None:
         before = self._state.options

@@ -145,6 +145,17 @@ def upright(pose: Pose, up: NDArray) -> Pose:
     return replace(pose, rotation=facing(pose.rotation[2], up))
 
 
+def moved(pose: Pose, matrix: NDArray) -> Pose:
+    """The pose from which a scene looks the same after a move by a matrix ``(4, 4)``."""
+    scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+    return replace(
+        pose,
+        rotation=pose.rotation @ matrix[:3, :3].T / scale,
+        position=matrix[:3, :3] @ pose.position + matrix[:3, 3],
+        near=scale * pose.near,
+    )
+
+
 def distance_ahead(pose: Pose, positions: NDArray) -> float:
     """Median depth of centres straight ahead; if there are none, distance to the median."""
     some = positions[thinned(len(positions), _SAMPLES)].astype(np.float64)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
 from open3d.visualization import gui
 
 from viewer.pictures.screenshot import compose, save_picture
@@ -60,6 +62,12 @@ class Controls(Host, Protocol):
     def forget(self) -> None:
         """Forget lengths measured in the scene shown before."""
         self.measuring.take_unit()
+
+    def follow(self, matrix: NDArray[np.float64]) -> None:
+        """Move what was put on the first scene with it, by a matrix ``(4, 4)``."""
+        self.annotating.follow(matrix)
+        self.timeline.follow(matrix)
+        self.measuring.follow(matrix)
 
     def measure(self) -> None:
         """Let clicks measure, or pick Gaussians again."""

@@ -68,6 +68,7 @@ class Editor:
         self.tool = NAVIGATE
         self.number = 0
         self.all: list[Edits] = []
+        self._placed = np.eye(4)  # of the first scene, when `follow` was called last
         self.selecting = Selecting()
         self.worker = viewer.worker.another()
         self.tools: dict[str, Tool] = {kind: RegionTool(kind, viewer, self) for kind in REGIONS}
@@ -80,6 +81,7 @@ class Editor:
         known = {edits.scene: edits for edits in self.all}
         self.all = [known.get(scene) or Edits(scene) for scene in scenes]
         self.number = min(self.number, max(len(scenes) - 1, 0))
+        self._placed = self.all[0].placed if self.all else np.eye(4)
         self._show_drawn()
         self.mark()
 
@@ -167,6 +169,10 @@ class Editor:
                 stage.replace(number, edits.scene)
         self._show_drawn()
         self.mark()
+        placed, before = self.all[0].placed, self._placed
+        if placed is not before:
+            self._placed = placed
+            self._viewer.follow(placed @ np.linalg.inv(before))
         self._dock.unmark()
         self._viewer.refresh_panel()
 

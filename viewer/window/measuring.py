@@ -54,6 +54,12 @@ class Measuring:
         # Two clicks may be made before the first point is found.
         find_point(self._viewer, f"measure point {at}", pane, at, done)
 
+    def follow(self, matrix: NDArray[np.float64]) -> None:
+        """Move the points by a matrix ``(4, 4)``; a known length stays."""
+        if self.unit != 1:
+            self.unit /= np.cbrt(np.linalg.det(matrix[:3, :3]))
+        self._put([matrix[:3, :3] @ point + matrix[:3, 3] for point in self.points])
+
     def _put(self, points: list[NDArray[np.float64]]) -> None:
         self.points = points
         self._viewer.stage.arrange()

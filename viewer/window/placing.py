@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import gs_codec
 from gs_codec.cli.output import print_text
 from viewer.scenes.gizmo import about
 from viewer.scenes.opened import Opened
+from viewer.scenes.pose import moved
 from viewer.scenes.saving import command_of, open_file, save_project
 from viewer.scenes.typed_paths import PROJECTS, SCENES
 from viewer.scenes.worker import Stale
@@ -64,8 +64,7 @@ class Placing:
             return
         matrix = about(np.zeros(3), factor=factor)
         self._editor.do(lambda edits: edits.move(matrix, everything=True))
-        pose = replace(stage.pose, position=factor * stage.pose.position)
-        stage.look_from(pose, factor * stage.navigator.distance)
+        stage.look_from(moved(stage.pose, matrix), factor * stage.navigator.distance)
         self._viewer.panel.say(f"scaled by {factor:.6g}")
 
     def ask_add(self) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
 from open3d.visualization import gui
 
 from viewer.scenes.choice import Choice
@@ -71,6 +73,9 @@ class Host(Protocol):
 
     def forget(self) -> None:
         """Forget lengths measured in the scene shown before."""
+
+    def follow(self, matrix: NDArray[np.float64]) -> None:
+        """Move what was put on the first scene with it, by a matrix ``(4, 4)``."""
 
     def refresh(self) -> None:
         """Update panes, dock and panel to the choice."""

@@ -9,6 +9,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from open3d.visualization import gui
 
 from gs_codec.runtime.wording import counted
@@ -17,7 +19,7 @@ from viewer.pictures.reels import check_reel
 from viewer.pictures.screenshot import compose
 from viewer.pictures.timeline_chart import TimelineChart, span_of
 from viewer.scenes.flight import LEG, CameraPath, evenly, read_path, write_path
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, moved
 from viewer.scenes.typed_paths import FILMS, POSES
 from viewer.scenes.worker import Stale
 from viewer.window import dialogs
@@ -102,6 +104,12 @@ class Timeline:
         self.stop()
         self._put(self.path, index)
         self._viewer.stage.look_from(self.path.poses[index])
+
+    def follow(self, matrix: NDArray[np.float64]) -> None:
+        """Move the keyframes by a matrix ``(4, 4)``."""
+        if self.path.poses:
+            poses = tuple(moved(pose, matrix) for pose in self.path.poses)
+            self.path = replace(self.path, poses=poses)
 
     def _put(self, path: CameraPath, chosen: int | None) -> None:
         self.path, self.chosen, self._between = path, chosen, False

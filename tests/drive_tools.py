@@ -264,6 +264,18 @@ def follow(driver: Driver, found: dict) -> None:
     viewer.forget()
 
 
+def late(driver: Driver, found: dict) -> None:
+    """Stop annotating after a click, before its point is found."""
+    viewer, notes = driver.viewer, driver.viewer.annotating
+    count = len(notes.notes)
+    viewer.annotate()
+    driver.rest()
+    notes.click(viewer.stage.panes[0], (80.5, 100.5))
+    viewer.annotate()
+    driver.rest()
+    found["late"] = len(notes.notes) - count
+
+
 def write(path: Path, seed: int) -> None:
     """Write a scene, later than any before."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -328,6 +340,7 @@ def run(folder: Path) -> dict:
     measure(driver, found)
     annotate(driver, found)
     follow(driver, found)
+    late(driver, found)
     watch(driver, found)
     return found
 

@@ -107,6 +107,10 @@ def test_what_was_put_on_a_scene_goes_where_all_of_it_goes(found):
     assert found["follows"] == ["goes", "stays", "goes", "stays"]
 
 
+def test_a_point_found_after_annotating_ended_is_not_added(found):
+    assert found["late"] == 0
+
+
 def test_changed_files_are_reported_or_reloaded_from_the_same_pose(found):
     count, said = found["changed"]
     assert count == 1001

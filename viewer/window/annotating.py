@@ -88,6 +88,8 @@ class Annotating:
             return
 
         def done(point: NDArray[np.float64] | None) -> None:
+            if not self.on:
+                return
             if point is None:
                 self._viewer.panel.say("nothing to annotate there")
             else:

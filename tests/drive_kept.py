@@ -234,6 +234,35 @@ def reload_project(driver: Driver) -> list[int]:
     return found
 
 
+def watched_project(driver: Driver) -> list:
+    """Change and watch a file whose edits a project has; reload it with a key, and discard them."""
+    viewer, path = driver.viewer, driver.folder / "d.ply"
+    shutil.copy(driver.folder / "a.ply", path)
+    viewer.loading.open(str(path), 0)
+    driver.rest()
+    edits, found = viewer.editor.all[0], []
+    viewer.editor.number = 0
+    viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 9, "delete"))
+    viewer.placing.save(str(driver.folder / "d.gsproj"))
+    found.append(edits.unsaved)
+    viewer.watching.set_on(True)
+    os.utime(path, (1, 1))
+    driver.wait(lambda: "changed" in viewer.panel.status.text)
+    driver.rest()
+    found += [viewer.stage.scenes[0].count, edits.unsaved]
+    viewer.placing.save(str(driver.folder / "e.gsproj"))
+    found.append(viewer.message[1].removeprefix(str(path)))
+    viewer.dismiss()
+    viewer.watching.set_on(False)
+    driver.key("ctrl+r")
+    answer(driver, "Discard the edits")
+    driver.wait(lambda: viewer.stage.scenes[0].whole is None)
+    driver.rest()
+    viewer.loading.open(str(driver.folder / "a.ply"), 0)
+    driver.rest()
+    return found
+
+
 def memory(driver: Driver) -> list[str]:
     """What is said if memory is short in a step, and in a job, and if a file cannot be read."""
     viewer, found = driver.viewer, []
@@ -425,6 +454,7 @@ if __name__ == "__main__":
         added,
         reload_turned,
         reload_project,
+        watched_project,
         question,
         memory,
         saves,

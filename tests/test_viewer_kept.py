@@ -101,6 +101,12 @@ def test_a_project_is_not_replaced_by_its_scene(found):
     assert before == after == 2990
 
 
+def test_edits_in_a_project_are_not_lost_when_the_file_changes(found):
+    saved, count, unsaved, said = found["watched_project"]
+    assert (saved, count, unsaved) == (False, 2990, True)
+    assert said == ": changed after it was opened"
+
+
 def test_short_memory_is_reported_and_the_window_stays_open(found):
     assert found["memory"] == [*["not enough memory"] * 2, "a.ply: Permission denied"]
 

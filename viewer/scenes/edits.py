@@ -87,6 +87,7 @@ class Edits:
         self.drawn = ~self._of_scene(hidden) if hidden.any() else None
         # A project has masks of hidden Gaussians, and is unchanged.
         self._saved = (nothing, ()) if scene.hidden is None else (deleted, scene.moves)
+        self._in_project = False
         self._before: deque[_State] = deque(maxlen=_STEPS)
         self._after: list[_State] = []
         self._known = deque([(deleted, scene.moves, scene)], maxlen=_KEPT)
@@ -125,8 +126,12 @@ class Edits:
 
     @property
     def unsaved(self) -> bool:
-        """Whether anything that is saved has changed since the scene was saved."""
-        deleted, moves = self._saved
+        """Whether anything that is saved has changed since the scene was saved.
+
+        A project is of no use once the files of its scenes have changed.
+        """
+        lost = self._in_project and self.whole.has_changed
+        deleted, moves = (np.zeros_like(self._state.deleted), ()) if lost else self._saved
         return self._state.moves is not moves or not np.array_equal(self._state.deleted, deleted)
 
     @property
@@ -328,12 +333,12 @@ class Edits:
             self._before.append(self._state)
             self._be(self._after.pop())
 
-    def mark_saved(self, saved: Opened) -> None:
+    def mark_saved(self, saved: Opened, in_project: bool = False) -> None:
         """Record that a scene of these edits was saved, unless another was added since."""
         if (saved.whole or saved) is not self.whole:
             return
         left = np.ones(self.whole.count, bool) if saved.left is None else saved.left
-        self._saved = np.packbits(~left), saved.moves
+        self._saved, self._in_project = (np.packbits(~left), saved.moves), in_project
 
     def turn(self, whole: Opened) -> None:
         """Replace the whole scene by the result of `turned`, and keep the steps.

@@ -94,9 +94,10 @@ def save_project(edits: Edits, path: Path) -> None:
     OSError
         If it cannot be written.
     gs_codec.GsCodecError
-        If a scene is not a file, or was turned.
+        If a scene is not a file, was turned, or has changed since it was opened.
     """
     _check_files(edits)
+    edits.whole.check_unchanged()
     if edits.whole.system_given:
         raise gs_codec.GsCodecError(
             "a project does not keep that axes were reversed; save the scene instead"

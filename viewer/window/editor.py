@@ -309,5 +309,8 @@ class Editor:
 
         text = f"{edits.scene.name} has unsaved edits."
         choices = [("Save as ...", save), ("Discard the edits", discard)]
+        if edits.whole.has_changed:
+            text = f"The file of {edits.scene.name} has changed: edits can no longer be saved."
+            del choices[0]
         dialogs.ask_among(self._viewer.modal, "Unsaved edits", text, choices)
         return True

@@ -126,7 +126,7 @@ class Placing:
             self._viewer.fail(error)
             return
         self._project = edits.now, Path(path)
-        edits.mark_saved(edits.scene)
+        edits.mark_saved(edits.scene, in_project=True)
         self._viewer.panel.say(f"{Path(path).name} saved")
         self._viewer.panel.refresh()
         then()

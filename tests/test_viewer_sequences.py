@@ -20,6 +20,7 @@ from gs_codec.scene import ANTIALIASED
 from gs_codec.sequences.frame_decoding import opened_sequence
 from viewer.scenes.clip import Clip, Moment
 from viewer.scenes.frame_scenes import at_moment, open_frame
+from viewer.scenes.opened import open_scene
 from viewer.scenes.pose import look_at
 from viewer.scenes.saving import open_file, save_scene
 from viewer.scenes.view_request import Request
@@ -60,6 +61,11 @@ def test_frames_are_the_decoded_ones_in_any_order(folder):
         assert frame.name == f"moving.egs, frame {number}"
         assert not frame.is_stored
     assert len(clip._groups) == 2
+
+
+def test_opening_a_sequence_as_a_scene_warns_once(folder, caplog):
+    open_scene(folder / "moving.egs")
+    assert [each.getMessage() for each in caplog.records] == ["only the first of 6 frames is read"]
 
 
 def test_frames_keep_the_antialias_flag_and_are_saved_with_it(folder, tmp_path):

@@ -7,6 +7,7 @@ import logging
 import os
 import tokenize
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +24,7 @@ from gs_codec.edit.clusters import linked_neighbours
 from gs_codec.edit.join import merge_scenes
 from gs_codec.edit.motion import move_rows
 from gs_codec.edit.project_file import Move, Source
+from gs_codec.egs import frame_sections
 from gs_codec.errors import one_line, printable
 from gs_codec.files.scenes import (
     gaussian_bits_of_file,
@@ -34,6 +36,7 @@ from gs_codec.formats import registry
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.preparation.prepare_report import centres_checksum
+from gs_codec.runtime.kept_logs import keeping_logs
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 from viewer.scenes.clip import Moment
@@ -350,10 +353,10 @@ def open_scene(
         scene, size = scene_in(file, "drop", progress, None, max_bytes), file.stored_bytes
     shown = turn_scene(scene, CONVENTION)
     cloud = to_cloud(shown)
-    try:
+    info = None
+    # Reading has already warned. Others than .egs files fail.
+    with keeping_logs([frame_sections.__name__], lambda _: False), suppress(gs_codec.GsCodecError):
         info = gs_codec.inspect(source)
-    except gs_codec.GsCodecError:  # not an .egs file
-        info = None
     path, system = Path(source), system_of(scene)
     name, files = printable(path.name), (path, *beside)
     return Opened(name, cloud, size, info, system, path, shown.comments, files, written)

@@ -245,6 +245,13 @@ def test_without_levels_a_budget_takes_the_nearest_blocks():
         decode_part(plain, Part(view=FAR, budget=3))
 
 
+def test_a_tolerance_without_levels_is_refused():
+    plain = encoded(random_scene(300, 1, seed=330), lod=False)
+    said = "tolerance 4: has no effect without levels of detail"
+    with pytest.raises(InvalidInput, match=said):
+        decode_part(plain, Part(view=FAR, tolerance=4.0))
+
+
 def test_a_view_without_blocks_is_empty():
     behind = replace(FAR, rotation=FAR.rotation * np.array([[-1], [1], [-1]]))
     assert decode_part(sample(), Part(view=behind))[0].count == 0

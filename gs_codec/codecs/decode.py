@@ -133,6 +133,10 @@ def choose_part(
     tool = _require_programs(file, tmc3)
     if part.view is not None:
         levels = [file, *(_opened(file, level) for level in levels_of(file))]
+        if part.tolerance is not None and len(levels) == 1:
+            raise InvalidInput(
+                f"tolerance {part.tolerance:g}: has no effect without levels of detail in the file"
+            )
         selected = select_blocks(levels, part.view, part.budget, part.chosen_tolerance)
         if not any(selected) and part.budget is not None and header.count:
             raise InvalidInput(f"budget {part.budget}: the nearest block has more Gaussians")

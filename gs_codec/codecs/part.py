@@ -38,6 +38,7 @@ class Part:
         until it is reached. If not even the coarsest level fits, its nearest blocks are used.
     tolerance : float, optional
         With `view`, maximum error in pixels, 0 or more; None means 1, and 0 selects level 0 only.
+        Refused for files without levels.
 
     Raises
     ------

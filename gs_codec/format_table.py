@@ -420,13 +420,15 @@ STREAMED_SOG = SceneFormat(
 
 TILES = SceneFormat(
     name="3d tiles",
-    read=(TILESET,),
+    read=(".3tz", TILESET),
+    signatures=(ZIP,),
     short_signatures=(b"{",),
     recognises=_ours("tiles.tileset", "is_tileset"),
     reader=_ours("tiles.tileset", "read_tiles"),
     stated_size=_ours("tiles.tileset", "stated_size"),
     files_beside=_ours("tiles.tileset", "files_beside"),
     checker=_ours("tiles.tileset", "check_all"),
+    opens_file=True,
     written={TILESET: {}},
     writes="levels",
     options={"effort": "effort"},
@@ -435,7 +437,7 @@ TILES = SceneFormat(
     is_rounded=True,
     keeps=SPZ.keeps,
     system="RUB",
-    in_folders=(),
+    in_folders=(".3tz",),
     floats_per_byte=SPZ.floats_per_byte,
 )
 

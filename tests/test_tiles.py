@@ -8,6 +8,7 @@ import math
 import shutil
 import struct
 import subprocess
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -697,6 +698,38 @@ def test_verify_reads_all_levels(copy):
     assert read_scene(copy / TILESET).count == 1150
     with pytest.raises(InvalidInput, match=r"tiles/1/0\.glb"):
         check_file(copy / TILESET)
+
+
+def archived(folder: Path, path: Path, **others: str) -> Path:
+    """A zip of the files of a folder, and of others by name."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for each in sorted(e for e in folder.rglob("*") if e.is_file()):
+            archive.write(each, each.relative_to(folder))
+        for name, text in others.items():
+            archive.writestr(name, text)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.3tz", "a.3dtiles.zip"])
+def test_an_archive_is_read_like_its_files(name, folder, copy, tmp_path, monkeypatch):
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    path = archived(copy, tmp_path / name, **{"@3dtilesIndex1@": "index"})
+    assert_same_floats(read_scene(path), read_scene(folder / TILESET))
+    told = overview_of(path)
+    assert (told.format, told.count, told.file_bytes) == ("3d tiles", 1150, path.stat().st_size)
+    assert scene_files(path) == [path]
+    assert abs(convert_file(path, tmp_path / "1.ply", level=1).count - 288) <= 4
+    check_file(path)
+    (copy / "tiles/1/0.glb").unlink()
+    with pytest.raises(InvalidInput) as caught:
+        check_file(archived(copy, path))
+    assert str(caught.value) == f"{path}: tiles/1/0.glb: No such file or directory"
+    with pytest.raises(InvalidInput, match=r"zip: file '\.\./a', expected one in its folder"):
+        read_scene(archived(copy, path, **{"../a": "elsewhere"}))
+    with pytest.raises(InvalidInput, match=r"zip entry 'tiles/0/0\.glb': "):
+        read_scene(archived(copy, path, **{"tiles/0": "a folder elsewhere"}))
+    assert [*(tmp_path / "temporary").iterdir()] == []
 
 
 # CesiumJS

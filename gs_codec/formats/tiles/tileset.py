@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -18,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.egs.header import FANOUT
-from gs_codec.errors import InvalidInput
-from gs_codec.format_table import GLTF, TILES, TILESET
+from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.format_table import GLTF, TILES, TILESET, ZIP
 from gs_codec.formats.gltf.compressed import EXTENSION, SPZ_2
 from gs_codec.formats.gltf.file import numbers
 from gs_codec.formats.gltf.scene import placed_scenes
@@ -29,6 +32,8 @@ from gs_codec.formats.registry import scene_files
 from gs_codec.formats.relative_name import relative_name
 from gs_codec.formats.tiles.earth import Place, frame_at, place_of
 from gs_codec.formats.tiles.implicit import MOST, Subtree, add_children
+from gs_codec.formats.zip_file import opened_zip
+from gs_codec.runtime.arrays import folder_on_disk
 from gs_codec.runtime.json_text import parse_json
 from gs_codec.runtime.mapped import FileBytes, located, opened
 from gs_codec.scene import Scene, join_scenes
@@ -114,7 +119,13 @@ def _node(
 
 
 def is_tileset(path: Path, data: FileBytes) -> bool:
-    """Whether a JSON file looks like a tileset."""
+    """Whether a JSON file looks like a tileset, or a zip has one in its first folder (`.3tz`).
+
+    Raises InvalidInput if it is a zip that is not valid.
+    """
+    if data[: len(ZIP)] == ZIP:
+        with located(path), opened_zip(path) as archive:
+            return TILESET in archive.names
     begin = bytes(data[:_LOOKED_AT])
     return path.name.lower() == TILESET or b'"geometricError"' in begin
 
@@ -234,6 +245,27 @@ class _Tileset:
         return name
 
 
+@contextmanager
+def _opened(path: Path, data: memoryview | FileBytes) -> Iterator[_Tileset]:
+    """The tileset in a file; a zip is unpacked into a temporary folder for the block."""
+    with located(path):
+        if data[: len(ZIP)] != ZIP:
+            yield _Tileset(path, data[:])
+            return
+        place = tempfile.TemporaryDirectory(prefix="gs_codec-", dir=folder_on_disk())
+        with place as folder, opened_zip(path) as archive:
+            for name in archive.names:
+                unpacked = Path(folder, relative_name(name, "zip"))
+                with refusing(f"zip entry {name!a:.60}"):
+                    unpacked.parent.mkdir(parents=True, exist_ok=True)
+                    unpacked.write_bytes(archive.read(name, archive.size(name)))
+            try:
+                with opened(Path(folder, TILESET)) as tileset:
+                    yield _Tileset(Path(folder, TILESET), tileset[:])
+            except GsCodecError as error:
+                raise type(error)(str(error).replace(folder + os.sep, "")) from error
+
+
 def _root_of(data: memoryview) -> dict[str, Any]:
     with refusing("tileset"):
         document = parse_json(bytes(data))
@@ -279,13 +311,12 @@ def _transform(tile: dict[str, Any]) -> NDArray[np.float64]:
     return np.array(numbers(tile["transform"], 16, "tile.transform")).reshape(4, 4).T
 
 
-def read_tiles(path: Path, data: memoryview, max_bytes: int | None, level: int = 0) -> Scene:
+def read_tiles(path: Path, data: FileBytes, max_bytes: int | None, level: int = 0) -> Scene:
     """Read the tiles of a level of a tileset, 0 for the finest; see `SceneFile.scene`.
 
     If it is on the earth, axes are those at its first tile, and the place is left out.
     """
-    with located(path):
-        tileset = _Tileset(path, data)
+    with _opened(path, data) as tileset:
         contents = tileset.contents(level)
         stated = _stated(tileset, contents)
         check_count(*stated, tileset.stored_bytes(contents), max_bytes)
@@ -334,22 +365,21 @@ def _from_earth(path: Path, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def check_all(path: Path, data: memoryview, max_bytes: int | None) -> None:
     """Read all tiles; raises like `read_tiles`."""
-    with located(path):
-        tileset = _Tileset(path, data)
+    with _opened(path, data) as tileset:
         for each in tileset.contents(level=None):
             _scenes(tileset, each, max_bytes, np.eye(4))
 
 
 def files_beside(path: Path, data: FileBytes) -> list[Path]:
-    """The tilesets in a tileset, and all tiles."""
-    with located(path):
-        tileset = _Tileset(path, data[:])
+    """The tilesets in a tileset, and all tiles; a zip has none."""
+    if data[: len(ZIP)] == ZIP:
+        return []
+    with _opened(path, data) as tileset:
         tileset.contents(level=None)
         return tileset.files_beside()
 
 
-def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
+def stated_size(path: Path, data: FileBytes) -> tuple[int, int]:
     """Number of Gaussians of the finest tiles, and their largest SH degree."""
-    with located(path):
-        tileset = _Tileset(path, data)
+    with _opened(path, data) as tileset:
         return _stated(tileset, tileset.contents())

@@ -176,6 +176,15 @@ def test_what_lists_contain_is_checked():
         gs_codec.encode_sequence(iter([gs_codec.read("a.ply")]), "one.egs")
 
 
+def test_iterators_are_as_good_as_lists():
+    half = gs_codec.edit.Action("keep", "50%")
+    assert gs_codec.convert_file("a.ply", "half.ply", actions=iter([half])).count == 30
+    cloud = gs_codec.read("a.ply")
+    turned = [gs_codec.edit.rotate(cloud, each) for each in ([1, 2, 3], iter([1, 2, 3]))]
+    first, second = (each.point.positions.numpy() for each in turned)
+    np.testing.assert_array_equal(first, second)
+
+
 @pytest.mark.parametrize(
     ("call", "text"),
     [

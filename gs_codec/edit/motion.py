@@ -185,6 +185,7 @@ def move_rows(scene: Scene, moves: Sequence[Move]) -> Scene:
 
 def rotation(angles: Sequence[float]) -> NDArray[np.float64]:
     """The matrix of a rotation from `rotate`."""
+    angles = tuple(angles)
     if len(angles) == 4:
         quaternion = finite("quaternion", angles, 4)
         if not quaternion.any():

@@ -163,7 +163,7 @@ def convert_file(
     (2000, 'opacity, colour and rotation rounded to 8 bits')
     """
     by_profile |= isinstance(config, str)
-    config = as_config(config)
+    config, actions = as_config(config), tuple(actions)
     sources = [source] if isinstance(source, str | Path) else list(source)
     if not sources:
         raise InvalidInput("source: no scenes, expected at least one")

@@ -73,6 +73,9 @@ def test_documents_have_the_same_keys(folder, case):
     assert not OTHER_NAMES & told.keys()
     if told["stages"]:
         assert told["seconds"] == pytest.approx(sum(told["stages"].values()))
+    if command in ("encode", "decode", "convert", "prepare"):
+        sources = [source] if isinstance(source, str) else source
+        assert told["input_bytes"] == sum(Path(each).stat().st_size for each in sources)
     if isinstance(source, str) and Path(source).is_file() and told["input_bytes"] is not None:
         assert told["input_bytes"] == Path(source).stat().st_size
     size = told["input_bytes"]

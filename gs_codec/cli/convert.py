@@ -90,6 +90,8 @@ def command(
         refuse_coding(typed, suffix[1:], target)
     config, plan = config_of(typed, target), action_plan(typed)
     from gs_codec.files.conversion import convert_file
+    from gs_codec.formats.registry import scene_files
+    from gs_codec.runtime.mapped import total_bytes
 
     with piped(sources, target, suffix, typed["input_format"]) as (files, out):
         with progress_bar() as progress:
@@ -105,6 +107,7 @@ def command(
             shown = asdict(done)
             print_document(
                 input=inputs if len(inputs) > 1 else inputs[0], output=str(target),
+                input_bytes=sum(total_bytes(scene_files(file)) for file in files),
                 profile=None if suffix in PLAIN else config.profile, format=format_name(suffix),
                 bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
                 stages=shown.pop("seconds"), **shown,

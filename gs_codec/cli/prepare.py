@@ -47,16 +47,20 @@ def command(
         raise InvalidInput("no step of preparation given; pass one, for example --prune 30")
     from gs_codec.files.preparing import prepare_file
     from gs_codec.files.writing import written_bytes
+    from gs_codec.formats.registry import scene_files
+    from gs_codec.runtime.mapped import total_bytes
 
     with piped_source(source, typed["input_format"]) as file, progress_bar() as progress:
         done = prepare_file(
             file, target, plan, config, progress=progress, report_folder=typed["report"],
             max_bytes=typed["max_bytes"], overwrite=typed["overwrite"],
         )  # fmt: skip
+        input_bytes = total_bytes(scene_files(file))
     if typed["json"]:
         size, suffix = written_bytes(target), known_suffix(target)
         print_document(
-            input=str(source), output=str(target), format=format_name(suffix), output_bytes=size,
+            input=str(source), output=str(target), format=format_name(suffix),
+            input_bytes=input_bytes, output_bytes=size,
             profile=None if suffix in PLAIN else config.profile,
             bits_per_gaussian=bits_per_gaussian(size, done.steps[-1].count), **done.as_dict(),
         )  # fmt: skip

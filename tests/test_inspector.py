@@ -89,6 +89,14 @@ def get(page: Page, path: str) -> tuple[int, bytes]:
     return response.status, response.read()
 
 
+def put(page: Page, name: str, data: bytes, **headers: str) -> tuple[int, str]:
+    """Drop a file on the page."""
+    connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
+    connection.request("PUT", urlsplit(page.url).path + name, data, headers)
+    response = connection.getresponse()
+    return response.status, response.read().decode()
+
+
 def picture(page: Page, **changes: object) -> np.ndarray:
     status, _, data = ask(page, ASKED | changes)
     assert status == 200, data
@@ -239,6 +247,58 @@ def test_calls_from_elsewhere_or_without_the_address_are_refused(page):
 
 
 @pytest.mark.thorough
+def test_a_dropped_file_is_shown_and_inspected_instead(page, folder):
+    assert ask(page, {"call": "facts"})[0] == 200
+    write_ply(folder / "c d.ply", random_scene(700, 0, seed=3))
+    assert put(page, "c%20d.ply", (folder / "c d.ply").read_bytes()) == (200, "")
+    status, shown = get(page, "")
+    assert status == 200
+    assert b"<title>c d.ply</title>" in shown
+    assert get(page, "a.egs")[0] == 404
+    facts = json.loads(ask(page, {"call": "facts"})[2])
+    assert (facts["second"], facts["photographs"]) == (False, False)
+    assert ask(page, ASKED)[0] == 200
+    assert put(page, "e.ply", b"ply")[0] == 400
+    assert put(page, "e.ply", b"ply")[1].startswith("e.ply: ")
+    with pytest.raises(gs_codec.GsCodecError, match=r"e\.splat: only a part of it has arrived"):
+        page.take("e.splat", io.BufferedReader(io.BytesIO(bytes(64))), 96)
+    assert get(page, "") == (200, shown)
+
+
+@pytest.mark.parametrize("name", ["", "..", "x/y.ply", "..%2Fy.ply", "y%00.ply"])
+def test_dropped_files_without_a_plain_name_are_refused(page, name):
+    assert put(page, name, b"ply")[0] in (400, 404)
+
+
+def test_dropped_files_are_limited_and_come_from_this_host(page):
+    assert put(page, "a.ply", b"", **{"Content-Length": str(1 << 32)})[0] == 413
+    assert put(page, "a.ply", b"ply", Host="example.org")[0] == 404
+
+
+@in_browser
+def test_a_browser_opens_a_dropped_file(page, folder):
+    data = list((folder / "b.ply").read_bytes())
+    drop = """((bytes, name) => {
+        const dataTransfer = new DataTransfer();
+        dataTransfer.items.add(new File([new Uint8Array(bytes)], name));
+        const of = { dataTransfer, bubbles: true, cancelable: true };
+        const event = (kind) => new DragEvent(kind, of);
+        return ['dragover', 'drop'].map((kind) => document.body.dispatchEvent(event(kind)));
+    })"""
+    told = "document.getElementById('status').textContent"
+    job = Job(page.url, [("drawn",), ("value", f"{drop}([112, 108, 121], 'e.ply')")])
+    job.steps += [("until", f"{told}.startsWith('e.ply')"), ("value", told)]
+    job.steps += [("value", f"{drop}({data}, 'b.ply')"), ("until", "document.title === 'b.ply'")]
+    job.steps += [("drawn",), ("value", "document.querySelectorAll('#inspect').length")]
+    [told] = open_pages(job)
+    assert told.errors == [
+        "Failed to load resource: the server responded with a status of 400 (Bad Request)"
+    ]
+    assert told.state == "ready"
+    assert told.values[1] == [False, False]  # the browser itself opens no file
+    assert told.values[-1] == 1
+
+
 @in_browser
 def test_a_browser_picks_the_error_encodes_and_shows_the_result(page, tmp_path):
     here = "#inspect fieldset ~ fieldset"

@@ -11,14 +11,15 @@ import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedIOBase
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote, urlencode
+from urllib.parse import quote, unquote, urlencode
 
 import gs_codec
 from gs_codec.cli.main import describe_error
@@ -46,6 +47,9 @@ _PIECE = 1 << 16
 #: Maximum size of a call of the inspection, bytes.
 _CALL = 1 << 16
 
+#: Maximum size of a dropped file, bytes; as in the page.
+_DROPPED = 1 << 31
+
 #: Maximum number of connections; a browser opens six.
 _CONNECTIONS = 64
 
@@ -68,6 +72,8 @@ class Page(ThreadingHTTPServer):
     ----------
     url : str
         The address, with an unguessable random part.
+    show : callable or None
+        Shows the scene of a file that is dropped on the page.
     """
 
     daemon_threads = True
@@ -79,13 +85,42 @@ class Page(ThreadingHTTPServer):
         inspector: Inspector | None = None,
         start: str = "",
     ) -> None:
+        self.inspector: Inspector | None = None
+        self._dropped, self._showing = ExitStack(), threading.Lock()
         super().__init__((_HOST, port), _Handler)
-        self.root = root = f"/{secrets.token_urlsafe(16)}/"
-        self.contents = {root + quote(name): data for name, data in files.items()}
-        self.contents[root] = self.contents.pop(root + PAGE)
-        self.inspector = inspector
-        self.url = f"http://{_HOST}:{self.server_port}{root}{start and '#'}{start}"
+        self.root = f"/{secrets.token_urlsafe(16)}/"
+        self.put(files, inspector)
+        self.show: Callable[[Path], None] | None = None
+        self.url = f"http://{_HOST}:{self.server_port}{self.root}{start and '#'}{start}"
         self._free = threading.BoundedSemaphore(_CONNECTIONS)
+
+    def put(self, files: dict[str, bytes], inspector: Inspector | None) -> None:
+        """Serve these files, and an inspection of the page, instead of those before."""
+        if self.inspector is not None:
+            self.inspector.close()
+        contents = {self.root + quote(name): data for name, data in files.items()}
+        contents[self.root] = contents.pop(self.root + PAGE)
+        self.contents, self.inspector = contents, inspector
+
+    def take(self, name: str, file: BufferedIOBase, size: int) -> None:
+        """Read a dropped file, and show it; if that fails, all stays. Raises GsCodecError."""
+        with ExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="gs-viewer-"))
+            path = Path(folder) / name
+            try:
+                with open(path, "wb") as copy:
+                    while piece := file.read(min(size - copy.tell(), _PIECE)):
+                        copy.write(piece)
+                    if copy.tell() < size:
+                        raise gs_codec.GsCodecError(f"{name}: only a part of it has arrived")
+                with self._showing:
+                    if self.show is not None:
+                        self.show(path)
+                    self._dropped.close()
+                    self._dropped = stack.pop_all()
+            except (gs_codec.GsCodecError, OSError, MemoryError) as error:
+                text = describe_error(error).replace(f"{folder}{os.sep}", "")
+                raise gs_codec.GsCodecError(text) from error
 
     def verify_request(self, request: object, client_address: object) -> bool:
         """Whether to serve a connection; its thread frees its place at the end."""
@@ -122,12 +157,16 @@ class Page(ThreadingHTTPServer):
             elif "SSH_CONNECTION" in os.environ:
                 port, there = self.server_port, "then open this address"
                 print_text(f"from another machine: ssh -L {port}:{_HOST}:{port} HOST, {there}")
-            if self.inspector is not None:
-                stack.callback(self.inspector.close)
+            stack.callback(lambda: self.inspector.close() if self.inspector else None)
             stack.callback(self.server_close)
             stack.enter_context(suppress(KeyboardInterrupt))
             sys.stdout.flush()  # may be a pipe, as over SSH
             self.serve_forever()
+
+    def server_close(self) -> None:
+        """Serve no more, and remove the dropped file."""
+        super().server_close()
+        self._dropped.close()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Log nothing about interrupted connections, which occur when a page is closed."""
@@ -166,6 +205,25 @@ class _Handler(BaseHTTPRequestHandler):
             kind, data = "text/plain; charset=utf-8", describe_error(error).encode()
         told = {"Facts": json.dumps(facts)} if facts else {}
         self._send(status, kind, len(data), told)
+        self._write(data)
+
+    def do_PUT(self) -> None:
+        """Show a file dropped on the page in place of its scenes."""
+        name = unquote(self.path.removeprefix(self.server.root))
+        is_name = self.path.startswith(self.server.root) and Path(name).name == name
+        if not (self._is_from_here and self.server.show and is_name):
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        length = self.headers.get("Content-Length", "")
+        if not re.fullmatch(r"\d{1,10}", length) or int(length) > _DROPPED:
+            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return
+        status, data = HTTPStatus.OK, b""
+        try:
+            self.server.take(name, self.rfile, int(length))
+        except (gs_codec.GsCodecError, ValueError) as error:
+            status, data = HTTPStatus.BAD_REQUEST, describe_error(error).encode()
+        self._send(status, "text/plain; charset=utf-8", len(data), {})
         self._write(data)
 
     @property
@@ -271,21 +329,43 @@ def serve(
             raise gs_codec.GsCodecError("frame: expected a sequence")
         with opened_sequence(sources[0]) as sequence:
             _start(frame=(request.frame, sequence.timeline.count))
-    shared, files = page_of(
-        sources, cameras, alone=False, progress=progress, max_bytes=request.max_bytes, up=request.up
-    )
-    frames = shared[0].frames
+    files, frames = _files_of(sources, request, inspector, progress)
     start = _start(view=(request.view, count_views(files[PAGE])), frame=(request.frame, frames))
-    if inspector is not None and not frames:
-        files[PAGE] = with_inspection(files[PAGE], inspector.is_open)
-    elif inspector is not None and inspector.is_open:
+    if inspector is not None and inspector.is_open and frames:
         raise gs_codec.GsCodecError("a sequence has no layers, photographs or report")
-    else:
-        inspector = None
     try:
-        return Page(files, port or 0, inspector, start)
+        page = Page(files, port or 0, None if frames else inspector, start)
     except OSError as error:
         raise gs_codec.GsCodecError(f"port {port}: {error.strerror or error}") from error
+
+    def show(path: Path) -> None:
+        from viewer.inspector import Inspector
+        from viewer.scenes.view_request import Request
+
+        wanted = Request(path, cameras="auto", max_bytes=request.max_bytes, up=request.up)
+        other = Inspector(wanted)
+        files, frames = _files_of([path], wanted, other)
+        page.put(files, None if frames else other)
+
+    page.show = None if inspector is None else show
+    return page
+
+
+def _files_of(
+    sources: Sequence[Path],
+    request: Request,
+    inspector: Inspector | None,
+    progress: Progress | None = None,
+) -> tuple[dict[str, bytes], int]:
+    """The files of a page, and the number of frames if it shows a sequence."""
+    cameras, most = request.cameras, request.max_bytes
+    assert isinstance(cameras, str | Path)
+    shared, files = page_of(
+        sources, cameras, alone=False, progress=progress, max_bytes=most, up=request.up
+    )
+    if inspector is not None:
+        files[PAGE] = with_inspection(files[PAGE], inspector.is_open)
+    return files, shared[0].frames
 
 
 def _start(**wanted: tuple[int | None, int]) -> str:

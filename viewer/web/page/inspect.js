@@ -28,6 +28,9 @@ const STEPS = 200;
 /** Milliseconds until a picture is asked for again that another page has asked for. */
 const AGAIN = 1000;
 
+/** Maximum bytes of a dropped file; as on the server. */
+const MOST_DROPPED = 2 ** 31;
+
 const STYLE = `
   #layers { position: fixed; inset: 0; pointer-events: none; }
   #inspect > * { margin: 6px 0; }
@@ -504,11 +507,35 @@ async function begin() {
   }
 }
 
+/** Show a dropped file in place of the scenes. */
+async function take(file) {
+  const tell = (text, isError) => viewer.panel.tell((viewer.note = text), isError);
+  try {
+    if (file.size > MOST_DROPPED) throw new Error(say('{}: larger than {}', file.name, sizeText(MOST_DROPPED)));
+    tell(say('The server reads the scene …'), false);
+    const asked = fetch(encodeURIComponent(file.name), { method: 'PUT', body: file });
+    const answer = await asked.catch(() => {
+      throw new Error(say('the server does not answer'));
+    });
+    if (!answer.ok) throw new Error(await answer.text());
+    location.href = location.pathname;
+  } catch (error) {
+    tell(error.message, true);
+  }
+}
+
+addEventListener('dragover', (event) => event.preventDefault());
+addEventListener('drop', (event) => {
+  event.preventDefault();
+  const [file] = event.dataTransfer.files;
+  if (file) take(file);
+});
+
 const sheet = new CSSStyleSheet();
 sheet.replaceSync(STYLE);
 document.adoptedStyleSheets.push(sheet);
 viewer.canvas.after(layers);
 $('wipe').after(cut);
-$('legend').after(section);
+if (!viewer.possible.frames) $('legend').after(section); // sequences are only played
 section.addEventListener('toggle', begin);
 if (trial || $('inspection').dataset.open) section.open = true;

@@ -28,6 +28,7 @@ export const INSPECTED = {
   'Line between photograph and scene': ['Linie zwischen Foto und Szene', 'Ligne entre la photographie et la scène', '照片与场景之间的分界线', '写真とシーンの境界線'],
   'The server reads the scene …': ['Der Server liest die Szene …', 'Le serveur lit la scène …', '服务器正在读取场景…', 'サーバーがシーンを読み込み中…'],
   'The server draws …': ['Der Server zeichnet …', 'Le serveur dessine …', '服务器正在绘制…', 'サーバーが描画中…'],
+  '{}: larger than {}': ['{}: größer als {}', '{} : plus de {}', '{}：大于 {}', '{}：{} を超えています'],
   'the server does not answer': ['Der Server antwortet nicht', 'le serveur ne répond pas', '服务器没有响应', 'サーバーが応答しません'],
   'B against A, this view: {}': ['B gegen A, diese Ansicht: {}', 'B par rapport à A, cette vue : {}', '此视图中 B 与 A 相比：{}', 'この視点の A に対する B：{}'],
   'Encode A': ['A kodieren', 'Encoder A', '编码 A', 'A を符号化'],

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from gs_codec.config import RateTarget
+from gs_codec.config import LOSSLESS, RateTarget
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +29,15 @@ NOT_MEASURED = (
     "rendered views: not measured, because nearly all crops are empty, almost transparent, "
     "or show too many Gaussians"
 )
+
+
+def lacks_loss(loss: object, profile: str | None, prepared: bool = False) -> bool:
+    """Whether a loss in rendered views should be stated, but was not measured.
+
+    Without a profile, or with ``lossless``, only that of a scene that was `prepared`.
+    """
+    return loss is None and (profile not in (None, LOSSLESS) or prepared)
+
 
 #: Called with a stage's name, the steps done, and the total number of steps.
 Progress = Callable[[str, int, int], None]

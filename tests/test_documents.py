@@ -184,3 +184,16 @@ def test_reason_is_stated_if_views_are_not_measured(folder):
     assert document(folder, "batch", "faint.ply", "coded")["warnings"] == []
     record = json.loads(Path("coded", "report.jsonl").read_text())
     assert record["warnings"] == [f"{Path('faint.ply').absolute()}: {line}"]
+    folder.monkeypatch.setattr("gs_codec.encoding.retry.loss_by_plan", lambda *_: None)
+    pruned = ("scene.ply", "p.ply", "--prune", "30", *VIEWS)
+    assert document(folder, "prepare", *pruned)["warnings"][-1] == line
+    assert folder.run("prepare", *pruned, "--overwrite").out.splitlines()[-1] == line
+
+
+def test_a_bit_exact_file_of_a_pruned_scene_states_its_loss(folder):
+    typed = ("encode", "scene.ply", "o.egs", "-p", "lossless", "--prune", "30", *VIEWS)
+    loss = document(folder, *typed)["rendered"]["loss"]
+    assert loss > 0
+    line = folder.run(*typed, "--overwrite").out.splitlines()[-1]
+    assert line.startswith("rendered views")
+    assert "a loss of" in line

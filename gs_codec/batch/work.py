@@ -20,11 +20,10 @@ from gs_codec.batch.local import LocalStorage, file_sha256, present_files
 from gs_codec.batch.needed_memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scene_tasks import Options, Task
-from gs_codec.config import LOSSLESS
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.format_table import SSOG, STREAMED, TILESET
 from gs_codec.formats.registry import scene_files
-from gs_codec.report import NOT_MEASURED, Progress, StageTimes, bits_per_gaussian
+from gs_codec.report import NOT_MEASURED, Progress, StageTimes, bits_per_gaussian, lacks_loss
 from gs_codec.runtime.atomic import make_folder
 from gs_codec.runtime.wording import counted
 from gs_codec.workers.interface import Place
@@ -97,7 +96,8 @@ def _encode(
         limit = most_floats(size, task.name)
     with _named({str(file): task.shown[0], str(output): task.shown[1]}, warnings):
         report = _write(file, output, options, progress, limit)
-    if report.rendered is None and options.plain is None and options.config.profile != LOSSLESS:
+    profile = options.config.profile if options.plain is None else None
+    if lacks_loss(report.rendered, profile, options.prepares):
         warnings.append(f"{task.shown[0]}: {NOT_MEASURED}")
     after = sources.stamp(task.source)
     if before is None or before != after:

@@ -21,13 +21,13 @@ from gs_codec.cli.output import (
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.cli.typed_request import action_plan, config_of
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.combinations import refuse_coding
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import LEVELLED, PLAIN, format_name, known_suffix
 from gs_codec.plan import CAMERAS, Plan
-from gs_codec.report import bits_per_gaussian
+from gs_codec.report import bits_per_gaussian, lacks_loss
 from gs_codec.runtime.wording import counted, listed, size_text
 
 if TYPE_CHECKING:
@@ -117,7 +117,8 @@ def command(
                 f"{target}: {counted(done.count, 'Gaussian')}, SH degree {done.sh_degree}, "
                 f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
             )
-            if done.rendered is not None or (suffix not in PLAIN and config.profile != LOSSLESS):
+            profile = None if suffix in PLAIN else config.profile
+            if done.rendered is not None or lacks_loss(done.rendered, profile):
                 print_rendered(done.rendered)
 
 

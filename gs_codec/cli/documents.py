@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from typing import Any, TextIO
 
 from gs_codec.cli.streams import is_stdout
-from gs_codec.config import LOSSLESS
 from gs_codec.errors import printable
-from gs_codec.report import NOT_MEASURED, SCHEMA, finite
+from gs_codec.report import NOT_MEASURED, SCHEMA, finite, lacks_loss
 from gs_codec.runtime.wording import as_typed
 
 #: Keys of every document, in this order; null for missing values.
@@ -83,8 +82,10 @@ def print_document(**shown: Any) -> None:
 def _lacks_loss(values: Mapping[str, Any]) -> bool:
     """Whether a loss in rendered views should be stated, but is not."""
     if _run.command == "share":
-        return any(each["encoded"] and not each["rendered"] for each in values.get("scenes", ()))
-    return values.get("profile") not in (None, LOSSLESS) and values.get("rendered", {}) is None
+        encoded = [each["rendered"] for each in values.get("scenes", ()) if each["encoded"]]
+        return any(lacks_loss(loss, "l") for loss in encoded)
+    prepared = _run.command == "prepare" or values.get("prepared") is not None
+    return lacks_loss(values.get("rendered", {}), values.get("profile"), prepared)
 
 
 def print_error(kind: str, text: str) -> None:

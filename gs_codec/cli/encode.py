@@ -23,12 +23,12 @@ from gs_codec.cli.output import (
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.cli.typed_request import request_of
-from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config, RateTarget
+from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.edit.actions import KINDS
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.plan import Plan
-from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian
+from gs_codec.report import EncodeReport, RateReport, bits_per_gaussian, lacks_loss
 from gs_codec.runtime.wording import counted, size_text
 
 #: Options of coding, shared with `batch`.
@@ -141,9 +141,9 @@ def _print_report(target: Path, report: EncodeReport, config: Config) -> None:
             f"step sizes {report.coarseness:.2f}x those of profile {config.profile} "
             "(chosen automatically)"
         )
-    if config.profile == LOSSLESS:
-        return
     loss, rate = report.rendered, report.rate
+    if loss is None and not lacks_loss(loss, config.profile, report.prepared is not None):
+        return
     if rate is not None and rate.psnr_drop is not None and loss and loss.views == "given":
         print_rendered(loss, _CROPS)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -52,13 +53,14 @@ class Sequence:
         return decode_frames(self.file, self.timeline, int(first), int(last), max_bytes=max_bytes)
 
     def at(self, start: float, end: float) -> range:
-        """The frames that are shown from `start` to `end`, in seconds; at least one.
+        """The frames that are shown from `start` until `end`, in seconds; at least one.
 
         Raises InvalidInput if `start` is after `end`, or the sequence is shorter.
         """
         timeline = self.timeline
         # As floats, 4.1 s of 30 frames a second are a little less than 123 frames.
-        first, last = (int(round(each * timeline.fps, 6)) for each in (start, end))
+        begin, stop = (round(each * timeline.fps, 6) for each in (start, end))
+        first, last = int(begin), math.ceil(stop)
         if not 0 <= start <= end or first >= timeline.count:
             length = timeline.count / timeline.fps
             raise InvalidInput(f"time {start:g}-{end:g}: expected some of 0 to {length:g} seconds")

@@ -212,6 +212,7 @@ def test_edges_that_cannot_be_inverted_are_left_out(suffix, tmp_path):
 BAD_LENSES = {
     "k1 = 1e300": ((500.0, 400.0, 300.0, 1e300), "lens: its distortion"),
     "k1 = -1e300": ((500.0, 400.0, 300.0, -1e300), "lens: its distortion"),
+    "k1 = 1e4": ((500.0, 400.0, 300.0, 1e4), r"lens: its distortion leaves 4\.6 % of a side"),
     "k1 = -3": ((500.0, 400.0, 300.0, -3.0), "lens: its distortion cannot be inverted"),
     "focal of zero": ((0.0, 400.0, 300.0, 0.1), "lens: fx 0"),
     "point outside": ((500.0, -1.0, 300.0, 0.1), "lens: principal point -1, expected within"),

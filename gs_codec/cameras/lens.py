@@ -32,6 +32,9 @@ _MARGIN = 0.05
 #: Maximum growth of an image's sides, as in COLMAP; wide fisheye images would grow without limit.
 _MAX_GROWTH = 2.0
 
+#: Minimum; COLMAP has 0.2. Smaller images are of wrong coefficients, not of real lenses.
+_MIN_GROWTH = 0.1
+
 #: Maximum number of iterations of Newton's method, as in COLMAP.
 _ITERATIONS = 100
 
@@ -272,6 +275,9 @@ def _growth(lens: Lens) -> tuple[float, float]:
         factor = min(before / centre, after / (side - 0.5 - centre), _MAX_GROWTH)
         if not factor > 0:
             raise InvalidInput("lens: its distortion turns the image inside out")
+        if factor < _MIN_GROWTH:
+            text = f"lens: its distortion leaves {100 * factor:.2g} % of a side of the image"
+            raise InvalidInput(f"{text}, expected {100 * _MIN_GROWTH:g} % or more")
         growth.append(float(factor))
     return growth[0], growth[1]
 

@@ -67,6 +67,15 @@ def test_guided_files_have_better_views_at_equal_size(scene, plan):
     assert quality(scene, decode_scene(blind["l"]), held_out) >= shown, "nothing is compared"
 
 
+def test_a_single_camera_that_guides_is_a_warning(scene, caplog):
+    text = "cameras: only one guides step sizes; views from elsewhere may lose far more"
+    two = [replace(camera, split=None) for camera in cameras(2)]
+    for number, warned in ((1, [text]), (2, [])):
+        caplog.clear()
+        as_requested(scene, Config("m", effort="fast"), Plan(Steps(), two[:number]))
+        assert [said for said in caplog.messages if "only one" in said] == warned
+
+
 def test_profiles_are_in_order(scene, plan):
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
     sizes, shown = [], []

@@ -136,6 +136,9 @@ def guiding_views(
             "cameras 'auto': no cameras can be estimated from this scene; encoded camera-free"
         )
         return None
+    given = known.cameras if isinstance(known, ReferenceViews) else known.rest
+    if known.origin == "given" and len(given) == 1:
+        log.warning("cameras: only one guides step sizes; views from elsewhere may lose far more")
     if isinstance(known, ReferenceViews):
         own = plan.steps.refine or known.source is scene
         return replace(known, images=(), source=scene) if own else known

@@ -27,6 +27,7 @@ from gs_codec.cameras.up import UNSURE, UPS, up_of
 from gs_codec.cameras.widest import widest_view
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.edit.project_file import Move
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply.file import read_ply
@@ -58,7 +59,7 @@ from viewer.pictures.screenshot import draw_request
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import facts, quality_text
 from viewer.scenes.opened import Opened, keep, open_scene, read_pruned, thinned, turned
-from viewer.scenes.pose import Pose, look_at, of_camera, overview
+from viewer.scenes.pose import Pose, look_at, moved, of_camera, overview
 from viewer.scenes.view_request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
 from viewer.scenes.worker import Worker
@@ -492,6 +493,19 @@ def test_every_layer_is_visible(files, layer):
         assert images[1].shape == (60, 90, 3)
     assert changed[b] == (layer != "pruned")
     assert changed[a] == (layer != "boxes")
+
+
+@pytest.mark.parametrize("layer", ["centres", "boxes", "octree"])
+def test_layers_of_a_tiny_scene_are_those_of_a_large_one(files, layer):
+    scene, matrix = open_scene(files / "blocks.egs"), np.diag([1e-5, 1e-5, 1e-5, 1])
+    every = np.ones(scene.count, bool)
+    tiny = keep(scene, every, (Move(every, matrix),))
+    large, small = (
+        draw_scene(each, pose, 90, 60, Shown((layer,), scenes=(each,)), {})[0]
+        for each, pose in ((scene, STRAIGHT), (tiny, moved(STRAIGHT, matrix)))
+    )
+    assert large.any()
+    assert (np.abs(large - small).max(axis=2) > 0.1).mean() < 0.02
 
 
 def test_wipes_show_both():

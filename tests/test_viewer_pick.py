@@ -332,15 +332,16 @@ def test_pictures_that_are_saved_have_the_mark(a):
     assert (np.abs(after - before).max(axis=2) > 0.2).sum() > 20
 
 
-def test_a_measured_line_is_cut_where_it_comes_before_the_camera():
-    pose = look_at(np.array([0.0, 0, -4]), np.zeros(3))
+@pytest.mark.parametrize("size", [1.0, 1e-5])
+def test_a_measured_line_is_cut_where_it_comes_before_the_camera(size):
+    pose = look_at(np.array([0.0, 0, -4 * size]), np.zeros(3))
     assert measure_lines([], pose, 90, 60) == []
-    line, *rings = measure_lines(np.array([[0.0, 0, 0], [1, 0, 0]]), pose, 90, 60)
+    line, *rings = measure_lines(size * np.array([[0.0, 0, 0], [1, 0, 0]]), pose, 90, 60)
     np.testing.assert_allclose(line[0], (45, 30))
     np.testing.assert_allclose([ring.mean(axis=0) for ring in rings], line, atol=1e-9)
-    cut, *rings = measure_lines(np.array([[0.0, 0, 0], [1, 0, -6]]), pose, 90, 60)
+    cut, *rings = measure_lines(size * np.array([[0.0, 0, 0], [1, 0, -6]]), pose, 90, 60)
     assert len(rings) == 1
     assert np.isfinite(cut).all()
     np.testing.assert_allclose(cut[0], (45, 30))
     assert np.sign(cut[1][0] - 45) == np.sign(line[1][0] - 45)
-    assert measure_lines(np.array([[0.0, 0, -5], [1, 0, -6]]), pose, 90, 60) == []
+    assert measure_lines(size * np.array([[0.0, 0, -5], [1, 0, -6]]), pose, 90, 60) == []

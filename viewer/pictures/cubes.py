@@ -18,9 +18,6 @@ _SHADES = np.array([0.8, 1.0, 0.6], np.float32)
 _UPPER = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]) - 0.5
 _LOWER = (_UPPER * [-1, 1, 1])[::-1]
 
-#: Cubes with a corner nearer to the camera than this are not drawn, scene units.
-_NEAR = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class Cubes:
@@ -69,7 +66,7 @@ def draw_cubes(canvas: Image.Image, cubes: Cubes, pose: Pose) -> None:
     some = side, order[cube]
     pixels, depth = pose.project(corners[some].reshape(-1, 3), *size)
     pixels, depth = pixels.reshape(-1, 4, 2), depth.reshape(-1, 4)
-    seen = (depth > _NEAR).all(axis=1) & (pixels.max(axis=1) >= 0).all(axis=1)
+    seen = (depth > 0).all(axis=1) & (pixels.max(axis=1) >= 0).all(axis=1)
     seen &= (pixels.min(axis=1) < size).all(axis=1)
     pen = ImageDraw.Draw(canvas)
     polygons = np.clip(pixels[seen], -1e6, 1e6).reshape(-1, 8)

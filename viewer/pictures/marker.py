@@ -25,8 +25,8 @@ _POINT = 5.0
 #: Widths of the dark line and the light one over it, pixels, and their RGB, 0-1.
 LINES = ((5.0, (0.0, 0.0, 0.0)), (2.0, (1.0, 1.0, 1.0)))
 
-#: Parts nearer to the camera than this are not marked, scene units.
-_NEAR = 1e-3
+#: Depth where a line ends that comes before the camera, relative to its deepest point.
+NEAR = 1e-3
 
 _ANGLES = 2 * np.pi * np.arange(24) / 24
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
@@ -41,7 +41,7 @@ def marker(
     it is behind the camera.
     """
     places, depth = pose.project(scene.positions[row][None], width, height)
-    if not depth[0] > _NEAR or not np.isfinite(places).all():
+    if not depth[0] > 0 or not np.isfinite(places).all():
         return []
     centre = places[0]
     outline = splat_outline(scene.gaussians, as_camera(pose.camera(width, height)), row)
@@ -56,12 +56,12 @@ def measure_lines(
     if not len(points):
         return []
     ends = (np.array(points) - pose.position) @ pose.rotation.T
-    front = ends[:, 2] > _NEAR
+    front = ends[:, 2] > 0
     lines = []
     if len(ends) == 2 and front.any():
         if not front.all():  # cut where it comes before the camera
             behind, ahead = ends[np.argsort(front)]
-            share = (ahead[2] - _NEAR) / (ahead[2] - behind[2])
+            share = (1 - NEAR) * ahead[2] / (ahead[2] - behind[2])
             ends[np.argmin(front)] = ahead + share * (behind - ahead)
         lines.append(pose.project(ends @ pose.rotation + pose.position, width, height)[0])
     places = pose.project(np.array(points), width, height)[0][front]

@@ -23,7 +23,7 @@ from viewer.pictures.layers import (
     error_image,
     reason_colour,
 )
-from viewer.pictures.marker import draw_marker, marker
+from viewer.pictures.marker import NEAR, draw_marker, marker
 from viewer.pictures.octree_cells import Octree
 from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
@@ -33,9 +33,6 @@ from viewer.scenes.pose import Pose
 #: Side of the square drawn for a centre, pixels.
 POINT_SIZE = 2
 PRUNED_SIZE = CELL_SIZE = SELECTED_SIZE = 3
-
-#: Parts nearer to the camera than this are not drawn, scene units.
-_NEAR = 1e-3
 
 #: Width of the wipe line, pixels; RGB of this line and of frame outlines.
 WIPE_LINE = 8
@@ -197,7 +194,7 @@ def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
     """Draw points as squares of `size` pixels into an image, nearest on top."""
     height, width = image.shape[:2]
     pixels, depth = pose.project(points.positions, width, height)
-    inside = (depth > _NEAR) & np.all((pixels > -size) & (pixels < (width, height)), axis=1)
+    inside = (depth > 0) & np.all((pixels > -size) & (pixels < (width, height)), axis=1)
     order = np.flatnonzero(inside)[np.argsort(-depth[inside], kind="stable")]
     corner = np.floor(pixels[order] - (size - 1) / 2).astype(np.int64)
     offsets = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2)
@@ -229,12 +226,13 @@ def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32
 
 def _clipped(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray] | None:
     """The part of a line in front of the camera; None if there is none."""
-    if a[2] < _NEAR and b[2] < _NEAR:
+    near = NEAR * max(a[2], b[2])
+    if near <= 0:
         return None
-    if a[2] < _NEAR:
-        a = b + (a - b) * (b[2] - _NEAR) / (b[2] - a[2])
-    elif b[2] < _NEAR:
-        b = a + (b - a) * (a[2] - _NEAR) / (a[2] - b[2])
+    if a[2] < near:
+        a = b + (a - b) * (b[2] - near) / (b[2] - a[2])
+    elif b[2] < near:
+        b = a + (b - a) * (a[2] - near) / (a[2] - b[2])
     return a, b
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from viewer.pictures.ticks import LEAST, MARKS, axis_ticks, scale_marks
+from viewer.pictures.ticks import LEAST, MARKS, axis_ticks, scale_marks, texts_of
 
 
 @pytest.mark.parametrize(
@@ -64,3 +64,19 @@ def test_marks_of_counts_are_whole_and_begin_at_1(most):
 def test_ticks_of_axes_are_round_and_in_range(low, high, log, ticks):
     found = axis_ticks(low, high, 8, log)
     np.testing.assert_allclose(10**found if log else found, ticks, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "step", "texts"),
+    [
+        ([500000, 500002, 500004], 2, ["500000", "500002", "500004"]),
+        ([-4000000, -3999999.5], 0.5, ["-4000000", "-3999999.5"]),
+        ([12345, 12350], 5, ["12345", "12350"]),
+        ([0, 0.002, 0.004], 0.002, ["0", "0.002", "0.004"]),
+        ([1e6, 2e6], 1e6, ["1e+06", "2e+06"]),
+        ([123456, np.inf], 50, ["123456", "inf"]),
+        ([0.0123456, 20], np.inf, ["0.0123", "20"]),
+    ],
+)
+def test_values_have_the_digits_that_tell_them_apart(values, step, texts):
+    assert texts_of(values, step) == texts

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gs_codec.runtime.wording import counted
 from viewer.pictures.picture import BACKGROUND, from_pillow, to_pillow
-from viewer.pictures.ticks import axis_ticks
+from viewer.pictures.ticks import axis_ticks, texts_of
 
 if TYPE_CHECKING:
     from gs_codec.edit import AttributeStatistics
@@ -245,22 +245,32 @@ class HistogramChart:
         for number, scene in enumerate(self.scenes):
             thick = 2 if number else 5  # keeps both visible if they coincide
             self._outline(pen, scene, (SCENES[number], thick), most, width, height)
-        for value in axis_ticks(*self.span, _TICKS, self._log):
-            shown = 10.0**value if self._log else value
+        for value, text in self._ticks(right - left):
             column = round(
                 left + (value - self.span[0]) / (self.span[1] - self.span[0]) * (right - left)
             )
             pen.line((column, bottom, column, bottom + 3), GREY)
-            pen.text((column, bottom + 4), f"{shown:.3g}", WHITE, font(), "ma")
+            pen.text((column, bottom + 4), text, WHITE, font(), "ma")
         pen.text((left - 6, top), f"{most:,}", WHITE, font(), "ra")
         first = self.scenes[0]
         caption = f"{first.name}, {first.unit}"
         caption += ": A blue, B orange" if len(self.scenes) > 1 else ""
         if self.chosen is not None:
-            caption += f"; {self.chosen[0]:.4g} to {self.chosen[1]:.4g}"
+            step = np.inf if self._log else (self.span[1] - self.span[0]) / 10
+            caption += f"; {' to '.join(texts_of(self.chosen, step))}"
         hint = " Drag to select a range." if self.selects else ""
         pen.text((left, 5), f"{caption}.{hint}", WHITE, font())
         return from_pillow(canvas)
+
+    def _ticks(self, width: int) -> list[tuple[float, str]]:
+        """Values on the axis, with texts that have room beside each other."""
+        for most in range(_TICKS, 1, -1):
+            values = axis_ticks(*self.span, most, self._log)
+            shown = 10.0**values if self._log else values
+            texts = texts_of(shown.tolist(), float(np.diff(shown).min(initial=np.inf)))
+            if sum(font().getlength(f"{text}  ") for text in texts) <= width:
+                break
+        return list(zip(values.tolist(), texts, strict=True))
 
     def _outline(
         self,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,6 +80,16 @@ def axis_ticks(low: float, high: float, most: int, log: bool = False) -> NDArray
         if last - first < most:
             return size * np.arange(first, last + 1) + 0.0  # not -0
     return np.array([low, high])
+
+
+def texts_of(values: Sequence[float], step: float) -> list[str]:
+    """Values with the fewest digits, at least three, that are exact to a hundredth of a step."""
+    for digits in range(3, 18):
+        texts = [f"{value:.{digits}g}" for value in values]
+        pairs = zip(texts, values, strict=True)
+        if not any(abs(float(text) - value) > step / 100 for text, value in pairs):
+            break
+    return texts
 
 
 #: Tolerance factor for rounding errors of values.

@@ -13,6 +13,7 @@ from scenes import encode_by, made_up_guide, random_scene
 import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.edit.project_file import Move
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply.writer import write_ply
 from gs_codec.formats.registry import open_scene as open_file
@@ -22,7 +23,7 @@ from viewer.pictures.marker import draw_marker, marker, measure_lines
 from viewer.pictures.picture import Shown, draw_scene
 from viewer.scenes.appearance import Look
 from viewer.scenes.matched import NEAREST, Match
-from viewer.scenes.opened import Opened, Pruned, open_scene, turned
+from viewer.scenes.opened import Opened, Pruned, keep, open_scene, turned
 from viewer.scenes.picked import Hit, Picker
 from viewer.scenes.picked_text import picked_sections
 from viewer.scenes.pose import Pose, look_at
@@ -321,6 +322,16 @@ def test_invisible_gaussians_are_marked_by_a_circle(a):
     outline, _ = marker(scene, 5, POSE, *SIZE)
     place = POSE.project(scene.positions[5][None], *SIZE)[0][0]
     np.testing.assert_allclose(np.linalg.norm(outline - place, axis=1), 7)
+
+
+def test_places_far_from_0_have_all_their_digits(a):
+    far = np.array([[1.0, 0, 0, 500_000], [0, 1, 0, -4e6], [0, 0, 1, 0], [0, 0, 0, 1]])
+    every = np.ones(COUNT, bool)
+    scene = keep(a, every, (Move(every, far),))
+    sections = dict(picked_sections(Picker([scene]).describe(Hit(0, 5), POSE)))
+    text = dict(sections["Gaussian of A"])["x, y, z, units"]
+    shown = np.array(text.split(), np.float64)
+    np.testing.assert_allclose(shown, scene.positions[5], rtol=1e-7, atol=5e-4)
 
 
 def test_pictures_that_are_saved_have_the_mark(a):

@@ -113,4 +113,5 @@ def _few(steps: Sequence[float]) -> str:
 
 
 def _numbers(values: NDArray) -> str:
-    return " ".join(f"{value:.4g}" for value in values)
+    """Values with four digits, and large ones with all of float32."""
+    return " ".join(f"{value:.4g}" if abs(value) < 1e4 else f"{value:.8g}" for value in values)

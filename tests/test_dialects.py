@@ -210,6 +210,18 @@ def test_2d_gaussians_are_flat(tmp_path, caplog):
     np.testing.assert_array_equal(read_scene(path).log_scale, scene.log_scale)
 
 
+def test_isotropic_gaussians_have_one_scale(tmp_path, caplog):
+    names = [name for name in LAYOUT if name not in ("scale_1", "scale_2")]
+    (tmp_path / "a.ply").write_text(text_ply(names, ["1 2 3 4 5 6 7 -3 1 0 0 0"] * 2))
+    scene = read_scene(tmp_path / "a.ply")
+    np.testing.assert_array_equal(scene.log_scale, np.full((3, 2), -3, np.float32))
+    assert (scene.extra, caplog.messages) == ({}, [])
+    names.insert(names.index("scale_0"), "scale_2")
+    (tmp_path / "a.ply").write_text(text_ply(names, ["1 2 3 4 5 6 7 -3 -3 1 0 0 0"] * 2))
+    with pytest.raises(InvalidInput, match="missing property 'scale_1'"):
+        read_scene(tmp_path / "a.ply")
+
+
 def test_2d_gaussians_stay_so_in_sog_and_ply(tmp_path, caplog):
     """SOG states the model, as splat-transform does; a PLY has its comment."""
     names = [name for name in LAYOUT if name != "scale_2"]

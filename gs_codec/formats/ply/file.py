@@ -274,6 +274,8 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
         groups["f_rest"] = kept
     if is_flat(names):
         groups["log_scale"].remove("scale_2")
+    elif not {"scale_1", "scale_2"} & {*names}:  # isotropic, of MonoGS
+        groups["log_scale"] = 3 * ["scale_0"]
     # nerfstudio without SH writes colours as bytes.
     colours = "f_dc_0" not in names and all(
         name in names and dtype[name] == np.uint8 for name in _COLOURS

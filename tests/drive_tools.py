@@ -231,7 +231,6 @@ def follow(driver: Driver, found: dict) -> None:
     viewer, editor, stage = driver.viewer, driver.viewer.editor, driver.viewer.stage
     measuring = viewer.measuring
     measuring.points, measuring.unit = list(stage.scenes[0].positions[:2].astype(float)), 3.0
-    length = measuring.unit * measuring.distance
 
     def put() -> tuple[list, list]:
         points = [*(note.position for note in viewer.annotating.notes), *measuring.points]
@@ -245,6 +244,11 @@ def follow(driver: Driver, found: dict) -> None:
         chosen[rows] = True
         editor.do(lambda edits: edits.select(chosen))
 
+    measuring.points[1] = measuring.points[0] + (0, 0, 1e-5)
+    viewer.panel.refresh()
+    found["digits"] = viewer.panel.pick.measure.length.decimal_precision
+    measuring.points[1] = measuring.points[0] + 1
+    length = measuring.unit * measuring.distance
     points, pixels = put()
     found["put"], found["follows"] = len(points), []
     for number, rows in ((0, slice(0)), (0, slice(9)), (0, slice(None)), (1, slice(0))):

@@ -6,12 +6,16 @@ import os
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from windows import drive, make_folder, needs_display
 
 import gs_codec
 from gs_codec.files.annotations import read_annotations
+from viewer.window import annotating
+from viewer.window.annotating import Annotating
 from viewer.window.file_dialog import Files
 from viewer.window.watching import newest
 
@@ -100,6 +104,22 @@ def test_annotations_are_clicked_titled_and_saved_for_pages(found, folder):
     assert (first.title, second.title, first.text) == ("Ear", "Annotation 2", "")
     assert not found["asks again"]
     assert found["without rings"] <= 4
+
+
+def test_a_short_length_has_all_its_digits(found):
+    assert found["digits"] == 8  # 0.00003000
+
+
+def test_an_annotation_far_from_0_is_where_it_was_clicked(monkeypatch):
+    point = np.array([500_000.3712, -4_000_001.3712, 1.3712])
+    pose = SimpleNamespace(project=None)
+    stage = SimpleNamespace(pose=pose, picture_size=(9, 9), overlays={}, arrange=Mock())
+    viewer = SimpleNamespace(stage=stage, panel=Mock(), modal=SimpleNamespace(cancels=[]))
+    monkeypatch.setattr(annotating, "find_point", lambda *of: of[-1](point))
+    notes = Annotating(viewer)
+    notes.on = True
+    notes.click(None, (1, 1))
+    np.testing.assert_allclose(notes.notes[0].position, point, atol=1e-3)
 
 
 def test_what_was_put_on_a_scene_goes_where_all_of_it_goes(found):

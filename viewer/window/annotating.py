@@ -93,7 +93,7 @@ class Annotating:
             if point is None:
                 self._viewer.panel.say("nothing to annotate there")
             else:
-                position = [float(f"{value:.7g}") for value in point]
+                position = [float(f"{value:.10g}") for value in point]
                 notes = [*self.notes, Annotation(position, "")]
                 self._put(notes, len(notes) - 1)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from open3d.visualization import gui
 
 from viewer.scenes.picked_text import picked_sections
@@ -88,7 +90,9 @@ class MeasureControls:
         self._said.visible = bool(measuring.text)
         self._row.visible = measuring.distance is not None
         if measuring.distance is not None:
-            self.length.double_value = measuring.unit * measuring.distance
+            length = measuring.unit * measuring.distance
+            self.length.decimal_precision = max(3, 3 - math.floor(math.log10(length or 1)))
+            self.length.double_value = length
             self.scale.enabled = self._viewer.editor.edits is not None
 
 

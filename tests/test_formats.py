@@ -1032,6 +1032,7 @@ IMPOSTERS = {
     "page after a mark": (b"\xef\xbb\xbf\r\n" + page(91), "an HTML page"),
     "document": (b'<?xml version="1.0"?>'.ljust(64), "an XML document"),
     "project": (b'{\n "project": 1,'.ljust(64), "a project of the viewer"),
+    "spx": (b"spx\x03" + bytes(124), "an .spx scene of Reall3D"),
     "image": (b"\x89PNG\r\n\x1a\n" + bytes(56), "a PNG image"),
 }
 

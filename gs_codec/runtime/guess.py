@@ -8,6 +8,7 @@ from codecs import BOM_UTF8
 LOOKED_AT = 512
 
 _LFS = "a Git LFS pointer, not the file itself (`git lfs pull` fetches it)"
+_SPX = "an .spx scene of Reall3D, not one that is read (gsbox converts it to .ply)"
 _HTML = "an HTML page, not a scene (a server may answer with one in place of a file)"
 
 #: Beginnings of text files, in lower case and without leading white space.
@@ -26,6 +27,7 @@ _SIGNATURES = {
     b"%PDF-": "a PDF document, not a scene",
     b"7z\xbc\xaf\x27\x1c": "a 7z archive, not a scene: unpack it",
     b"Rar!\x1a\x07": "a RAR archive, not a scene: unpack it",
+    **dict.fromkeys((b"spx\x01", b"spx\x02", b"spx\x03"), _SPX),
 }
 
 

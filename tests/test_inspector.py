@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from moving_scenes import coded, moving
 from PIL import Image
 from scenes import random_scene
 from web_pages import LENS, Job, decibels, drawn, in_browser, open_pages, seen
@@ -263,6 +264,23 @@ def test_a_dropped_file_is_shown_and_inspected_instead(page, folder):
     with pytest.raises(gs_codec.GsCodecError, match=r"e\.splat: only a part of it has arrived"):
         page.take("e.splat", io.BufferedReader(io.BytesIO(bytes(64))), 96)
     assert get(page, "") == (200, shown)
+
+
+def test_inspections_that_dropped_files_end_are_closed(page, folder, monkeypatch):
+    coded(folder / "moving.egs", moving(100, 2, 1), group=2)
+    closed, close = [], Inspector.close
+    monkeypatch.setattr(Inspector, "close", lambda self: closed.append(self) or close(self))
+    first = page.inspector
+    assert put(page, "e.ply", b"ply")[0] == 400
+    assert len(closed) == 1
+    assert page.inspector is first
+    assert put(page, "moving.egs", (folder / "moving.egs").read_bytes())[0] == 200
+    assert len(closed) == 3
+    assert closed[1] is first
+    assert page.inspector is None
+    assert ask(page, {"call": "facts"})[0] == 404  # sequences are only played
+    assert put(page, "a.ply", (folder / "a.ply").read_bytes())[0] == 200
+    assert ask(page, {"call": "facts"})[0] == 200
 
 
 @pytest.mark.parametrize("name", ["", "..", "x/y.ply", "..%2Fy.ply", "y%00.ply"])

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -343,9 +343,12 @@ def serve(
         from viewer.scenes.view_request import Request
 
         wanted = Request(path, cameras="auto", max_bytes=request.max_bytes, up=request.up)
-        other = Inspector(wanted)
-        files, frames = _files_of([path], wanted, other)
-        page.put(files, None if frames else other)
+        with ExitStack() as stack:
+            other = stack.enter_context(closing(Inspector(wanted)))
+            files, frames = _files_of([path], wanted, other)
+            page.put(files, None if frames else other)
+            if not frames:
+                stack.pop_all()
 
     page.show = None if inspector is None else show
     return page

@@ -158,6 +158,17 @@ def test_photographs_are_targets_if_available(scene, tmp_path):
         prepare_scene(scene, chosen)
 
 
+def test_views_that_only_guide_the_encoder_are_not_rendered_beforehand(scene):
+    views = choose_views(scene, Plan(Steps(), CAMERAS[1:2]))
+    assert not views.renders.images
+    assert not views.held_out.images
+    other = scene.take(np.arange(1, scene.count))
+    found = views.held_out.errors(other)
+    assert found.all()
+    np.testing.assert_array_equal(found, views.held_out.drawn().errors(other))
+    assert choose_views(scene, Plan(Steps(prune=10), CAMERAS)).renders.images
+
+
 def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp_path):
     for name in ("b", "c"):
         write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))

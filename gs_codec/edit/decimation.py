@@ -92,7 +92,7 @@ def decimate(
     if plan is None:
         return _reduce(finite, number, None, progress)
     plan = replace(plan, steps=Steps(), gt_images=None, checkpoint=None)
-    views = choose_views(finite, plan, progress).renders
+    views = choose_views(finite, plan, progress).renders.drawn(progress)
     reduced = _reduce(finite, number, views, progress)
     return refit_colour(reduced, views, _REFIT, keep_zeros=False, progress=progress)[0]
 

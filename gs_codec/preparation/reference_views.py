@@ -41,7 +41,9 @@ Origin = Literal["given", "estimated", "anywhere"]
 
 @dataclass(frozen=True)
 class ReferenceViews:
-    """Cameras and their images ``(H, W, 3)`` float32, 0-1 or brighter; no images before rendering.
+    """Cameras and their images ``(H, W, 3)`` float32, 0-1 or brighter.
+
+    Without images, those of `source` are rendered whenever they are needed.
 
     `photographs` states whether the images are photographs, or renders of the scene to be prepared.
     `source` is that scene, if known; `origin` is the origin of the cameras.
@@ -95,10 +97,22 @@ class ReferenceViews:
 
         def run(i: int) -> Result:
             drawn = render(scene, self.cameras[i], self.background, device="cpu")
-            return measure(drawn.colour, self.images[i])
+            return measure(drawn.colour, self._image(i))
 
         number = len(self.cameras)
         return run_all(run, range(number), advance=step_counter(progress, "measure", number))
+
+    def drawn(self, progress: Progress | None = None) -> ReferenceViews:
+        """The same with images of `source`."""
+        assert self.source is not None
+        images = draw_reference_views(self.source, self.cameras, self.background, progress).images
+        return replace(self, images=images)
+
+    def _image(self, view: int) -> NDArray[np.float32]:
+        if self.images:
+            return self.images[view]
+        assert self.source is not None
+        return render(self.source, self.cameras[view], self.background, device="cpu").colour
 
     def drop(
         self, errors: float | NDArray[np.float64], before: float | NDArray[np.float64]

@@ -52,6 +52,7 @@ _EVERY = 8
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:
     """Render or read the views that guide a plan's steps, and those that measure quality.
 
+    Without steps, the views that guide have no images, because the encoder renders them itself.
     Raises InvalidInput if there are no cameras, none has a photograph, or a photograph is damaged.
     """
     known = _split(scene, plan, progress)
@@ -62,9 +63,10 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     prunes = plan.steps.refine or plan.steps.by_leave_one_out
     cameras = _enough(known, many if prunes and len(rest) < plan.views else plan.views)
     photographs = targets = None
-    drawable = _drawable(cameras, plan)
-    renders = draw_reference_views(scene, drawable, plan.background, progress)
-    renders = replace(renders, origin=known.origin)
+    drawable = tuple(_drawable(cameras, plan))
+    renders = ReferenceViews(drawable, (), False, plan.background, scene, known.origin)
+    if plan.steps.wanted:
+        renders = renders.drawn(progress)
     if plan.gt_images is not None:
         found = photographed(rest, plan.gt_images)
         warn_of_masks(plan.gt_images)

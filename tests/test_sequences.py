@@ -26,6 +26,7 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.coding.neighbours import Neighbours
 from gs_codec.config import Config, RateTarget
 from gs_codec.egs.frame_sections import is_sequence
+from gs_codec.encoding.loss import Check
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply.writer import write_ply
@@ -298,6 +299,17 @@ def test_a_loss_is_met_on_average(tmp_path, monkeypatch):
     assert 0.255 <= report.psnr_drop <= 0.3
     assert report.worst_frame in ("frame_0", "frame_2")
     assert 0 < min(found.values()) == max(found.values()) <= report.worst_drop
+
+
+def test_a_loss_without_given_cameras_is_that_of_crops_from_other_places(tmp_path):
+    scenes = moving(400, frames=2)
+    request = Request(Config("s"), Plan(views=4, width=80), RateTarget(psnr_drop=1.0))
+    report = encode_requested(given(scenes), tmp_path / "a.egs", request)
+    pairs = zip(scenes, decoded(tmp_path / "a.egs"), strict=True)
+    lost = [Check.by_plan(scene, None).measure(frame).loss for scene, frame in pairs]
+    assert report.psnr_drop == pytest.approx(np.mean(lost), rel=1e-6)
+    assert report.worst_drop == pytest.approx(max(lost), rel=1e-6)
+    assert 0.5 < report.psnr_drop <= 1.0
 
 
 def test_an_interrupted_run_goes_on(tmp_path):

@@ -92,7 +92,7 @@ def _tell_encoded(target: Path, done: SequenceReport) -> None:
         print_text(f"step sizes {done.coarseness:.2f}x those of the profile {chosen}")
     if done.psnr_drop is not None:
         print_text(
-            f"held-out views lose {done.psnr_drop:.3f} dB on average over measured frames; most in "
+            f"views lose {done.psnr_drop:.3f} dB on average over measured frames; most in "
             f"{done.worst_frame}: {done.worst_drop:.3f} dB"
         )
 

@@ -11,10 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gs_codec.coding.clean import clean_scene
 from gs_codec.config import ADAPTIVE_PROFILES, EGS
+from gs_codec.encoding.loss import Check
 from gs_codec.encoding.request import Request
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import check_target
+from gs_codec.guidance.windows import sample_of
 from gs_codec.plan import Plan
 from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views, evenly
 from gs_codec.preparation.view_selection import checking_cameras
@@ -22,6 +25,7 @@ from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import Progress
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
+from gs_codec.scene import Scene
 from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.sequences.frame_encoding import (
     GROUP,
@@ -132,17 +136,26 @@ def _least(report: SequenceReport) -> str:
 
 
 class _FrameViews(NamedTuple):
-    """Held-out views of a frame."""
+    """Held-out views of a frame; with estimated cameras, crops from other places."""
 
     number: int
     name: str
     views: ReferenceViews
+    check: Check | None
+
+    def loss(self, coded: Scene) -> float:
+        """PSNR loss of a decoded frame, dB."""
+        found = None if self.check is None else self.check.measure(coded)
+        return self.views.drop(self.views.errors(coded), 0.0) if found is None else found.loss
 
 
 def _views_of_frames(
     source: Frames, request: Request, progress: Progress | None
 ) -> list[_FrameViews]:
-    """Held-out views of a few frames; all have the cameras of the first one."""
+    """Held-out views of a few frames; all have the cameras of the first one.
+
+    In views between estimated cameras, which guide the encoder, the loss would seem too small.
+    """
     plan, found = request.plan, list[_FrameViews]()
     assert plan is not None
     numbers = evenly(range(len(source)), _MEASURED)
@@ -151,8 +164,11 @@ def _views_of_frames(
         if not found:
             cameras = evenly(checking_cameras(scene, plan), max(plan.views // len(numbers), 1))
         views = draw_reference_views(scene, cameras, plan.background, progress)
-        views = replace(views, source=None)  # one scene at a time
-        found.append(_FrameViews(number, source.names[number], views))
+        views, check = replace(views, source=None), None  # one scene at a time
+        if plan.estimates:
+            clean, _ = clean_scene(scene, request.config)
+            check = replace(Check.by_plan(clean, plan), scene=sample_of(clean))
+        found.append(_FrameViews(number, source.names[number], views, check))
     return found
 
 
@@ -162,9 +178,9 @@ def _with_loss(
     """The report of a file, with the loss of views."""
     drops = []
     with opened_sequence(path) as sequence:
-        for number, name, views in measured:
-            [scene] = sequence.frames(number, number + 1)
-            drops.append((views.drop(views.errors(scene), 0.0), name))
+        for each in measured:
+            [scene] = sequence.frames(each.number, each.number + 1)
+            drops.append((each.loss(scene), each.name))
     mean = float(np.mean([drop for drop, _ in drops]))
     worst_drop, worst = max(drops)
     return replace(report, psnr_drop=mean, worst_frame=worst, worst_drop=worst_drop)

@@ -271,13 +271,20 @@ def follow(driver: Driver, found: dict) -> None:
 def late(driver: Driver, found: dict) -> None:
     """Stop annotating after a click, before its point is found."""
     viewer, notes = driver.viewer, driver.viewer.annotating
-    count = len(notes.notes)
+    while notes.notes:  # where the clicks are
+        notes.choose(0)
+        notes.remove()
     viewer.annotate()
     driver.rest()
+    viewer.panel.say("nothing to annotate there")  # of a click before
+    notes.click(viewer.stage.panes[0], (80.5, 100.5))
+    driver.wait(lambda: bool(notes.notes))
+    found["said"] = viewer.panel.status.text
+    notes.remove()
     notes.click(viewer.stage.panes[0], (80.5, 100.5))
     viewer.annotate()
     driver.rest()
-    found["late"] = len(notes.notes) - count
+    found["late"] = len(notes.notes)
 
 
 def write(path: Path, seed: int) -> None:

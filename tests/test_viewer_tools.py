@@ -131,6 +131,10 @@ def test_a_point_found_after_annotating_ended_is_not_added(found):
     assert found["late"] == 0
 
 
+def test_what_was_said_of_a_click_is_not_said_of_the_next(found):
+    assert found["said"] == ""
+
+
 def test_changed_files_are_reported_or_reloaded_from_the_same_pose(found):
     count, said = found["changed"]
     assert count == 1001

@@ -17,7 +17,7 @@ from viewer.pictures.marker import measure_lines
 from viewer.scenes.pose import Pose
 from viewer.scenes.typed_paths import NOTES
 from viewer.window import dialogs
-from viewer.window.measuring import find_point
+from viewer.window.measuring import find_point, say_unless_loading
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
 from viewer.window.shared import Host
@@ -66,6 +66,7 @@ class Annotating:
     def toggle(self) -> None:
         """Let clicks annotate, or pick Gaussians again; annotations are kept."""
         self.on = not self.on
+        say_unless_loading(self._viewer, "")
         self._viewer.panel.show("Pick")
         self._put(self.notes, self.chosen)
 
@@ -87,17 +88,12 @@ class Annotating:
             self.choose(int(np.argmin(away)))
             return
 
-        def done(point: NDArray[np.float64] | None) -> None:
-            if not self.on:
-                return
-            if point is None:
-                self._viewer.panel.say("nothing to annotate there")
-            else:
-                position = [float(f"{value:.10g}") for value in point]
-                notes = [*self.notes, Annotation(position, "")]
-                self._put(notes, len(notes) - 1)
+        def done(point: NDArray[np.float64]) -> None:
+            position = [float(f"{value:.10g}") for value in point]
+            notes = [*self.notes, Annotation(position, "")]
+            self._put(notes, len(notes) - 1)
 
-        find_point(self._viewer, f"annotate point {at}", pane, at, done)
+        find_point(self._viewer, "annotate", pane, at, lambda: self.on, done)
 
     def choose(self, index: int) -> None:
         """Choose an annotation."""

@@ -37,22 +37,17 @@ class Measuring:
     def toggle(self) -> None:
         """Let clicks choose points, or pick Gaussians again."""
         self.on = not self.on
+        say_unless_loading(self._viewer, "")
         self._put([])
         self._viewer.panel.show("Pick")
 
     def click(self, pane: Pane, at: Place) -> None:
         """Choose the point seen at a pixel of a pane's picture."""
 
-        def done(point: NDArray[np.float64] | None) -> None:
-            if not self.on:
-                return
-            if point is None:
-                self._viewer.panel.say("nothing to measure there")
-            else:
-                self._put([*(self.points if len(self.points) < 2 else []), point])
+        def done(point: NDArray[np.float64]) -> None:
+            self._put([*(self.points if len(self.points) < 2 else []), point])
 
-        # Two clicks may be made before the first point is found.
-        find_point(self._viewer, f"measure point {at}", pane, at, done)
+        find_point(self._viewer, "measure", pane, at, lambda: self.on, done)
 
     def follow(self, matrix: NDArray[np.float64]) -> None:
         """Move the points by a matrix ``(4, 4)``; a known length stays."""
@@ -116,12 +111,16 @@ class Measuring:
 
 def find_point(
     viewer: Host,
-    kind: str,
+    name: str,
     pane: Pane,
     at: Place,
-    done: Callable[[NDArray[np.float64] | None], None],
+    is_on: Callable[[], bool],
+    done: Callable[[NDArray[np.float64]], None],
 ) -> None:
-    """Find the point ``(3,)`` seen at a pixel of a pane's picture, in the background; or None."""
+    """Find the point ``(3,)`` seen at a pixel of a pane's picture, in the background.
+
+    If the tool of this name `is_on` then, it gets the point, or the panel says that there is none.
+    """
     stage = viewer.stage
     pose, size, scene, views = stage.pose, stage.picture_size, pane.scene, stage.views
     look = stage.shown.look(scene)
@@ -134,4 +133,17 @@ def find_point(
         ray = np.array([(at[0] - cx) / fx, (at[1] - cy) / fy, 1.0])
         return pose.position + depth * ray @ pose.rotation if depth > 0 else None
 
-    viewer.worker.submit(kind, find, done, viewer.fail)
+    def found(point: NDArray[np.float64] | None) -> None:
+        if is_on():
+            say_unless_loading(viewer, f"nothing to {name} there" if point is None else "")
+            if point is not None:
+                done(point)
+
+    # Two clicks may be made before the first point is found.
+    viewer.worker.submit(f"{name} point {at}", find, found, viewer.fail)
+
+
+def say_unless_loading(viewer: Host, text: str) -> None:
+    """Show a status line, but not in place of the progress of loading."""
+    if not viewer.loads:
+        viewer.panel.say(text)

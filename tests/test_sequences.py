@@ -429,6 +429,16 @@ def test_a_sequence_from_stdin_is_decoded(folder):
     assert Path("piped.ply").read_bytes() == Path("one.ply").read_bytes()
 
 
+def test_a_sequence_from_stdin_is_encoded(folder):
+    folder.run("encode", "frames", "a.egs", "--fps", "24")
+    folder.run("encode", "a.egs", "b.egs", "-p", "s")
+    stdin = io.TextIOWrapper(io.BytesIO(Path("a.egs").read_bytes()))
+    folder.monkeypatch.setattr(sys, "stdin", stdin)
+    shown = json.loads(folder.run("encode", "-", "piped.egs", "-p", "s", "--json").out)
+    assert (shown["input"], shown["frames"], shown["fps"]) == ("-", 4, 24)
+    assert Path("piped.egs").read_bytes() == Path("b.egs").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("typed", "said"),
     [

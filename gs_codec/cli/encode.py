@@ -20,7 +20,7 @@ from gs_codec.cli.output import (
     progress_bar,
     smaller,
 )
-from gs_codec.cli.streams import check_no_pipes, piped
+from gs_codec.cli.streams import check_no_pipes, piped, piped_source
 from gs_codec.cli.typed import Typed, takes
 from gs_codec.cli.typed_request import request_of
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
@@ -59,26 +59,36 @@ def command(
     of them, or an animation. With --dask, the workers of a cluster divide one giant scene; IN may
     be a folder of its tiles.
     """
-    if typed["dask"] is None and str(source) != "-":
-        from gs_codec.sequences.frame_sources import has_frames
-
-        if has_frames(source):
-            from gs_codec.cli import sequence_commands
-
-            sequence_commands.encode(source, target, typed)
-            return
-    why = f"has no effect on {source}, expected frames of a sequence"
-    typed.refuse(["fps", "group", "target_bitrate"], why)
-    request = request_of(typed, target, typed["dask"])
-    config = request.config
-    if request.dask is not None:
+    if typed["dask"] is not None:
+        request = _request_of_scene(source, target, typed)
         typed.refuse(["max_bytes", "input_format"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
-        _tell(source, target, config, typed, _encode_divided(source, target, request, typed))
+        done = _encode_divided(source, target, request, typed)
+        _tell(source, target, request.config, typed, done)
         return
+    with piped_source(source, typed["input_format"]) as file:
+        from gs_codec.sequences.frame_sources import has_frames
+
+        if has_frames(file):
+            from gs_codec.cli import sequence_commands
+
+            sequence_commands.encode(source, file, target, typed)
+        else:
+            _encode_scene(source, file, target, typed)
+
+
+def _request_of_scene(source: Path, target: Path, typed: Typed) -> Request:
+    why = f"has no effect on {source}, expected frames of a sequence"
+    typed.refuse(["fps", "group", "target_bitrate"], why)
+    return request_of(typed, target, typed["dask"])
+
+
+def _encode_scene(source: Path, file: Path, target: Path, typed: Typed) -> None:
     from gs_codec.files.encode_file import encode_requested
 
-    with piped([source], target, f".{config.format}", typed["input_format"]) as ([file], out):
+    request = _request_of_scene(source, target, typed)
+    config = request.config
+    with piped([file], target, f".{config.format}") as (_, out):
         with progress_bar() as progress:
             done = encode_requested(file, out, request, progress, typed["overwrite"])
         _tell(source, target, config, typed, done)

@@ -47,8 +47,8 @@ def moves(file: Path) -> bool:
     return found
 
 
-def encode(source: Path, target: Path, typed: Typed) -> None:
-    """Encode the frames of a folder, a pattern, a zip or an animation."""
+def encode(source: Path, file: Path, target: Path, typed: Typed) -> None:
+    """Encode the frames of a folder, pattern, zip or animation at `file`, called `source`."""
     from gs_codec.cli.typed_request import request_of
     from gs_codec.sequences.frame_encoding import GROUP
     from gs_codec.sequences.frame_targets import encode_requested
@@ -61,7 +61,7 @@ def encode(source: Path, target: Path, typed: Typed) -> None:
     config = request.config
     with progress_bar() as progress:
         done = encode_requested(
-            source, target, request, typed["group"] or GROUP, typed["fps"], progress,
+            file, target, request, typed["group"] or GROUP, typed["fps"], progress,
             typed["overwrite"],
         )  # fmt: skip
     if done.frames == 1:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import warnings
@@ -16,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+from web_pages import CHROMIUM, NODE
 
 from gs_codec.bench.peers import AbsentPeer, find_splat_transform, spz_peer
 from gs_codec.errors import MissingTool
@@ -106,13 +106,12 @@ def read_by_splat_transform(paths: Sequence[Path]) -> list[Scene]:
 
 def read_in_browser(program: str) -> Callable[[Sequence[Path]], list[Scene]]:
     def read(paths: Sequence[Path]) -> list[Scene]:
-        browser, node = shutil.which("chromium"), shutil.which("node")
-        if not (browser and node and PACKAGES.is_dir()):
+        if not (CHROMIUM and NODE and PACKAGES.is_dir()):
             raise ModuleNotFoundError("Node, Chromium or packages")
         if not paths:
             return []
         script = Path(__file__).with_name("browser_readers.mjs")
-        command = [node, str(script), str(PACKAGES), browser, program, *map(str, paths)]
+        command = [NODE, str(script), str(PACKAGES), CHROMIUM, program, *map(str, paths)]
         subprocess.run(command, check=True, timeout=300)
         read = [
             json.loads(path.with_name(f"{path.name}.{program}.json").read_text()) for path in paths

@@ -30,8 +30,10 @@ ROOT = Path(__file__).parents[1]
 #: Scripts that Node runs.
 HERE = Path(__file__).parent / "web"
 
-#: Paths of the programs; None if missing.
-NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
+#: Paths of the programs; None if missing. The headless shell is Chromium without its windows, and
+#: starts with half the work.
+NODE = shutil.which("node")
+CHROMIUM = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 
 #: For tests that open pages.
 in_browser = pytest.mark.skipif(

@@ -250,6 +250,11 @@ def test_masks_beside_photographs_are_named(scene, tmp_path, caplog):
     assert caplog.messages == [text, text]
     compare_views(scene, scene, [CAMERAS[1]], truth=images, masks=masks)
     assert caplog.messages == [text, text]
+    (images / "masks").mkdir()
+    (tmp_path / "unmasked").mkdir()
+    other = masks.rename(tmp_path / "sky_Mask_2")
+    compare_views(scene, scene, [CAMERAS[1]], truth=images)
+    assert caplog.messages[2:] == [text.replace(str(masks), str(other))]
 
 
 @pytest.mark.parametrize(("photographs", "between"), [(9, 3), (5, 1), (2, 0)])

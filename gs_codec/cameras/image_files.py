@@ -25,6 +25,9 @@ log = logging.getLogger(__name__)
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
+#: Names of folders of masks; copies of smaller images end in a number.
+_MASKS = re.compile(r"(.*[_-])?masks?(_\d+)?", re.IGNORECASE)
+
 #: Maximum number of pixels of a photograph.
 _MOST = 1 << 27
 
@@ -184,6 +187,7 @@ def find_images(folder: str | Path, cameras: Sequence[Camera]) -> list[Path]:
 
 def warn_of_masks(folder: str | Path) -> None:
     """Warn if there are masks beside a folder of photographs, whose pixels all count."""
-    masks = Path(os.path.abspath(folder)).with_name("masks")
-    if masks.is_dir():
-        log.warning("%s: left out: masks; all pixels of the photographs count", masks)
+    beside = sorted(Path(os.path.abspath(folder)).parent.glob("*"))
+    masks = [each for each in beside if _MASKS.fullmatch(each.name) and each.is_dir()]
+    if masks:
+        log.warning("%s: left out: masks; all pixels of the photographs count", masks[0])

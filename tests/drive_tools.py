@@ -157,13 +157,16 @@ def measure(driver: Driver, found: dict) -> None:
     found["measured"] = [stage.tag.label.text, viewer.panel.pick.measure._said.text]
     centres, tab = viewer.stage.scenes[0].positions, viewer.panel.pick.measure
     viewer.editor.do(lambda edits: edits.select(np.arange(len(centres)) == 0))
+    place = stage.pose.position
     driver.click(tab.scale)
     driver.wait(lambda: not measuring.points)
     scaled = viewer.stage.scenes[0].positions
     found["scaled"] = [float(np.abs(scaled - 2 * centres).max()), viewer.editor.edits.options[-1]]
+    seen = stage.pose.position
     found["after scaling"] = [measuring.unit, viewer.panel.status.text]
     driver.key("ctrl+z")
     driver.wait(lambda: viewer.stage.scenes[0].positions is centres)
+    found["seen from"] = [np.abs(at - place).max() for at in (seen / 2, stage.pose.position)]
     viewer.editor.do(Edits.select_none)
     viewer.visits.go_to(1)
     driver.key("Escape")

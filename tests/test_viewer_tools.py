@@ -89,6 +89,7 @@ def test_distances_are_measured_on_what_is_seen_and_set_the_scale(found):
     assert found["drawn"] > 40
     assert found["scaled"] == [0.0, "--transform=2,0,0,0,0,2,0,0,0,0,2,0"]
     assert found["after scaling"] == [1.0, "scaled by 2"]
+    assert max(found["seen from"]) < 1e-6  # the camera goes with the scene, and back
     assert found["left"] <= 4
     assert not found["picked"]
 

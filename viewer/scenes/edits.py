@@ -35,7 +35,8 @@ Options = tuple[str, ...]
 class _State:
     """Masks over the file's Gaussians, and the step that led here.
 
-    `placed` is the product ``(4, 4)`` of the moves of the whole scene.
+    `placed` is the product ``(4, 4)`` of the moves of the whole scene, `seen` of those that the
+    camera makes with it.
     `options` are those of ``gs-codec convert`` with the same result; None if there are none.
     `means` are the options that remove the selection, and those that remove all others.
     """
@@ -46,6 +47,7 @@ class _State:
     deleted: _Bits
     moves: tuple[Move, ...] = ()
     placed: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    seen: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     names: Mapping[int, str] = field(default_factory=dict)
     order: tuple[int, ...] = ()
     options: tuple[str, ...] | None = ()
@@ -116,6 +118,11 @@ class Edits:
     def placed(self) -> NDArray[np.float64]:
         """The product ``(4, 4)`` of the moves of the whole scene since it was opened."""
         return self._state.placed
+
+    @property
+    def seen(self) -> NDArray[np.float64]:
+        """The product ``(4, 4)`` of the moves that the camera makes with the scene."""
+        return self._state.seen
 
     @property
     def middle(self) -> NDArray[np.float64]:
@@ -214,7 +221,7 @@ class Edits:
     def move(self, matrix: NDArray[np.float64], everything: bool = False) -> None:
         """Move the selected Gaussians, or all if none is selected, by a matrix ``(4, 4)``.
 
-        With `everything`, all are moved whatever is selected.
+        With `everything`, all are moved whatever is selected, and the camera with them.
 
         Raises
         ------
@@ -222,6 +229,7 @@ class Edits:
             If it shears, or scales axes differently.
         """
         state, count = self._state, self.whole.count
+        seen = matrix @ state.seen if everything else state.seen
         rows = np.unpackbits(state.selected, count=count).astype(bool)
         everything = everything or not rows.any()
         rows, moves, option = rows | everything, state.moves, move_option(matrix)
@@ -235,7 +243,9 @@ class Edits:
             moves = (*moves[:-1], Move(moves[-1].rows, total))
         else:
             moves = (*moves, Move(rows, matrix))
-        made = replace(state, moves=moves, placed=placed, options=options, means=((), ()))
+        made = replace(
+            state, moves=moves, placed=placed, seen=seen, options=options, means=((), ())
+        )
         self._do("move", {}, made)
 
     def _then(self, options: Options) -> Options | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import gs_codec
 from viewer.scenes.edits import Edits, Options
 from viewer.scenes.opened import Opened
+from viewer.scenes.pose import moved
 from viewer.scenes.region import REGIONS
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import (
@@ -150,15 +151,20 @@ class Editor:
 
     def do(self, step: Callable[[Edits], None]) -> None:
         """Apply a step to the edited scene, and show the result."""
-        edits = self.edits
+        edits, stage = self.edits, self._viewer.stage
         if edits is None:
             return
+        before = edits.seen
         try:
             step(edits)
         except (gs_codec.GsCodecError, MemoryError) as error:
             self._viewer.fail(error)
             return
         self.show()
+        if edits.seen is not before and stage.pose is not None:
+            matrix = edits.seen @ np.linalg.inv(before)
+            scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+            stage.look_from(moved(stage.pose, matrix), scale * stage.navigator.distance)
 
     def show(self) -> None:
         """Show the edits in the panes and the panel."""

@@ -14,7 +14,6 @@ import gs_codec
 from gs_codec.cli.output import print_text
 from viewer.scenes.gizmo import about
 from viewer.scenes.opened import Opened
-from viewer.scenes.pose import moved
 from viewer.scenes.saving import command_of, open_file, save_project
 from viewer.scenes.typed_paths import PROJECTS, SCENES
 from viewer.scenes.worker import Stale
@@ -59,12 +58,8 @@ class Placing:
 
     def scale_all(self, factor: float) -> None:
         """Scale the whole scene about 0, and the camera's place with it: the picture stays."""
-        stage, edits = self._viewer.stage, self._editor.edits
-        if edits is None or stage.pose is None:
-            return
         matrix = about(np.zeros(3), factor=factor)
         self._editor.do(lambda edits: edits.move(matrix, everything=True))
-        stage.look_from(moved(stage.pose, matrix), factor * stage.navigator.distance)
         self._viewer.panel.say(f"scaled by {factor:.6g}")
 
     def ask_add(self) -> None:

@@ -20,6 +20,7 @@ from open3d.visualization import gui
 from PIL import Image
 
 import gs_codec
+from gs_codec.files.annotations import Annotation
 from viewer.scenes.choice import MODES, Appearance
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import open_scene
@@ -243,6 +244,11 @@ def watched_project(driver: Driver) -> list:
     edits, found = viewer.editor.all[0], []
     viewer.editor.number = 0
     viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 9, "delete"))
+    viewer.annotating.notes = [Annotation([1.0, 2.0, 3.0], "")]
+    viewer.placing.place([0.0, 0.0, 0.5], [0.0, 0.0, 90.0], 1.0, False)
+    viewer.placing.scale_all(2.0)
+    found.append([round(x, 6) for x in viewer.annotating.notes[0].position])
+    away = viewer.stage.pose.position
     viewer.placing.save(str(driver.folder / "d.gsproj"))
     found.append(edits.unsaved)
     viewer.watching.set_on(True)
@@ -258,6 +264,9 @@ def watched_project(driver: Driver) -> list:
     answer(driver, "Discard the edits")
     driver.wait(lambda: viewer.stage.scenes[0].whole is None)
     driver.rest()
+    found.append([round(x, 6) for x in viewer.annotating.notes[0].position])
+    found.append(float(np.abs(2 * viewer.stage.pose.position - away).max()))
+    viewer.annotating.notes = []
     viewer.loading.open(str(driver.folder / "a.ply"), 0)
     driver.rest()
     return found

@@ -102,7 +102,10 @@ def test_a_project_is_not_replaced_by_its_scene(found):
 
 
 def test_edits_in_a_project_are_not_lost_when_the_file_changes(found):
-    saved, count, unsaved, said = found["watched_project"]
+    placed, saved, count, unsaved, said, back, off = found["watched_project"]
+    assert placed == [-4, 2, 7]
+    assert back == [1, 2, 3]  # what was put on the scene goes back with it
+    assert off < 1e-6
     assert (saved, count, unsaved) == (False, 2990, True)
     assert said == ": changed after it was opened"
 

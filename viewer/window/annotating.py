@@ -121,7 +121,7 @@ class Annotating:
             notes = [*self.notes[: self.chosen], *self.notes[self.chosen + 1 :]]
             self._put(notes, min(self.chosen, len(notes) - 1) if notes else None)
 
-    def follow(self, matrix: NDArray[np.float64]) -> None:
+    def follow(self, matrix: NDArray) -> None:
         """Move the annotations by a matrix ``(4, 4)``."""
         places = [matrix[:3, :3] @ note.position + matrix[:3, 3] for note in self.notes]
         pairs = zip(self.notes, places, strict=True)

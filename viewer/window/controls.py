@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
@@ -63,7 +62,7 @@ class Controls(Host, Protocol):
         """Forget lengths measured in the scene shown before."""
         self.measuring.take_unit()
 
-    def follow(self, matrix: NDArray[np.float64]) -> None:
+    def follow(self, matrix: NDArray) -> None:
         """Move what was put on the first scene with it, by a matrix ``(4, 4)``."""
         self.annotating.follow(matrix)
         self.timeline.follow(matrix)

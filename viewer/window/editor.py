@@ -151,20 +151,33 @@ class Editor:
 
     def do(self, step: Callable[[Edits], None]) -> None:
         """Apply a step to the edited scene, and show the result."""
-        edits, stage = self.edits, self._viewer.stage
+        edits = self.edits
         if edits is None:
             return
-        before = edits.seen
+        seen = edits.seen
         try:
             step(edits)
         except (gs_codec.GsCodecError, MemoryError) as error:
             self._viewer.fail(error)
             return
         self.show()
-        if edits.seen is not before and stage.pose is not None:
-            matrix = edits.seen @ np.linalg.inv(before)
+        if edits.seen is not seen:
+            self._move_camera(edits.seen @ np.linalg.inv(seen))
+
+    def _move_camera(self, matrix: NDArray) -> None:
+        """Move the camera by a matrix ``(4, 4)``, as the scene was moved."""
+        stage = self._viewer.stage
+        if stage.pose is not None:
             scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
             stage.look_from(moved(stage.pose, matrix), scale * stage.navigator.distance)
+
+    def forget(self, number: int) -> None:
+        """Move what has moved with a scene back, before the scene is read again."""
+        placed, seen = self.all[number].placed, self.all[number].seen
+        if number == 0 and (placed != np.eye(4)).any():
+            self._viewer.follow(np.linalg.inv(placed))
+        if (seen != np.eye(4)).any():
+            self._move_camera(np.linalg.inv(seen))
 
     def show(self) -> None:
         """Show the edits in the panes and the panel."""

@@ -130,6 +130,7 @@ class Loading:
             viewer.panel.say(f"{path.name} reloaded")
             if pane == 0:
                 stage.pruned = None
+            self._editor.forget(pane)
             stage.replace(pane, opened)
             self._editor.put(stage.scenes)
             viewer.refresh()

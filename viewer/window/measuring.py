@@ -49,7 +49,7 @@ class Measuring:
 
         find_point(self._viewer, "measure", pane, at, lambda: self.on, done)
 
-    def follow(self, matrix: NDArray[np.float64]) -> None:
+    def follow(self, matrix: NDArray) -> None:
         """Move the points by a matrix ``(4, 4)``; a known length stays."""
         if self.unit != 1:
             self.unit /= np.cbrt(np.linalg.det(matrix[:3, :3]))

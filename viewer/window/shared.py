@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
@@ -74,7 +73,7 @@ class Host(Protocol):
     def forget(self) -> None:
         """Forget lengths measured in the scene shown before."""
 
-    def follow(self, matrix: NDArray[np.float64]) -> None:
+    def follow(self, matrix: NDArray) -> None:
         """Move what was put on the first scene with it, by a matrix ``(4, 4)``."""
 
     def refresh(self) -> None:

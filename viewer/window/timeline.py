@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
@@ -105,7 +104,7 @@ class Timeline:
         self._put(self.path, index)
         self._viewer.stage.look_from(self.path.poses[index])
 
-    def follow(self, matrix: NDArray[np.float64]) -> None:
+    def follow(self, matrix: NDArray) -> None:
         """Move the keyframes by a matrix ``(4, 4)``."""
         if self.path.poses:
             poses = tuple(moved(pose, matrix) for pose in self.path.poses)

@@ -111,7 +111,7 @@ def opened(path: str | Path) -> Iterator[FileBytes]:
     Raises InvalidInput if it is missing, empty, a directory, a pipe, or not readable.
     """
     try:
-        file = open(path, "rb")  # noqa: SIM115 (closed below)
+        file = open(path, "rb", buffering=0)  # noqa: SIM115 (closed below)
     except IsADirectoryError:
         raise InvalidInput(f"{path}: a directory, expected a file") from None
     except OSError as error:

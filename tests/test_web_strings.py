@@ -52,7 +52,8 @@ class Texts(HTMLParser):
         self.found.update(value for name, value in attributes if name == "aria-label")
 
     def handle_data(self, data: str) -> None:
-        self.found.add(data.strip())
+        if "<!--" not in data:  # a comment in the title, which is text from Python 3.14 on
+            self.found.add(data.strip())
 
 
 @pytest.mark.skipif(NODE is None, reason="needs Node")

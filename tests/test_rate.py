@@ -38,7 +38,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.plan import Plan, Steps
 from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.view_selection import choose_views
-from gs_codec.rate import fixed_rate
+from gs_codec.rate import allocate, fixed_rate
 from gs_codec.rate import search as searching
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import RateReport, RenderedLoss
@@ -528,6 +528,20 @@ def test_a_scene_that_cannot_be_pruned_has_no_coarsest_steps(monkeypatch):
     _, report = as_requested(generate(1000, 0, 7), Config(format="splat"), plan, target)
     assert report.rate.pruned == 0
     assert not report.rate.at_end
+
+
+@pytest.mark.parametrize(("loss", "tried"), [(0.095, ["round"]), (0.085, ["refit", "round"])])
+def test_a_loss_in_crops_near_the_target_is_rounded_at_its_steps(loss, tried):
+    """Colours are refitted for these steps already."""
+    done = []
+    trials = SimpleNamespace(
+        rounds_jointly=True, last=(b"12", None), loss=loss, octaves=0.5,
+        config_at=lambda octaves: Config("m"), refit=lambda octaves: done.append("refit"),
+        finish=lambda octaves: done.append("round"), decoded=lambda: None,
+    )  # fmt: skip
+    seen = SimpleNamespace(check=print, loss=lambda coded: 0.095)
+    allocate._round_within(trials, 0.1, seen)
+    assert done == tried
 
 
 def test_a_loss_is_measured_in_given_views_that_do_not_guide(seen):

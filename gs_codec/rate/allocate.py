@@ -253,22 +253,25 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
 def _round_within(trials: Trials, limit: float, seen: Seen) -> None:
     """Round jointly at the steps with which views should then lose just less than a limit.
 
-    The loss of small scenes depends irregularly on step sizes and rounding, so the smallest file
-    within the limit is kept, which may be that of the last encoding.
+    The loss of small scenes depends irregularly on step sizes and rounding, so about the smallest
+    file within the limit is kept, which may be that of the last encoding.
     """
     if not trials.rounds_jointly:
         return
     best, octaves = (trials.last, trials.loss, trials.octaves), trials.octaves
     least = max(_CLOSE * limit, limit - _DROP_TOLERANCE)
     aim = (least + limit) / 2
-    loss = float(trials.loss or 0) * trials.config_at(octaves).adaptive_profile().left
+    # Crops from other places gain too little from rounding to expect it.
+    left = trials.config_at(octaves).adaptive_profile().left if seen.check is None else 1.0
+    loss = float(trials.loss or 0) * left
     for _ in range(_MOST_ROUNDINGS):
-        further = math.log2(aim / min(max(loss, aim / 2), 2 * aim)) / _DROP_SLOPE
-        octaves = min(max(octaves + further, FINEST), COARSEST)
-        trials.refit(octaves)
+        if not least <= loss <= limit:
+            further = math.log2(aim / min(max(loss, aim / 2), 2 * aim)) / _DROP_SLOPE
+            octaves = min(max(octaves + further, FINEST), COARSEST)
+            trials.refit(octaves)
         trials.finish(octaves)
         loss = seen.loss(trials.decoded())
-        if loss <= limit and len(trials.last[0]) < len(best[0][0]):
+        if loss <= limit and len(trials.last[0]) < _ROUNDING_ADDS * len(best[0][0]):
             best = trials.last, loss, octaves
         if least <= loss <= limit:
             break

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import gs_codec
 from gs_codec.cameras.inria import as_camera
 from gs_codec.cli.main import app
+from gs_codec.cli.output import print_rendered
 from gs_codec.codecs.adaptive.watched import Watched
 from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.encode import encode_cleaned
@@ -133,7 +134,7 @@ def test_windows_of_given_cameras_are_parts_of_their_views(cameras):
     assert corners.max(axis=0).tolist() == [58, 28]
 
 
-def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
+def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog, capsys):
     monkeypatch.setattr(
         "gs_codec.guidance.calibrate.calibrated", lambda _, c, *__: replace(c, coarseness=9.0)
     )
@@ -142,6 +143,8 @@ def test_too_coarse_steps_are_made_finer(still_life, monkeypatch, caplog):
     assert loss.encodings > 1
     assert report.coarseness < 4
     assert loss.remedy == f"{report.coarseness:.2f}x those of the profile"
+    print_rendered(loss)
+    assert f"step sizes {loss.remedy}, finer than at first" in capsys.readouterr().out
     assert loss.loss <= 2 * loss.aimed
     assert not caplog.records
 

@@ -142,7 +142,7 @@ def print_rendered(loss: RenderedLoss | None, views: str = "rendered views") -> 
     print_text(text)
     if loss.remedy is not None:
         print_text(
-            f"finer step sizes ({loss.remedy}), because rendered views lost too much at first"
+            f"step sizes {loss.remedy}, finer than at first, because rendered views lost too much"
         )
 
 

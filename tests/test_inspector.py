@@ -288,6 +288,17 @@ def test_dropped_files_without_a_plain_name_are_refused(page, name):
     assert put(page, name, b"ply")[0] in (400, 404)
 
 
+def test_a_large_dropped_file_that_cannot_be_written_is_read_before_the_answer(page):
+    status, told = put(page, 300 * "x", bytes(1 << 25))
+    assert (status, told.endswith("File name too long")) == (400, True)
+
+
+def test_dropped_files_are_written_to_the_folder_for_large_files(page, folder, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(folder / "missing"))
+    status, told = put(page, "a.ply", (folder / "a.ply").read_bytes())
+    assert (status, str(folder / "missing") in told) == (400, True)
+
+
 def test_dropped_files_are_limited_and_come_from_this_host(page):
     assert put(page, "a.ply", b"", **{"Content-Length": str(1 << 32)})[0] == 413
     assert put(page, "a.ply", b"ply", Host="example.org")[0] == 404

@@ -27,6 +27,7 @@ from gs_codec.cli.output import print_text
 from gs_codec.egs.frame_sections import is_sequence
 from gs_codec.files.sharing import PAGE, page_of
 from gs_codec.report import Progress
+from gs_codec.runtime.arrays import folder_on_disk
 from gs_codec.sequences.frame_decoding import opened_sequence
 from gs_codec.views.estimate import COUNT
 from viewer.inspected_page import count_views, with_inspection, with_second
@@ -104,21 +105,29 @@ class Page(ThreadingHTTPServer):
 
     def take(self, name: str, file: BufferedIOBase, size: int) -> None:
         """Read a dropped file, and show it; if that fails, all stays. Raises GsCodecError."""
+        made = tempfile.TemporaryDirectory(
+            prefix="gs-viewer-", dir=folder_on_disk(), ignore_cleanup_errors=True
+        )
+        left = size
         with ExitStack() as stack:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="gs-viewer-"))
+            folder = stack.enter_context(made)
             path = Path(folder) / name
             try:
                 with open(path, "wb") as copy:
-                    while piece := file.read(min(size - copy.tell(), _PIECE)):
+                    while piece := file.read(min(left, _PIECE)):
+                        left -= len(piece)
                         copy.write(piece)
-                    if copy.tell() < size:
-                        raise gs_codec.GsCodecError(f"{name}: only a part of it has arrived")
+                if left:
+                    raise gs_codec.GsCodecError(f"{name}: only a part of it has arrived")
                 with self._showing:
                     if self.show is not None:
                         self.show(path)
                     self._dropped.close()
                     self._dropped = stack.pop_all()
-            except (gs_codec.GsCodecError, OSError, MemoryError) as error:
+            except (gs_codec.GsCodecError, OSError, MemoryError, ValueError) as error:
+                with suppress(OSError):  # browsers take no answer before they have sent all
+                    while left and (piece := file.read(min(left, _PIECE))):
+                        left -= len(piece)
                 text = describe_error(error).replace(f"{folder}{os.sep}", "")
                 raise gs_codec.GsCodecError(text) from error
 
@@ -221,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
         status, data = HTTPStatus.OK, b""
         try:
             self.server.take(name, self.rfile, int(length))
-        except (gs_codec.GsCodecError, ValueError) as error:
+        except (gs_codec.GsCodecError, OSError) as error:
             status, data = HTTPStatus.BAD_REQUEST, describe_error(error).encode()
         self._send(status, "text/plain; charset=utf-8", len(data), {})
         self._write(data)

@@ -238,7 +238,7 @@ def test_accessors_of_an_spz_state_the_decoded_attributes():
     assert document["extensionsRequired"] == document["extensionsUsed"] == [KHR, SPZ_2]
 
 
-def test_gltf_of_earlier_drafts_is_read(tmp_path):
+def test_gltf_of_earlier_drafts_is_read(tmp_path, caplog):
     scene = random_scene(20, 1)
     document, binary = split(pack_gltf_spz(scene)[0])
     expected = read(tmp_path, document, binary)
@@ -252,7 +252,9 @@ def test_gltf_of_earlier_drafts_is_read(tmp_path):
     splats["extensions"][f"{KHR}_compression_spz"] = stated
     assert_same_floats(read(tmp_path, document, binary), expected)
     primitive["extensions"] = {"KHR_spz_gaussian_splats_compression": stated}
+    primitive["attributes"] |= {"_SCALE": 0, "_ROTATION": 0, "_SH_DEGREE_1_COEF_0": 0}
     assert_same_floats(read(tmp_path, document, binary), expected)
+    assert caplog.messages == []
 
 
 def test_what_other_extensions_add_to_an_spz_is_left_out(tmp_path, caplog):

@@ -40,6 +40,9 @@ _ALONE = "KHR_spz_gaussian_splats_compression"
 #: Names of the extension: the current one, then those of earlier drafts.
 _NAMES = (SPZ_2, f"{EXTENSION}_compression_spz", _ALONE)
 
+#: Beginnings of the names of its attributes in drafts; they have no values.
+_OF_SPZ = ("_SCALE", "_ROTATION", "_SH_DEGREE_")
+
 #: A compression of attributes of meshes.
 _DRACO = "KHR_draco_mesh_compression"
 
@@ -74,6 +77,13 @@ def _inner(primitive: dict[str, Any]) -> Any:
 def is_compressed(primitive: dict[str, Any]) -> bool:
     """Whether the attributes of a checked primitive are an `.spz`."""
     return bool(_inner(primitive))
+
+
+def other_attributes(primitive: dict[str, Any]) -> set[str]:
+    """Names of the attributes of a checked primitive that are no Gaussians' or their colours'."""
+    known = (f"{EXTENSION}:", *(_OF_SPZ if is_compressed(primitive) else ()))
+    names = {name for name in primitive["attributes"] if not name.startswith(known)}
+    return names - {"POSITION", "COLOR_0"}
 
 
 def other_extensions(primitive: dict[str, Any]) -> set[str]:

@@ -27,6 +27,7 @@ from gs_codec.formats.gltf.compressed import (
     compressed_size,
     document_of,
     is_compressed,
+    other_attributes,
     other_extensions,
     sh_name,
 )
@@ -110,17 +111,11 @@ def _say_others(path: Path, file: GltfFile, placed: list[_Placed]) -> None:
         "animations": len(file.items("animations")),
     }
     found = {
-        "attributes": {ascii(name) for each in placed for name in _unread(each.primitive)},
+        "attributes": {ascii(name) for each in placed for name in other_attributes(each.primitive)},
         "extensions": {ascii(name) for each in placed for name in other_extensions(each.primitive)},
     }
     names = [f"{kind} {listed(sorted(each))}" for kind, each in found.items() if each]
     say_left_out(path, lines=others, others=names)
-
-
-def _unread(primitive: dict[str, Any]) -> set[str]:
-    """Names of the attributes of a checked primitive that are no Gaussians' or their colours'."""
-    names = {name for name in primitive["attributes"] if not name.startswith(f"{EXTENSION}:")}
-    return names - {"POSITION", "COLOR_0"}
 
 
 def variant_of(path: Path, view: memoryview) -> str:

@@ -301,7 +301,7 @@ def test_a_loss_is_met_on_average(tmp_path, monkeypatch):
     assert 0 < min(found.values()) == max(found.values()) <= report.worst_drop
 
 
-def test_a_loss_without_given_cameras_is_that_of_crops_from_other_places(tmp_path):
+def test_a_loss_without_given_cameras_is_that_of_crops_from_other_places(tmp_path, caplog):
     scenes = moving(400, frames=2)
     request = Request(Config("s"), Plan(views=4, width=80), RateTarget(psnr_drop=1.0))
     report = encode_requested(given(scenes), tmp_path / "a.egs", request)
@@ -310,6 +310,9 @@ def test_a_loss_without_given_cameras_is_that_of_crops_from_other_places(tmp_pat
     assert report.psnr_drop == pytest.approx(np.mean(lost), rel=1e-6)
     assert report.worst_drop == pytest.approx(max(lost), rel=1e-6)
     assert 0.5 < report.psnr_drop <= 1.0
+    assert report.encodings > 1
+    [said] = [text for text in caplog.messages if "estimated" in text]  # not by each encoding
+    assert said.endswith("encoded camera-free")
 
 
 def test_an_interrupted_run_goes_on(tmp_path):

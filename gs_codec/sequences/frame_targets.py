@@ -23,6 +23,7 @@ from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_
 from gs_codec.preparation.view_selection import checking_cameras
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.report import Progress
+from gs_codec.runtime.kept_logs import keeping_new
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.wording import counted
 from gs_codec.scene import Scene
@@ -41,6 +42,9 @@ _SIZE_TOLERANCE, _DROP_TOLERANCE = 0.02, 0.15
 
 #: Approximate change of log2 of the size, and of the loss, when step sizes double.
 _SIZE_SLOPE, _DROP_SLOPE = -0.6, 1.7
+
+#: Loggers that warn of the cameras whenever frames are encoded.
+_OF_CAMERAS = ("gs_codec.cameras.colmap", "gs_codec.preparation.view_selection")
 
 #: Maximum number of frames in which a loss is measured.
 _MEASURED = 5
@@ -98,7 +102,8 @@ def _encode_to_target(
         interval, slope = ((1 - _DROP_TOLERANCE) * most, most), _DROP_SLOPE
         views = _views_of_frames(source, request, progress)
     seconds = len(source) / float(rate_of(source))
-    with tempfile.TemporaryDirectory(dir=Path(target).parent, prefix=".") as folder:
+    made = tempfile.TemporaryDirectory(dir=Path(target).parent, prefix=".")
+    with made as folder, keeping_new(_OF_CAMERAS, set()):
 
         def measure(octaves: float) -> float:
             """The loss, or the size relative to the limit."""

@@ -74,8 +74,10 @@ def page(folder) -> Iterator[Page]:
     inspector.close()
 
 
-def ask(page: Page, asked: object, path: str = "inspect", host: str = "127.0.0.1") -> tuple:
+def ask(page: Page, asked: object, path: str = "", host: str = "127.0.0.1") -> tuple:
     """Status, facts and body of the answer to a call."""
+    if page.inspector is not None:
+        path = path or page.inspector.address
     connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
     body = asked if isinstance(asked, bytes) else json.dumps(asked).encode()
     connection.request("POST", urlsplit(page.url).path + path, body, {"Host": host})
@@ -240,7 +242,7 @@ def test_calls_that_are_not_possible_are_refused(page, changes):
 
 def test_calls_from_elsewhere_or_without_the_address_are_refused(page):
     assert ask(page, ASKED, host="example.org")[0] == 404
-    assert ask(page, ASKED, path="../inspect")[0] == 404
+    assert ask(page, ASKED, path=f"../{page.inspector.address}")[0] == 404
     assert ask(page, b"{")[0] == 400
     assert ask(page, b"[" * 60_000)[0] == 400
     assert ask(page, b" " * 70_000)[0] == 413
@@ -249,6 +251,7 @@ def test_calls_from_elsewhere_or_without_the_address_are_refused(page):
 
 @pytest.mark.thorough
 def test_a_dropped_file_is_shown_and_inspected_instead(page, folder):
+    before = page.inspector.address
     assert ask(page, {"call": "facts"})[0] == 200
     write_ply(folder / "c d.ply", random_scene(700, 0, seed=3))
     assert put(page, "c%20d.ply", (folder / "c d.ply").read_bytes()) == (200, "")
@@ -259,6 +262,7 @@ def test_a_dropped_file_is_shown_and_inspected_instead(page, folder):
     facts = json.loads(ask(page, {"call": "facts"})[2])
     assert (facts["second"], facts["photographs"]) == (False, False)
     assert ask(page, ASKED)[0] == 200
+    assert ask(page, ASKED, before)[0] == 404  # of a page that shows the earlier scenes
     assert put(page, "e.ply", b"ply")[0] == 400
     assert put(page, "e.ply", b"ply")[1].startswith("e.ply: ")
     with pytest.raises(gs_codec.GsCodecError, match=r"e\.splat: only a part of it has arrived"):

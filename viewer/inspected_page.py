@@ -13,13 +13,17 @@ _POLICY = b"script-src '"
 _END = b"</body>"
 
 
-def with_inspection(page: bytes, is_open: bool) -> bytes:
-    """The page with the script, which its policy then allows; `is_open` shows it at once."""
+def with_inspection(page: bytes, calls: str, is_open: bool) -> bytes:
+    """The page with the script, which its policy then allows; `is_open` shows it at once.
+
+    The script sends its calls to the address `calls`.
+    """
     script = Path(__file__).with_name("web").joinpath("inspect.js").read_bytes()
     allowed = base64.b64encode(hashlib.sha256(script).digest())
     page = page.replace(_POLICY, b"%b'sha256-%b' '" % (_POLICY[:-1], allowed), 1)
     before, end, after = page.rpartition(_END)
-    start = b'<script type="module" id="inspection"%b>' % (b' data-open="1"' if is_open else b"")
+    told = f' data-calls="{calls}"' + is_open * ' data-open="1"'
+    start = b'<script type="module" id="inspection"%b>' % told.encode()
     return before + start + script + b"</script>\n" + end + after
 
 

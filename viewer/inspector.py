@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import secrets
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -56,10 +57,16 @@ class Inspector:
     Parameters
     ----------
     request : Request
+
+    Attributes
+    ----------
+    address : str
+        Where the page sends its calls; that of another inspection differs.
     """
 
     def __init__(self, request: Request) -> None:
         self._request = request
+        self.address = f"inspect-{secrets.token_hex(4)}"
         self._files = TemporaryDirectory(prefix="gs-viewer-", ignore_cleanup_errors=True)
         self._opening, self._drawing, self._changing = (threading.RLock() for _ in range(3))
         self._newest: Counter[str] = Counter()

@@ -199,7 +199,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer a call of the inspection."""
         length = self.headers.get("Content-Length", "")
         inspector = self.server.inspector if self._is_from_here else None
-        if inspector is None or self.path != f"{self.server.root}inspect":
+        if inspector is None or self.path != self.server.root + inspector.address:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         if not re.fullmatch(r"\d{1,9}", length) or int(length) > _CALL:
@@ -376,7 +376,7 @@ def _files_of(
         sources, cameras, alone=False, progress=progress, max_bytes=most, up=request.up
     )
     if inspector is not None:
-        files[PAGE] = with_inspection(files[PAGE], inspector.is_open)
+        files[PAGE] = with_inspection(files[PAGE], inspector.address, inspector.is_open)
     return files, shared[0].frames
 
 

@@ -71,11 +71,12 @@ function make(name, parent, properties = {}, ...children) {
 /** The server's answer; undefined if a newer question replaces this one. */
 async function ask(call, value = {}, signal = undefined) {
   const body = JSON.stringify({ call, ...value });
-  const asked = fetch('inspect', { method: 'POST', body, signal });
+  const asked = fetch($('inspection').dataset.calls, { method: 'POST', body, signal });
   const answer = await asked.catch((error) => {
     if (signal?.aborted) throw error;
     throw new Error(say('the server does not answer'));
   });
+  if (answer.status === 404) throw new Error(say('a file was dropped on another page; reload this one'));
   if (answer.status === 409) return undefined;
   if (!answer.ok) throw new Error(await answer.text());
   return answer;

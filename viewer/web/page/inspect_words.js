@@ -30,6 +30,12 @@ export const INSPECTED = {
   'The server draws …': ['Der Server zeichnet …', 'Le serveur dessine …', '服务器正在绘制…', 'サーバーが描画中…'],
   '{}: larger than {}': ['{}: größer als {}', '{} : plus de {}', '{}：大于 {}', '{}：{} を超えています'],
   'the server does not answer': ['Der Server antwortet nicht', 'le serveur ne répond pas', '服务器没有响应', 'サーバーが応答しません'],
+  'a file was dropped on another page; reload this one': [
+    'Auf eine andere Seite wurde eine Datei gezogen; diese neu laden',
+    'un fichier a été déposé sur une autre page ; rechargez celle-ci',
+    '已有文件拖放到另一个页面；请重新加载本页',
+    '別のページにファイルがドロップされました。このページを再読み込みしてください',
+  ],
   'B against A, this view: {}': ['B gegen A, diese Ansicht: {}', 'B par rapport à A, cette vue : {}', '此视图中 B 与 A 相比：{}', 'この視点の A に対する B：{}'],
   'Encode A': ['A kodieren', 'Encoder A', '编码 A', 'A を符号化'],
   Profile: ['Profil', 'Profil', '配置', 'プロファイル'],

@@ -321,6 +321,12 @@ def test_a_browser_opens_a_dropped_file(page, folder):
     told = "document.getElementById('status').textContent"
     job = Job(page.url, [("drawn",), ("value", f"{drop}([112, 108, 121], 'e.ply')")])
     job.steps += [("until", f"{told}.startsWith('e.ply')"), ("value", told)]
+    folder_of = """(() => {
+        const slice = () => ({ arrayBuffer: () => Promise.reject(new Error('a folder')) });
+        const dataTransfer = { files: [{ name: 'f', size: 4096, slice }] };
+        return dispatchEvent(Object.assign(new Event('drop'), { dataTransfer }));
+    })()"""
+    job.steps += [("value", folder_of), ("until", f"{told} === 'a folder'")]
     job.steps += [("value", f"{drop}({data}, 'b.ply')"), ("until", "document.title === 'b.ply'")]
     job.steps += [("drawn",), ("value", "document.querySelectorAll('#inspect').length")]
     [told] = open_pages(job)

@@ -513,6 +513,7 @@ async function take(file) {
   const tell = (text, isError) => viewer.panel.tell((viewer.note = text), isError);
   try {
     if (file.size > MOST_DROPPED) throw new Error(say('{}: larger than {}', file.name, sizeText(MOST_DROPPED)));
+    await file.slice(0, 1).arrayBuffer(); // fails for folders
     tell(say('The server reads the scene …'), false);
     const asked = fetch(encodeURIComponent(file.name), { method: 'PUT', body: file });
     const answer = await asked.catch(() => {

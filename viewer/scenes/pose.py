@@ -147,13 +147,23 @@ def upright(pose: Pose, up: NDArray) -> Pose:
 
 def moved(pose: Pose, matrix: NDArray) -> Pose:
     """The pose from which a scene looks the same after a move by a matrix ``(4, 4)``."""
-    scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+    scale = scale_of(matrix)
     return replace(
         pose,
         rotation=pose.rotation @ matrix[:3, :3].T / scale,
-        position=matrix[:3, :3] @ pose.position + matrix[:3, 3],
+        position=placed(pose.position, matrix),
         near=scale * pose.near,
     )
+
+
+def scale_of(matrix: NDArray) -> float:
+    """The factor by which a matrix ``(4, 4)`` scales all axes."""
+    return float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+
+
+def placed(points: NDArray, matrix: NDArray) -> NDArray[np.float64]:
+    """Points ``(..., 3)`` after a move by a matrix ``(4, 4)``."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def distance_ahead(pose: Pose, positions: NDArray) -> float:

@@ -14,7 +14,7 @@ import gs_codec
 from gs_codec.files.annotations import Annotation, read_annotations, write_annotations
 from gs_codec.runtime.wording import counted
 from viewer.pictures.marker import measure_lines
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, placed
 from viewer.scenes.typed_paths import NOTES
 from viewer.window import dialogs
 from viewer.window.measuring import find_point, say_unless_loading
@@ -123,9 +123,9 @@ class Annotating:
 
     def follow(self, matrix: NDArray) -> None:
         """Move the annotations by a matrix ``(4, 4)``."""
-        places = [matrix[:3, :3] @ note.position + matrix[:3, 3] for note in self.notes]
+        places = [placed(np.array(note.position), matrix).tolist() for note in self.notes]
         pairs = zip(self.notes, places, strict=True)
-        self._put([replace(note, position=place.tolist()) for note, place in pairs], self.chosen)
+        self._put([replace(note, position=place) for note, place in pairs], self.chosen)
 
     def _put(self, notes: list[Annotation], chosen: int | None) -> None:
         self.notes, self.chosen = notes, chosen

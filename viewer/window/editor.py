@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import gs_codec
 from viewer.scenes.edits import Edits, Options
 from viewer.scenes.opened import Opened
-from viewer.scenes.pose import moved
+from viewer.scenes.pose import moved, scale_of
 from viewer.scenes.region import REGIONS
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import (
@@ -168,8 +168,8 @@ class Editor:
         """Move the camera by a matrix ``(4, 4)``, as the scene was moved."""
         stage = self._viewer.stage
         if stage.pose is not None:
-            scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-            stage.look_from(moved(stage.pose, matrix), scale * stage.navigator.distance)
+            distance = scale_of(matrix) * stage.navigator.distance
+            stage.look_from(moved(stage.pose, matrix), distance)
 
     def forget(self, number: int) -> None:
         """Move what has moved with a scene back, before the scene is read again."""

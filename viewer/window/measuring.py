@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from viewer.pictures.drawer import depth_at
 from viewer.pictures.marker import measure_lines
+from viewer.scenes.pose import placed, scale_of
 from viewer.scenes.worker import Stale
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
@@ -52,8 +53,8 @@ class Measuring:
     def follow(self, matrix: NDArray) -> None:
         """Move the points by a matrix ``(4, 4)``; a known length stays."""
         if self.unit != 1:
-            self.unit /= np.cbrt(np.linalg.det(matrix[:3, :3]))
-        self._put([matrix[:3, :3] @ point + matrix[:3, 3] for point in self.points])
+            self.unit /= scale_of(matrix)
+        self._put([placed(point, matrix) for point in self.points])
 
     def _put(self, points: list[NDArray[np.float64]]) -> None:
         self.points = points

@@ -10,7 +10,7 @@ from open3d.visualization import gui
 
 from viewer.pictures.centres import selected_centres
 from viewer.scenes.gizmo import COLOURS, Gizmo, Handle
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, placed
 from viewer.window.editor import Editor
 from viewer.window.mouse import Place, Tool
 from viewer.window.pane import Pane
@@ -44,7 +44,7 @@ class PlaceTool(Tool):
     def _gizmo(self, pose: Pose, size: tuple[int, int]) -> Gizmo:
         centre = self._centre
         if self._matrix is not None and self._handle is not None:
-            centre = self._matrix[:3, :3] @ centre + self._matrix[:3, 3]
+            centre = placed(centre, self._matrix)
         return Gizmo(centre, pose, size)
 
     def _lines(self, axis: int, pose: Pose, width: int, height: int) -> list[NDArray]:
@@ -69,7 +69,7 @@ class PlaceTool(Tool):
         """Show where centres would be."""
         if self._handle is not None:
             self._matrix = self._held.dragged(self._handle, self._start, at)
-            centres = self._points.positions @ self._matrix[:3, :3].T + self._matrix[:3, 3]
+            centres = placed(self._points.positions, self._matrix)
             points = replace(self._points, positions=centres.astype(np.float32))
             self._pane.show_points("selected", points)
             self._viewer.stage.draw_overlays()

@@ -197,16 +197,15 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Answer a call of the inspection."""
-        length = self.headers.get("Content-Length", "")
         inspector = self.server.inspector if self._is_from_here else None
         if inspector is None or self.path != self.server.root + inspector.address:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        if not re.fullmatch(r"\d{1,9}", length) or int(length) > _CALL:
-            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        length = self._length(_CALL)
+        if length is None:
             return
         try:
-            answer = inspector.answer(json.loads(self.rfile.read(int(length))))
+            answer = inspector.answer(json.loads(self.rfile.read(length)))
             status = HTTPStatus.OK if answer else HTTPStatus.CONFLICT
             kind, data, facts = answer or ("text/plain", b"", {})
         except (gs_codec.GsCodecError, OSError, MemoryError, ValueError, RecursionError) as error:
@@ -223,17 +222,24 @@ class _Handler(BaseHTTPRequestHandler):
         if not (self._is_from_here and self.server.show and is_name):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        length = self.headers.get("Content-Length", "")
-        if not re.fullmatch(r"\d{1,10}", length) or int(length) > _DROPPED:
-            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        length = self._length(_DROPPED)
+        if length is None:
             return
         status, data = HTTPStatus.OK, b""
         try:
-            self.server.take(name, self.rfile, int(length))
+            self.server.take(name, self.rfile, length)
         except (gs_codec.GsCodecError, OSError) as error:
             status, data = HTTPStatus.BAD_REQUEST, describe_error(error).encode()
         self._send(status, "text/plain; charset=utf-8", len(data), {})
         self._write(data)
+
+    def _length(self, most: int) -> int | None:
+        """The size of the request's body; None, after an error, if it is unknown or larger."""
+        length = self.headers.get("Content-Length", "")
+        if re.fullmatch(rf"\d{{1,{len(str(most))}}}", length) and int(length) <= most:
+            return int(length)
+        self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        return None
 
     @property
     def _is_from_here(self) -> bool:

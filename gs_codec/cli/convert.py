@@ -102,13 +102,14 @@ def command(
                 at=_place(at), level=level,
             )  # fmt: skip
         _say_what_changed(done)
+        profile = None if suffix in PLAIN else config.profile
         if typed["json"]:
             inputs = [str(source) for source in sources]
             shown = asdict(done)
             print_document(
                 input=inputs if len(inputs) > 1 else inputs[0], output=str(target),
                 input_bytes=sum(total_bytes(scene_files(file)) for file in files),
-                profile=None if suffix in PLAIN else config.profile, format=format_name(suffix),
+                profile=profile, format=format_name(suffix),
                 bits_per_gaussian=bits_per_gaussian(done.file_bytes, done.count),
                 stages=shown.pop("seconds"), **shown,
             )  # fmt: skip
@@ -117,7 +118,6 @@ def command(
                 f"{target}: {counted(done.count, 'Gaussian')}, SH degree {done.sh_degree}, "
                 f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
             )
-            profile = None if suffix in PLAIN else config.profile
             if done.rendered is not None or lacks_loss(done.rendered, profile):
                 print_rendered(done.rendered)
 

@@ -82,8 +82,7 @@ def print_document(**shown: Any) -> None:
 def _lacks_loss(values: Mapping[str, Any]) -> bool:
     """Whether a loss in rendered views should be stated, but is not."""
     if _run.command == "share":
-        encoded = [each["rendered"] for each in values.get("scenes", ()) if each["encoded"]]
-        return any(lacks_loss(loss, "l") for loss in encoded)
+        return any(each["encoded"] and not each["rendered"] for each in values.get("scenes", ()))
     prepared = _run.command == "prepare" or values.get("prepared") is not None
     return lacks_loss(values.get("rendered", {}), values.get("profile"), prepared)
 

@@ -374,7 +374,7 @@ def test_buffers_of_a_tile_are_next_to_it(tmp_path):
 
 
 def test_what_all_tiles_leave_out_is_told_once(tmp_path, caplog):
-    """A tile that is read alone tells it, too."""
+    """And once more if one of the tiles is read by itself."""
     document = json.loads(pack_gltf(random_scene(5, 0, seed=0), as_text=True)[0])
     text = json.dumps(document | {"animations": [{}]})
     path = made(tmp_path, {"children": [uri("a.gltf"), uri("b.gltf")]})

@@ -32,7 +32,7 @@ _MARGIN = 0.05
 #: Maximum growth of an image's sides, as in COLMAP; wide fisheye images would grow without limit.
 _MAX_GROWTH = 2.0
 
-#: Minimum; COLMAP has 0.2. Smaller images are of wrong coefficients, not of real lenses.
+#: Minimum growth of an image's sides; COLMAP has 0.2. Less means wrong coefficients.
 _MIN_GROWTH = 0.1
 
 #: Maximum number of iterations of Newton's method, as in COLMAP.

@@ -135,7 +135,7 @@ class Edits:
     def unsaved(self) -> bool:
         """Whether anything that is saved has changed since the scene was saved.
 
-        A project is of no use once the files of its scenes have changed.
+        A project cannot be opened after the files of its scenes have changed.
         """
         lost = self._in_project and self.whole.has_changed
         deleted, moves = (np.zeros_like(self._state.deleted), ()) if lost else self._saved
